@@ -13,7 +13,7 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
-from vstestbed.camera.exposure import ExposureControl
+from vstestbed.camera.exposure import ExposureControl, ExposureSetting
 from vstestbed.camera.optics import Optics
 from vstestbed.camera.sensor_noise import SensorNoise
 from vstestbed.camera.stream import STREAMS, VideoStream
@@ -46,6 +46,7 @@ class Picture:
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
         own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
         depth: what the depth camera measured (H, W) [m], at the middle of the exposure, NaN in its holes; None without one.
+        exposed: its exposure time and gain, which cameras report; None without `camera.exposure`.
     """
 
     t: float
@@ -54,6 +55,7 @@ class Picture:
     draw_whole: Callable[[], Picture] | None = field(default=None, compare=False, repr=False)
     own: Image | None = None
     depth: DepthImage | None = None
+    exposed: ExposureSetting | None = None
 
     @property
     def image(self) -> Image | None:
@@ -146,6 +148,16 @@ class Camera(ABC):
             raise ParameterError("depth_sensor", "is for camera perspective, with distortion or without: depth cameras have no wide lenses")
         if self.imaged:
             self._check_imaging()
+
+    @property
+    def blurring(self) -> ExposureControl | None:
+        """The exposure whose time is that of the motion blur; None where `timing` has it."""
+        return self.exposure if self.exposure is not None and self.exposure.blurs else None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the log of such an exposure."""
+        return () if self.blurring is None else ("exposure_s", "gain")
 
     @property
     def imaged(self) -> bool:

@@ -83,6 +83,15 @@ class AutoExposure:
             words = f"must be over {least:.3g} s: with a delay of {self.delay_pictures} pictures it oscillates otherwise"
             raise ParameterError("exposure.auto.lag_s", words, self.lag_s)
 
+    def within(self, x: float) -> float:
+        """Time x gain [s] held within the limits."""
+        return min(max(x, self.shortest_s), self.longest_s * self.largest_gain)
+
+    def split(self, x: float) -> tuple[float, float]:
+        """Time [s] and gain [1] of time x gain [s]: the time first."""
+        time_s = min(max(x, self.shortest_s), self.longest_s)
+        return time_s, x / time_s
+
     def metered(self, image: Grey, skip: int = SKIP) -> float:
         """Mean of the metered part of a picture (H, W, 3) [grey levels], of every row and column or fewer."""
         height, width = image.shape[:2]
@@ -118,8 +127,10 @@ class ExposureControl:
     value = rendered * light * (time / nominal_s) * gain, clipped at 255.
 
     What is white in the rendered picture stays clipped: a shorter exposure makes it grey, without its structure. The time here sets how
-    much light is collected, and so the noise (`camera.sensor`); motion blur has its own, `timing.exposure_s`. Cost of a picture of 640 x
-    480: 2 ms.
+    much light is collected, and so the noise (`camera.sensor`). Motion blur has its own time, `timing.exposure_s`, unless `blurs` makes
+    them one, as they are in a camera: of half the light automatic exposure then makes a picture that is blurred over twice the time and
+    arrives later by half of what was added, and, once the time is as long as it may be, a noisier one. Cost of a picture of 640 x 480:
+    2 ms, and with `blurs` that of the images of which it is the mean.
 
     Args:
         nominal_s: exposure time for which the scene is rendered [s].
@@ -128,6 +139,9 @@ class ExposureControl:
         light: [time, factor] pairs: from that time on [s] the scene is as many times as bright as the rendered one [1], from the start 1;
             e.g. `[[2.0, 4.0]]`.
         auto: automatic exposure and gain; None for fixed ones.
+        blurs: the exposure time is also that of the motion blur, of each row of a rolling shutter and of what flicker is averaged over, in
+            place of `timing.exposure_s`. The time stamp stays its middle. The log then has each picture's time and gain in the columns
+            `exposure_s` and `gain`. Without pictures (detector `oracle`) it is the time with which the camera begins.
     """
 
     nominal_s: PositiveTime = 0.005
@@ -135,12 +149,29 @@ class ExposureControl:
     gain: Annotated[float, Ge(0.01), Le(1000)] = 1.0
     light: tuple[tuple[Time, Factor], ...] = ()
     auto: AutoExposure | None = None
+    blurs: bool = False
 
     def __post_init__(self) -> None:
         """Refuse times that do not rise."""
         times = [t for t, _ in self.light]
         if times != sorted(set(times)):
             raise ParameterError("light", "must have rising times", [list(pair) for pair in self.light])
+
+    @property
+    def first_s(self) -> float:
+        """Exposure time of a fixed exposure, or with which an automatic one begins that has not settled [s]."""
+        time_s = self.time_s or self.nominal_s
+        return time_s if self.auto is None else self.auto.split(self.auto.within(time_s * self.gain))[0]
+
+    @property
+    def most_s(self) -> float:
+        """The longest exposure time [s]."""
+        return self.first_s if self.auto is None else self.auto.longest_s
+
+    @property
+    def most_field(self) -> str:
+        """The field of the longest exposure time, below `camera`."""
+        return "exposure.auto.longest_s" if self.auto else "exposure.nominal_s" if self.time_s is None else "exposure.time_s"
 
     def light_at(self, t: float) -> float:
         """Light of the scene at a time [s], relative to the rendered one [1]."""
@@ -186,26 +217,21 @@ class ExposureLoop:
         if self._auto is None:
             return
         measured = max(self._auto.metered(image) - self._black, DARKEST)
-        self._coming.append(self._within(self._coming[-1] * (self._auto.target_grey / measured) ** self._share))
+        self._coming.append(self._auto.within(self._coming[-1] * (self._auto.target_grey / measured) ** self._share))
         self._coming.popleft()
-
-    def _within(self, x: float) -> float:
-        assert self._auto is not None
-        return min(max(x, self._auto.shortest_s), self._auto.longest_s * self._auto.largest_gain)
 
     def _split(self, t: float, x: float) -> ExposureSetting:
         """Time x gain as a time and a gain."""
         control = self._control
         if self._auto is None:
             return ExposureSetting(control.light_at(t), control.time_s or control.nominal_s, control.gain, control.nominal_s)
-        time_s = min(max(x, self._auto.shortest_s), self._auto.longest_s)
-        return ExposureSetting(control.light_at(t), time_s, x / time_s, control.nominal_s)
+        return ExposureSetting(control.light_at(t), *self._auto.split(x), control.nominal_s)
 
     def _settled(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> float:
         """Time x gain at which the mean is the target, or the nearest limit: by bisection, as the mean never falls with it."""
         auto = self._auto
         assert auto is not None
-        low, high = math.log(self._within(0.0)), math.log(self._within(math.inf))
+        low, high = math.log(auto.within(0.0)), math.log(auto.within(math.inf))
         for _ in range(SETTLING):
             middle = (low + high) / 2
             bright = auto.metered(pictured(self._split(t, math.exp(middle))), 1) - self._black >= auto.target_grey

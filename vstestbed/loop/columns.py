@@ -60,7 +60,8 @@ class Layout:
     and singularity damping; scale is the product of the law's own scale factor and the robot's.
     For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
     The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`); then, of a law with `modes`, the number of the one
-    in which it was; last, the columns of time stamps and losses (`Timing.columns`).
+    in which it was; last, the columns of time stamps and losses (`Timing.columns`), and of the exposure
+    (`Camera.columns`).
     """
 
     def __init__(self, scenario: Scenario):
@@ -95,7 +96,11 @@ class Layout:
             (_named("qd", robot.joints), lambda k: k["qd"]),
             (_named("ctrl", robot.actuators), lambda k: k["ctrl"]),
             *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
-            *(((columns, lambda k: np.column_stack([k[name] for name in columns])),) if (columns := scenario.timing.columns) else ()),
+            *(
+                ((columns, lambda k: np.column_stack([k[name] for name in columns])),)
+                if (columns := scenario.timing.columns + scenario.camera.columns)
+                else ()
+            ),
         )
 
     def rows(self, frames: Sequence[Kept]) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 from typing import Any
 
-from vstestbed.camera import Image
+from vstestbed.camera import Image, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
@@ -228,8 +228,8 @@ class Episode:
         due = step + self._commands.delay_steps
         reaches = due if self._led is None else self._led.next_tick(due)
         cycle = self.controller.arrive(given, Arrival(step * plant.step_s, reaches * plant.step_s, plant.reading()))
-        if columns := self.scenario.timing.columns:
-            own = {"t_stamp": stamp, "refused": float(self.controller.refused), "command_lost": 0.0}
+        if columns := self.scenario.timing.columns + self.scenario.camera.columns:
+            own = {"t_stamp": stamp, "refused": float(self.controller.refused), "command_lost": 0.0, **self._exposed(shot.picture)}
             cycle = replace(cycle, timing=replace(cycle.timing, t=shot.t, own={name: own[name] for name in columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
@@ -245,6 +245,12 @@ class Episode:
             self.frame = replace(judged, verdict=verdict)
             self._note()
         return self.frame
+
+    def _exposed(self, picture: Picture | None) -> dict[str, float]:
+        """Exposure time [s] and gain of a picture, for the log; without one those with which the camera begins."""
+        if self.scenario.needs_image and picture is not None and picture.exposed is not None:
+            return {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
+        return {"exposure_s": self.scenario.timing.first_s(self.scenario.camera), "gain": 1.0}
 
     def _image(self, made: Exposed) -> Image | None:
         """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""

@@ -48,15 +48,17 @@ class CameraClock:
         flicker = STEADY if light is None or (not scenario.needs_image and not whole) else light.flicker
         self.shutter = Shutter(scenario.timing, scenario.camera, plant.step_s, plant.steps_per_frame, rng, link, flicker)
         rolls = self._view and scenario.camera.readout_s > 0
-        self._row_views = RowViews(scenario.camera, self.shutter.nodes) if rolls else None
+        self._row_views = RowViews(scenario.camera, self.shutter.opening.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
         self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
         self.look: Look | None
         self._takes_whole = whole
+        # An oracle's exposures do not depend on whether pictures are taken for a film.
+        self._metered = scenario.needs_image and scenario.camera.blurring is not None
         self._plan()
 
     def _plan(self) -> None:
-        self.planned: Planned = self.shutter.following()
+        self.planned: Planned = self.shutter.following(self.plant.exposure_s() if self._metered else None)
         self.opening, self.middle, self.look = 0, None, None
 
     def next_event(self) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.robots.reading import Reading
-from vstestbed.sim.row_weights import Contribution
+from vstestbed.sim.row_weights import Contribution, Rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,11 @@ class Renderer(Protocol):
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
-    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now without noise, one for each panel, valid until the next call.
 
-        look: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well.
+        look: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well, of
+        everything. rows: of a camera without panels, the only ones that are needed.
         """
         ...
 
@@ -97,6 +98,10 @@ class Plant(Protocol):
 
         The plant keeps its state. Only of a plant that takes pictures.
         """
+        ...
+
+    def exposure_s(self) -> float | None:
+        """Exposure time of the next picture as the camera's exposure control has set it [s]; None where nothing is pictured."""
         ...
 
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:

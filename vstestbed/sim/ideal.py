@@ -103,11 +103,20 @@ class IdealPlant:
             self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
             return self._eye.clean(self._t)
 
-    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
-        """Add an image of the exposure, where a detector needs pictures."""
+    def exposure_s(self) -> float | None:
+        """Exposure time of the next picture [s], as the camera will have it; None where no detector needs pictures."""
+        self._show()
+        return self._eye.exposure_s(self._t) if self._eye else None
+
+    def _show(self) -> None:
+        """Bring the stage, from which pictures are taken, to the present time."""
         self._move_target()
         if self._stage is not None:
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
+
+    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
+        """Add an image of the exposure, where a detector needs pictures."""
+        self._show()
         if self._eye is not None:
             self._eye.expose(weight, look, middle)
 

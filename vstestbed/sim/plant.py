@@ -189,6 +189,11 @@ class MujocoPlant:
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
             return self._eye.clean(self._steps * self.step_s)
 
+    def exposure_s(self) -> float | None:
+        """Exposure time of the next picture [s], as the camera will have it; None where no detector needs pictures."""
+        self._move_scenery()
+        return self._eye.exposure_s(self._steps * self.step_s) if self._eye else None
+
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add an image of the exposure, where a detector needs pictures."""
         self._move_scenery()

@@ -9,10 +9,11 @@ Both are in closed form; sum_k w_k = 1, sum_k l_k = mean of B. The centre of a m
 a tau^2 / 8 for an acceleration a [px/s^2] in the picture and images tau apart, and its edge is double by its motion in tau, a pixel at
 500 px/s and the 2 ms of a physics step. Shorter steps (`physics.step_s`) allow more images; an exposure longer than tau blurs as it should.
 
-Only the rows to which an image contributes are drawn, where the renderer can draw a part (the perspective lens without distortion, and
-rays). CPU time of a frame of `arm_ibvs`, 640 x 480, by OpenGL in software and by rays: 6.6 and 4.2 ms without, 22 and 14 ms with a
+Only the rows to which an image contributes are drawn, of wide and distorted lenses what they are interpolated from; of a lens with panels
+whole panels. CPU time of a frame of `arm_ibvs`, 640 x 480, by OpenGL in software and by rays: 6.6 and 4.2 ms without, 22 and 14 ms with a
 readout of 20 ms (11 images), 36 and 23 ms with an exposure of 5 ms besides, 38 and 43 ms with flicker besides the readout. An oracle
-takes 3 ms in place of 1.
+takes 3 ms in place of 1. By OpenGL, with the readout alone, and with noise besides: 33 and 60 ms through a lens with distortion (20 ms
+without both), 33 and 80 ms through a fisheye (9 ms without both), where noise has whole rows drawn.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from vstestbed.sim.scene.flicker import INSTANT_S, STEADY, Flicker
 
 RowWeight = float | Array
 """A weight of a whole picture, or one of each row (H,)."""
+Rows = tuple[int, int]
+"""The first of a band of rows of a picture, and the one after the last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,19 @@ def of_rows(nodes: Array, middles: Array, exposure_s: float, flicker: Flicker = 
             total[k] += whole - moment / (stop - start)
         totals.append(total / exposure_s)
     return totals[0], totals[1]
+
+
+def of_exposure(nodes: Array, exposure_s: float) -> Array:
+    """Weights (K,) of images at times `nodes` (K,) [s], symmetric about 0, for a picture exposed about 0, which they hold.
+
+    They are the integrals of triangles, scaled about the middle one, so that their sum is 1, their mean time 0 and their variance
+    exposure_s^2 / 12, that of the exposure: the smear of what moves evenly has the length speed * exposure_s, however coarse the images.
+    Of three images a step apart and an exposure of two steps they are Simpson's.
+    """
+    (w,) = of_rows(nodes, np.zeros(1), exposure_s)[0].T
+    spread = float(w @ nodes**2)
+    share = exposure_s**2 / 12 / spread if spread > 0 else 1.0
+    return share * w + (1 - share) * (nodes == 0)
 
 
 def contributions(weights: Array, light: Array, depth: float) -> tuple[Contribution, ...]:

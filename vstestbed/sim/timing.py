@@ -16,12 +16,15 @@ from vstestbed.core.quantity import Frequency, Narrower, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.robots.setpoints import Between, Interpolation
 from vstestbed.sim.link import BurstLoss, BurstyLink
+from vstestbed.sim.opening import Opening
 from vstestbed.sim.row_weights import Contribution, contributions, of_rows
 from vstestbed.sim.scene.flicker import STEADY, Flicker
 from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
 
 LEAST_PERIODS = 3
 """A command lasts this many camera periods at least."""
+BLURRED = 0.2
+"""Exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each."""
 
 
 @spec
@@ -39,7 +42,7 @@ class Timing:
 
     Args:
         exposure_s: exposure time [s], with a rolling shutter of each row; the picture is the mean of images rendered during it (motion
-            blur); e.g. `0.01`.
+            blur); e.g. `0.01`. With `camera.exposure.blurs` the camera's exposure has it, and this must be 0.
         exposure_pictures: number of these images, at most one a physics step; with a rolling shutter it is readout_pictures.
         readout_pictures: number of images of which a picture with a rolling shutter is composed, from the first row's exposure to the
             last one's, at most one a physics step.
@@ -113,7 +116,15 @@ class Timing:
 
     def latest_s(self, camera: Camera) -> float:
         """The age at which a picture arrives too late to be one, from the middle of its exposure [s]."""
-        return (self.exposure_s + camera.readout_s) / 2 + camera.latency_s + self.order_s(camera)
+        return (self.longest_s(camera) + camera.readout_s) / 2 + camera.latency_s + self.order_s(camera)
+
+    def first_s(self, camera: Camera) -> float:
+        """Exposure time of a picture [s], as far as it is known without a picture."""
+        return self.exposure_s if camera.blurring is None else camera.blurring.first_s
+
+    def longest_s(self, camera: Camera) -> float:
+        """The longest exposure time [s]."""
+        return self.exposure_s if camera.blurring is None else camera.blurring.most_s
 
     def check(self, camera: Camera, step_s: float) -> None:
         """Refuse exposures that are too short for the physics clock, and those that would overlap.
@@ -121,20 +132,16 @@ class Timing:
         Raises:
             ParameterError: with the limit.
         """
+        if self.exposure_s and camera.blurring is not None:
+            raise ParameterError(
+                "timing.exposure_s", "must be 0: with camera.exposure.blurs the camera's exposure has the time", self.exposure_s
+            )
         if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
             words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s > camera.period:
             raise ParameterError("timing.exposure_s", f"must be at most the camera's period, {camera.period:g} s", self.exposure_s)
-        open_s = 2 * self.half_steps(camera, step_s) * step_s if camera.readout_s else self.exposure_s
-        room = camera.period - open_s
-        if room < -1e-9:
-            most = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s
-            words = (
-                f"must be at most {max(most - self.exposure_s, 0):.6g} s: readout and timing.exposure_s ({self.exposure_s:g} s) together "
-                f"must fit into the {camera.period:g} s from one picture to the next (camera.rate_hz {camera.rate_hz:g})"
-            )
-            raise ParameterError("camera.readout_s", words, camera.readout_s)
+        room = self._room(camera, step_s)
         if self.exposure_jitter_s > room / 2:
             words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
             raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
@@ -142,6 +149,23 @@ class Timing:
         if self.out_of_order and self.latency_jitter_s == 0:
             words = "needs latency_jitter_s: with one and the same latency no picture overtakes another; or set out_of_order to false"
             raise ParameterError("timing.out_of_order", words, self.out_of_order)
+
+    def _room(self, camera: Camera, step_s: float) -> float:
+        """What the longest exposure leaves of the camera's period [s]; refuses one that does not fit into it."""
+        whole_steps = camera.readout_s > 0 or camera.blurring is not None
+        room = camera.period - (2 * self.half_steps(camera, step_s) * step_s if whole_steps else self.exposure_s)
+        if room >= -1e-9:
+            return room
+        most, longest = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s, self.longest_s(camera)
+        if camera.blurring is not None and longest > most - camera.readout_s:
+            less = f" less camera.readout_s = {camera.readout_s:g} s" if camera.readout_s else ""
+            words = f"must be at most {max(0.0, most - camera.readout_s):g} s, the camera's period in pairs of physics steps{less}"
+            raise ParameterError(f"camera.{camera.blurring.most_field}", words, longest)
+        words = (
+            f"must be at most {max(most - longest, 0):.6g} s: readout and timing.exposure_s ({longest:g} s) together "
+            f"must fit into the {camera.period:g} s from one picture to the next (camera.rate_hz {camera.rate_hz:g})"
+        )
+        raise ParameterError("camera.readout_s", words, camera.readout_s)
 
     def _check_commands(self, camera: Camera, step_s: float) -> None:
         """Refuse rates of setpoints that the physics clock has not got, and those that are too low for what they are to do."""
@@ -158,11 +182,17 @@ class Timing:
             why = "a command would end before it reaches the robot" if self.interpolation == "hold" else "two setpoints a camera period"
             raise ParameterError("timing.command_hz", f"must be at least {least:.6g} Hz here ({why})", self.command_hz)
 
-    def half_steps(self, camera: Camera, step_s: float) -> int:
-        """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant."""
-        if not camera.readout_s:
-            return round(self.exposure_s / step_s / 2)
-        return math.ceil((self.exposure_s + camera.readout_s) / step_s / 2 - 1e-9)
+    def half_steps(self, camera: Camera, step_s: float, exposure_s: float | None = None) -> int:
+        """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant.
+
+        exposure_s: of this picture [s]; None: the longest.
+        """
+        open_s = self.longest_s(camera) if exposure_s is None else exposure_s
+        if camera.readout_s:
+            return math.ceil((open_s + camera.readout_s) / step_s / 2 - 1e-9)
+        if camera.blurring is None:
+            return round(open_s / step_s / 2)
+        return 0 if open_s < BLURRED * step_s else math.ceil(open_s / step_s / 2 - 1e-9)
 
     def jittered(self, size_s: float, rng: np.random.Generator) -> float:
         """One random jitter of this size [s]; nothing is drawn for size 0."""
@@ -189,7 +219,7 @@ class Shutter:
     """Plans the camera's pictures; those that will be dropped are not rendered at all.
 
     Attributes:
-        nodes: times of the images of a picture from its middle (K,) [s].
+        opening: of the picture planned last.
 
     Args:
         timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
@@ -209,19 +239,25 @@ class Shutter:
         self._timing, self._step_s, self._per_frame, self._rng, self._link = timing, step_s, steps_per_frame, rng, link
         self._camera, self._flicker = camera, flicker
         self._latency = camera.latency_s
-        self._half = timing.half_steps(camera, step_s)
-        self._offsets, self._weights = _opening(self._half, timing.readout_pictures if camera.readout_s else timing.exposure_pictures)
-        self.nodes: Array = np.array(self._offsets) * step_s
         self._rows: Array = camera.row_delay(np.arange(float(camera.height)))
         # Jitter is clipped to it: the exposures of two frames must not overlap.
-        self._room = (steps_per_frame - 2 * self._half) // 2
+        self._room = (steps_per_frame - 2 * timing.half_steps(camera, step_s)) // 2
         self._frame = -1
         self._draws, self._late_steps = timing.draws, round(max(0.0, self._latency) / step_s)
-        # What does not depend on the time is computed once.
-        self._steady = None if flicker.depth else self._contributed(0.0)
+        self._open(timing.first_s(camera))
 
-    def following(self) -> Planned:
-        """The next picture that will not be dropped."""
+    def _open(self, exposure_s: float) -> None:
+        """Expose for so long [s] from now on. What does not depend on the picture's time is computed once."""
+        timing, camera = self._timing, self._camera
+        most = timing.readout_pictures if camera.readout_s else timing.exposure_pictures
+        half = timing.half_steps(camera, self._step_s, exposure_s)
+        self.opening = Opening(exposure_s, half, most, self._step_s, camera.blurring is not None)
+        self._steady = None if self._flicker.depth else self._contributed(0.0)
+
+    def following(self, exposure_s: float | None = None) -> Planned:
+        """The next picture that will not be dropped; exposure_s: its exposure time [s], None: that of the last one."""
+        if exposure_s is not None and exposure_s != self.opening.exposure_s:
+            self._open(exposure_s)
         timing, rng = self._timing, self._rng
         while True:
             self._frame += 1
@@ -236,29 +272,17 @@ class Shutter:
 
     def _planned(self, middle: int, late_steps: int) -> Planned:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
-        opens = (middle,) if self._half == 0 else tuple(max(0, middle + offset) for offset in self._offsets)
+        opens = tuple(max(0, middle + offset) for offset in self.opening.offsets)
         weights = self._steady or self._contributed(middle * self._step_s)
-        return Planned(self._frame, middle, opens, weights, middle + self._half + late_steps)
+        return Planned(self._frame, middle, opens, weights, middle + self.opening.half + late_steps)
 
     def _contributed(self, t: float) -> tuple[float | Contribution, ...]:
         """What the images of a picture with time stamp t [s] contribute to it."""
-        exposure_s, flicker = self._timing.exposure_s, self._flicker
+        opening, flicker = self.opening, self._flicker
         if self._camera.readout_s:
-            return contributions(*of_rows(t + self.nodes, t + self._rows, exposure_s, flicker), flicker.depth)
+            return contributions(*of_rows(t + opening.nodes, t + self._rows, opening.exposure_s, flicker), flicker.depth)
         if not flicker.depth:
-            return self._weights
+            return opening.weights
         # All rows are exposed at once, under the mean light of the exposure: one image each is enough.
-        brightness = float(flicker.mean(t, exposure_s))
-        return tuple(Contribution(((brightness, weight),)) for weight in self._weights)
-
-
-def _opening(half: int, most: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Steps from the middle at which an exposure of 2 half steps is sampled, symmetric, and their weights (trapezoids, sum 1)."""
-    if half == 0:
-        return (0,), (1.0,)
-    n = min(2 * half + 1, most - 1 + most % 2)  # odd: the middle is one of them
-    # Rounded to whole steps they are unevenly spaced: the weights are those of the trapezoidal rule, so that the mean stays unbiased.
-    offsets = np.round(np.linspace(-half, half, n)).astype(int)
-    weights: Array = np.gradient(offsets.astype(float))
-    weights[[0, -1]] /= 2
-    return tuple(offsets.tolist()), tuple((weights / weights.sum()).tolist())
+        brightness = float(flicker.mean(t, opening.exposure_s))
+        return tuple(Contribution(((brightness, weight),)) for weight in opening.weights)

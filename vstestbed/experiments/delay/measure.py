@@ -234,7 +234,7 @@ def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
 
 def _late_frames(at_goal: Scenario) -> float:
     """Age of a complete picture beside its latency [frames]: half its exposure and readout."""
-    return (at_goal.timing.exposure_s + at_goal.camera.readout_s) / 2 / at_goal.camera.period
+    return (at_goal.timing.first_s(at_goal.camera) + at_goal.camera.readout_s) / 2 / at_goal.camera.period
 
 
 def _theory(at_goal: Scenario, delay_frames: int) -> float:

@@ -38,6 +38,8 @@ _PATTERNS: tuple[tuple[str, Meaning], ...] = (
     ("t_stamp", Meaning("s", "measured", "time stamp of the picture, by the camera's clock")),
     ("refused", Meaning("", "clock", "number of pictures refused so far, older than one that was used")),
     ("command_lost", Meaning("", "clock", "1: the link lost the command of this row")),
+    ("exposure_s", Meaning("s", "measured", "exposure time of the picture, as the camera reports it")),
+    ("gain", Meaning("", "measured", "gain of its sensor's amplifier")),
     (r"cmd_v[xyz]", Meaning("m/s", "command", "camera twist that the law orders, camera axes")),
     (r"cmd_w[xyz]", Meaning("rad/s", "command", "camera twist that the law orders, camera axes")),
     (r"applied_v[xyz]", Meaning("m/s", "command", "the same within the robot's limits")),

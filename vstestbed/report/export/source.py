@@ -100,7 +100,7 @@ class RecordedRun:
             words.append(f"through the camera's {' and '.join(changed)}")
         light = self.scenario.world.light
         left_out = {
-            f"the motion blur of its {timing.exposure_s:g} s exposure": timing.exposure_s > 0,
+            f"the motion blur of its {timing.first_s(camera):g} s exposure": timing.first_s(camera) > 0,
             f"the skew of its rolling shutter of {camera.readout_s:g} s": camera.readout_s > 0,
             "the flicker of its light": light is not None and light.flicker.depth > 0,
         }

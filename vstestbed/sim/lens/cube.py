@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -31,6 +31,11 @@ class Patch:
     columns: slice
     maps: tuple[NDArray[np.int16], NDArray[np.uint16]]
 
+    @cached_property
+    def reach(self) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+        """For each of its rows, see `_reach`."""
+        return _reach(self.maps[0])
+
 
 @dataclass(frozen=True)
 class Cube:
@@ -54,13 +59,30 @@ class Cube:
             out.update(np.flatnonzero(np.bincount(part.ravel() + 1, minlength=2)[1:]).tolist())
         return out
 
-    def compose(self, drawn: dict[int, Image]) -> Image:
-        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing."""
+    def parts(self, window: Window) -> dict[int, Window]:
+        """The part of each face that a window of the camera's image is taken from, by index."""
+        wide = window[2] - window[0] == self.owner.shape[1]
+        out: dict[int, Window] = {}
+        for i, (patch, face) in enumerate(zip(self.patches, self.faces, strict=True)):
+            some, columns = _within(patch.rows, window[1], window[3]), _within(patch.columns, window[0], window[2])
+            low, high = (ends[some] for ends in patch.reach) if wide else _reach(patch.maps[0][some, columns])
+            if len(low) and high.max() >= 0:
+                (left, top), (right, bottom) = low.min(axis=0).tolist(), high.max(axis=0).tolist()
+                out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
+        return out
+
+    def compose(self, drawn: dict[int, Image], rows: tuple[int, int] | None = None) -> Image:
+        """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing.
+
+        rows: the only ones that are composed.
+        """
         image = np.zeros((*self.owner.shape, 3), np.uint8)
         for i, face in drawn.items():
             patch = self.patches[i]
-            into = image[patch.rows, patch.columns]
-            cv2.remap(np.ascontiguousarray(face), *patch.maps, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+            part = slice(None) if rows is None else _within(patch.rows, *rows)
+            into, (coarse, rest) = image[patch.rows, patch.columns][part], patch.maps
+            still = np.ascontiguousarray(face)
+            cv2.remap(still, coarse[part], rest[part], cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
         return image
 
 
@@ -92,6 +114,17 @@ def cube_of(camera: Camera) -> Cube:
         owner[mine] = len(faces)
         faces.append(face)
     return Cube(tuple(faces), tuple(patches), owner)
+
+
+def _within(part: slice, first: int, end: int) -> slice:
+    """The rows or columns from `first` to before `end` of an image, counted from where its part begins."""
+    return slice(max(first - part.start, 0), max(min(end, part.stop) - part.start, 0))
+
+
+def _reach(at: NDArray[np.int16]) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+    """Least and largest coordinates (h, 2) of each row's places (h, w, 2) in a face; -1 as the largest of a row without any."""
+    there = at[..., :1] >= 0
+    return np.where(there, at, np.int16(32767)).min(axis=1, initial=32767), np.where(there, at, np.int16(-1)).max(axis=1, initial=-1)
 
 
 def _patch(mine: NDArray[np.bool_], px: Array) -> Patch:

@@ -15,7 +15,7 @@ from vstestbed.sim.render.depth_camera import DepthCamera
 from vstestbed.sim.render.imaging import Imaging
 from vstestbed.sim.render.motion_blur import MotionBlur, PixelRows
 from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise, PictureNoise
-from vstestbed.sim.row_weights import Contribution
+from vstestbed.sim.row_weights import Contribution, Rows
 from vstestbed.sim.scene.flicker import lamps_at
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.perturb import Images, Perturbed
@@ -92,6 +92,12 @@ class ImageSensor:
         drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
         return replace(picture, own=drawn.images[0])
 
+    def exposure_s(self, t: float) -> float | None:
+        """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""
+        if self._imaging is None:
+            return None
+        return self._imaging.exposure_s(t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth))
+
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
 
@@ -113,15 +119,15 @@ class ImageSensor:
         for i, (brightness, weight) in enumerate(contribution.draws):
             weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth
-            with lamps_at(self._model, brightness):  # the depth of all rows, also of those that the image itself contributes nothing to
-                images = self._render(look if deep else self._rows.look(look, weights), deep)
+            with lamps_at(self._model, brightness):
+                images = self._render(*self._rows.needed(look, weights), with_depth=deep)
             # What was left out of an image for want of weight is not missing in the mean.
             blur.add(images, weights, look is None if by_rows else self._renderer.whole)
 
-    def _render(self, look: Look | None, with_depth: bool) -> Images:
-        """The images now; with their depth where it is asked for."""
+    def _render(self, look: Look | None, rows: Rows | None = None, *, with_depth: bool) -> Images:
+        """The images now; with their depth, of everything, where it is asked for."""
         with_depth = with_depth and self._reads_depth
-        images = self._renderer.images(look, with_depth)
+        images = self._renderer.images(look, with_depth, rows)
         if with_depth:
             self._true_depth = self._renderer.depth
         return images
@@ -149,7 +155,7 @@ class ImageSensor:
         """The picture through lens, exposure and sensor, with the scenario's own noise, and through the stream."""
         begun = time.perf_counter()
         made = self._developed(t, imaging.taken(t, clean, self._true_depth), *self._latest)
-        made = replace(made, images=imaging.streamed(made.images))
+        made = replace(made, images=imaging.streamed(made.images), exposed=imaging.exposed)
         self._imaged_s += time.perf_counter() - begun
         return made
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import mujoco
@@ -22,6 +23,9 @@ class Imaging:
 
     Its random numbers are two: the fixed pattern first, then one seed for each picture.
 
+    Attributes:
+        exposed: exposure of the picture last taken; None without `camera.exposure`.
+
     Args:
         camera: with `optics`, `exposure`, `sensor`, `stream`. rng: of the sensor's noise.
     """
@@ -30,26 +34,38 @@ class Imaging:
         # Here: OpenCV is imported where pictures are changed.
         from vstestbed.sim.render.compression import round_trip
         from vstestbed.sim.render.lens_effects import LensEffects
+        from vstestbed.sim.render.mosaic import mosaic_of
 
         self._camera, self._rng = camera, rng
         self._lens = None if camera.optics is None else LensEffects(camera, camera.optics)
-        self._sensor = camera.sensor
+        self._sensor, self._mosaic = camera.sensor, mosaic_of(camera.sensor)
         self._pattern: FixedPattern | None = None
         if self._sensor is not None:
-            self._pattern = self._sensor.pattern((camera.height, camera.width, 3), rng)
+            size = camera.height, camera.width
+            self._pattern = self._sensor.pattern((*size, 3) if self._mosaic is None else size, rng)
         self._exposure = ExposureLoop(camera.exposure, camera.period, 0.0 if self._sensor is None else self._sensor.black)
         self._fresh_trip = lambda: round_trip(camera.stream, camera.rate_hz)
         self._trip = self._fresh_trip()
+        self.exposed: ExposureSetting | None = None
 
     @property
     def needs_depth(self) -> bool:
         """Whether the true depth of each pixel is asked for."""
         return self._lens is not None and self._lens.needs_depth
 
+    def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float:
+        """Exposure time of the run's next picture [s], known before it is taken.
+
+        drawn: images and true depths now; a camera that has settled looks at them before its first picture.
+        """
+        metered = functools.cache(lambda: self._metered(self._light(*drawn())))
+        return self._exposure.setting(t, lambda setting: metered()(setting)).time_s
+
     def taken(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true ones (H, W) [m]."""
         light = self._light(images, depth)
         setting = self._exposure.setting(t, self._metered(light))
+        self.exposed = None if self._camera.exposure is None else setting
         seed = None if self._sensor is None else int(self._rng.integers(2**63))
         image = self._read(light, setting, None if seed is None else np.random.default_rng(seed))
         self._exposure.saw(image)
@@ -72,7 +88,12 @@ class Imaging:
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
 
     def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
-        return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
+        if self._sensor is None:
+            return plain(light, setting)
+        if self._mosaic is None:
+            return self._sensor.read(light, setting, self._pattern, rng)
+        numbers = self._sensor.converted(self._mosaic.sampled(light), setting, self._pattern, rng)
+        return self._sensor.upper(self._mosaic.filled(numbers))
 
     def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
         """What exposure control looks at before the first picture: a part of the pixels, without their noise."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Panel, Window
 from vstestbed.core.geometry import Array
-from vstestbed.sim.row_weights import RowWeight
+from vstestbed.sim.row_weights import Rows, RowWeight
 from vstestbed.vision.detect.colour_blobs import noise_rows
 from vstestbed.vision.perturb import Images
 
@@ -48,17 +48,14 @@ class PixelRows:
             return (weight[:, None, None],)
         return tuple(weight[v][..., None] for v in self._in_panels)
 
-    def look(self, look: Look | None, weights: tuple[RowWeight, ...]) -> Look | None:
-        """Regions of interest, None for everything, without most of what has no weight; weights: of the pixels of each panel."""
+    def needed(self, look: Look | None, weights: tuple[RowWeight, ...]) -> tuple[Look | None, Rows | None]:
+        """Regions of interest and rows, None for everything, without what has no weight; weights: of the pixels of each panel."""
         if not isinstance(weights[0], np.ndarray):
-            return look
+            return look, None
+        if self._in_panels is None:
+            return look if look is None else self._asked(look), band(weights[0])
         asked = self._asked(look)
-        if self._in_panels is not None:
-            return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True))
-        top, bottom = band(weights[0])
-        cut = tuple((a, max(b, top), c, min(d, bottom)) for a, b, c, d in asked[0] if b < bottom and d > top)
-        # One pixel where nothing is left: without any window it would be no picture.
-        return (cut or ((0, top, 1, top + 1),),)
+        return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True)), None
 
     def _asked(self, look: Look | None) -> Look:
         """The windows that are needed of each panel."""
@@ -72,7 +69,7 @@ class PixelRows:
         return tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
 
 
-def band(weight: Array) -> tuple[int, int]:
+def band(weight: Array) -> Rows:
     """First row with a weight (H, ...), and the one after the last; (0, 1) where no row has any."""
     rows = np.flatnonzero(weight.reshape(len(weight), -1).any(axis=1))
     return (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 1)

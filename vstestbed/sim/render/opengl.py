@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Literal
 
@@ -19,7 +21,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.sim.lens.cube import cube_of, drawn_for
 from vstestbed.sim.lens.pinhole import pixel_grid, resampling_maps
 from vstestbed.sim.render import gl_probe as gl
-from vstestbed.sim.render.window import PartCamera, part_round
+from vstestbed.sim.render.window import PartCamera, part_of_rows, part_round
+from vstestbed.sim.row_weights import Rows
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 
@@ -68,6 +71,11 @@ class SceneCamera:
             self._camera, self.renderer = made
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy()) from error
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]."""
+        return self._camera.width, self._camera.height
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
@@ -141,7 +149,7 @@ class OpenGLRenderer:
             return self._cube.compose(dict(enumerate(image for image in self.images() if image is not None)))
         return np.ascontiguousarray(self.images()[0])
 
-    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now, one for each panel; they may share the renderer's buffer and are valid until the next call.
 
         Args:
@@ -149,16 +157,34 @@ class OpenGLRenderer:
                 camera with panels every panel with a window; of any other lens the cube's faces that reach into the windows.
                 What is not drawn is black, or None for a whole panel.
             with_depth: of a perspective camera, draw everything, and set `depth`.
+            rows: of a camera without panels, the only ones that are drawn.
         """
         start = time.perf_counter()
-        if self._cube is None:
-            images = self._pinhole(None if with_depth else look, with_depth)
+        if self._cube is not None:
+            images = self._panel_images(look) if self._panels > 1 else self._composed(look, rows)
+        elif with_depth:
+            images = self._pinhole(None, True)
         else:
-            images = self._panel_images(look) if self._panels > 1 else self._composed(look)
+            images = self._pinhole(look) if rows is None else self._band(look, rows)
         self.spent_s += time.perf_counter() - start
         return images
 
-    def _pinhole(self, look: Look | None, with_depth: bool) -> tuple[Image]:
+    def _band(self, look: Look | None, rows: Rows) -> tuple[Image]:
+        """Rows of the image of a perspective lens, drawn at least in the rectangle around the windows."""
+        self.whole = False
+        window = part_of_rows(look, rows, *self._size)
+        if self._maps is None:
+            return (self._views[0].raw(window),)
+        part = slice(window[1], window[3]), slice(window[0], window[2])
+        at = [axis[part] for axis in self._maps]
+        drawn = _read_by(at, self._views[0].size)
+        image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
+        source = np.ascontiguousarray(self._views[0].raw(drawn)[drawn[1] : drawn[3], drawn[0] : drawn[2]])
+        moved = [axis - np.float32(begin) for axis, begin in zip(at, drawn[:2], strict=True)]
+        image[part] = cv2.remap(source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return (image,)
+
+    def _pinhole(self, look: Look | None, with_depth: bool = False) -> tuple[Image]:
         """The image of a perspective lens, drawn at least in the rectangle around the windows."""
         window = part_round(look[0], *self._size) if look is not None and self._parts else None
         self.whole = window is None
@@ -177,12 +203,24 @@ class OpenGLRenderer:
         self.whole = look is None or all(look)
         return tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
 
-    def _composed(self, look: Look | None) -> tuple[Image]:
-        """The image of a wide lens, composed of the cube's faces that the windows need."""
+    def _composed(self, look: Look | None, rows: Rows | None) -> tuple[Image]:
+        """The image of a wide lens, composed of the cube's faces, or of their parts, that the windows or rows need."""
         assert self._cube is not None
+        if rows is not None:
+            self.whole = False
+            window = part_of_rows(look, rows, *self._size)
+            drawn = {i: self._views[i].raw(part) for i, part in self._cube.parts(window).items()}
+            return (self._cube.compose(drawn, (window[1], window[3])),)
         faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
+
+
+def _read_by(at: Sequence[NDArray[np.float32]], size: tuple[int, int]) -> Window:
+    """The part of an image (width, height) that is read where it is interpolated at places u (h, w) and v (h, w) [px]."""
+    low = [min(max(math.floor(axis.min()), 0), n - 1) for axis, n in zip(at, size, strict=True)]
+    high = [max(min(math.floor(axis.max()) + 2, n), begin + 1) for axis, n, begin in zip(at, size, low, strict=True)]
+    return low[0], low[1], high[0], high[1]
 
 
 def _resampled(depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> DepthImage:

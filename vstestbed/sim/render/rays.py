@@ -18,6 +18,7 @@ from vstestbed.sim.render import gl_probe as gl
 from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
 from vstestbed.sim.render.ray_depth import ray_depth
 from vstestbed.sim.render.shade import Paint
+from vstestbed.sim.row_weights import Rows
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.detect.colour_blobs import noise_rows
@@ -209,25 +210,25 @@ class RayRenderer:
         # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def images(self, look: Look | None = None, with_depth: bool = False) -> tuple[Image | None, ...]:
+    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now, one for each panel, as copies.
 
         look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
-        with_depth: of a perspective camera, draw everything, and set `depth`.
+        with_depth: of a perspective camera, draw everything, and set `depth`. rows: the only ones that are cast.
         """
-        start, images, look = time.perf_counter(), [], None if with_depth else look
+        start, images, (look, rows) = time.perf_counter(), [], (None, None) if with_depth else (look, rows)
         for i, panel in enumerate(self._camera.panels):
             windows = None if look is None else look[i]
-            images.append(None if windows == () else self._draw(panel, i, windows))
+            images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
             self.depth = ray_depth(
                 self._rasters[0].rays((0, 0, self._camera.width, self._camera.height)), self._stage.camera_pose(), self._caster.hits
             )
-        self.whole = look is None
+        self.whole = look is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
 
-    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None) -> Image:
+    def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None, rows: Rows | None = None) -> Image:
         if name not in self._rasters:
             samples = self._camera.multisampling if self._share == 1 else 0
             self._rasters[name] = Raster(panel.lens, panel.R_camera_panel, samples, self._share)
@@ -237,6 +238,8 @@ class RayRenderer:
             windows = ((0, 0, raster.width, raster.height),)
         elif self._noisy:
             windows += tuple((0, v, raster.width, v + 1) for v in noise_rows(raster.height))
+        if rows is not None:
+            windows = tuple((a, max(b, rows[0]), c, min(d, rows[1])) for a, b, c, d in windows if b < rows[1] and d > rows[0])
         raster.draw(image, windows, self._caster, self._stage.camera_pose())
         return image
 

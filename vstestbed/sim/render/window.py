@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from dm_control import mujoco as dm
 
-from vstestbed.camera import DepthImage, Window
+from vstestbed.camera import DepthImage, Look, Window
+from vstestbed.sim.row_weights import Rows
 
 REACH = 0.05
 """Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered."""
@@ -99,3 +100,13 @@ def part_round(windows: Sequence[Window], width: int, height: int) -> Window | N
     lefts, tops, rights, bottoms = zip(*windows, strict=True)
     more = round(REACH * width)
     return max(min(lefts) - more, 0), max(min(tops) - more, 0), min(max(rights) + more, width), min(max(bottoms) + more, height)
+
+
+def part_of_rows(look: Look | None, rows: Rows, width: int, height: int) -> Window:
+    """What is needed of rows of an image (width x height) of which windows are asked for, None for everything: one pixel at least."""
+    if look is None:
+        return 0, rows[0], width, rows[1]
+    more = round(REACH * width)
+    near = [window for window in look[0] if window[1] - more < rows[1] and window[3] + more > rows[0]]
+    left, top, right, bottom = part_round(near, width, height) or (0, rows[0], 1, rows[0] + 1)
+    return left, max(top, rows[0]), right, min(bottom, rows[1])
