@@ -42,9 +42,9 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     return copy.deepcopy(plain), dict(marks)  # the caller changes them
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=128)
 def _mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
-    # kept: a comparison reads one file for each of its controllers
+    # kept: a comparison reads one file for each of its controllers, and as many files as there are bundled ones cost little
     tree = _tree(text, file)
     if tree is None:
         raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
