@@ -51,7 +51,9 @@ def test_over_the_line_but_not_along_it_is_no_success():
 
 def test_against_the_routes_direction_it_is_the_same_line():
     start = {"nominal": {"x": 9, "y": 0.05, "heading_deg": 185}}
-    recording = run("car_line", detector="oracle", target__route={"kind": "straight", "length_m": 10}, robot__start=start, stop__duration_s=6)
+    recording = run(
+        "car_line", detector="oracle", target__route={"kind": "straight", "length_m": 10}, robot__start=start, stop__duration_s=6
+    )
     assert recording.outcome is Outcome.completed, recording.reason
     assert recording["base_x"][-1] < 5
 

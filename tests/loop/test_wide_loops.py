@@ -64,7 +64,13 @@ def test_the_books_spherical_flight():
     ids=lambda c: c["kind"],
 )
 def test_a_wide_lens_with_an_image_plane(camera: dict[str, object]):
-    changes = {"camera": {**camera, "rate_hz": 10}, "law.feature.kind": "polar", "law.interaction": "mean", "law.gain": 1.5, "target.marker.radius": 0.09}
+    changes = {
+        "camera": {**camera, "rate_hz": 10},
+        "law.feature.kind": "polar",
+        "law.interaction": "mean",
+        "law.gain": 1.5,
+        "target.marker.radius": 0.09,
+    }
     r = vs.run(vs.load("spherical_book", changes))
     assert r.outcome is Outcome.converged
     assert not r["lost"].any()
