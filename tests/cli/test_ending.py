@@ -47,7 +47,7 @@ def shell(
         pytest.param((*RUN, *LATE), ">&-", 3, marks=pytest.mark.study),
         pytest.param((*RUN, *LATE), ">/dev/null 2>&-", 3, marks=pytest.mark.study),
         pytest.param((*RUN[:-1], *LATE), "2>/dev/full", 3, marks=pytest.mark.study),
-        (("list", "laws"), "| true", 0),
+        pytest.param(("list", "laws"), "| true", 0, marks=pytest.mark.study),  # a quick test of test_app has the like
         (("list", "laws"), ">/dev/full", 4),
         (("--version",), ">&-", 4),
         pytest.param(("schema",), ">/dev/full", 4, marks=pytest.mark.study),

@@ -269,10 +269,12 @@ class TestLogPart:
             np.testing.assert_array_equal(np.array(log.row(i), dtype=float), row)
 
     def test_it_reads_at_any_length(self, part: Path, scenario: Scenario) -> None:
-        """Cut at every byte of its last 300, and through its first line."""
+        """Cut at every 41st byte of its last row, beside the end of each, and through its first line."""
         whole = part.read_bytes()
         head = whole.index(b"\n") + 1
-        for length in [*range(len(whole) - 600, len(whole) + 1), head]:
+        size = (len(whole) - head) // 5
+        ends = [head + i * size + beside for i in range(1, 6) for beside in (-8, -1, 0, 1) if i < 5 or beside <= 0]
+        for length in [*range(len(whole) - size, len(whole) + 1, 41), *ends, head]:
             part.write_bytes(whole[:length])
             log = read_log(part.parent, scenario)
             assert log.height == len(open_log(part.parent)) == (length - head) // (8 * log.width)

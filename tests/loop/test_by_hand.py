@@ -15,7 +15,7 @@ PLATE_M = 0.1
 
 
 def started(name: str, steps: int = 3, **overrides: object) -> vs.Session:
-    session = vs.Session(vs.load(name, {k.replace("__", "."): v for k, v in overrides.items()}), pictures=True, plate_m=PLATE_M)
+    session = vs.Session(vs.load(name, {k.replace("__", "."): v for k, v in overrides.items()}), plate_m=PLATE_M)
     session.reset()
     for _ in range(steps):
         session.step()
@@ -24,7 +24,7 @@ def started(name: str, steps: int = 3, **overrides: object) -> vs.Session:
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book", "quadrotor_hover"])
 def test_a_plate_in_reserve_changes_no_number(name: str):
-    short = {"stop.duration_s": 0.6}
+    short = {"stop.duration_s": 0.3}
     plain = vs.run(vs.load(name, short))
     with vs.Session(vs.load(name, short), pictures=True, plate_m=PLATE_M) as session:
         frame = session.reset()
@@ -35,7 +35,7 @@ def test_a_plate_in_reserve_changes_no_number(name: str):
 
 @pytest.mark.parametrize("name", ["arm_ibvs", "quadrotor_hover"])
 def test_pictures_now_and_then_change_no_number(name: str):
-    short = {"stop.duration_s": 0.4, "timing.exposure_s": 0.01, "timing.exposure_pictures": 3}
+    short = {"stop.duration_s": 0.24, "timing.exposure_s": 0.01, "timing.exposure_pictures": 3}
     plain, seen = vs.run(vs.load(name, short)), []
     with vs.Session(vs.load(name, short), pictures=True) as session:
         frame = session.reset()

@@ -58,7 +58,7 @@ def test_a_goal_once_shown_is_reached_in_spite_of_the_error(law, error):
 @pytest.mark.parametrize(("turn_deg", "stable"), [(80.0, True), (100.0, False)])
 def test_a_mount_turned_about_the_optical_axis_is_borne_up_to_a_right_angle(law, turn_deg, stable):
     # Seen about the axis the loop is e_dot = -gain R(turn) e: stable where cos(turn) > 0.
-    r = fly(law, {"mount_error": {"rpy_deg": [0, 0, turn_deg]}}, **{"robot.start.nominal": {"xyz": [0.2, 0.1, 1.8]}})
+    r = fly(law, {"mount_error": {"rpy_deg": [0, 0, turn_deg]}}, **{"robot.start.nominal": {"xyz": [0.2, 0.1, 1.8]}, "stop.duration_s": 12})
     size = r["error_px"]
     late = slice(len(size) // 2, None)
     # The envelope shrinks by exp(-gain cos(80 deg) t), by half in 4 s.
@@ -77,8 +77,9 @@ def test_a_mount_that_is_off_changes_the_way_and_not_the_end():
 
 def test_depths_told_wrong_by_a_factor_move_a_pose_and_leave_a_picture():
     # A pose told in numbers, but seen twice as far: rest at half the distance. A picture: the way changes, not its end.
-    assert fly(PBVS, {"depth_factor": 2.0}).outcome is vs.Outcome.local_minimum
-    np.testing.assert_allclose(where(fly(PBVS, {"depth_factor": 2.0})), [0, 0, 0.5], atol=1e-4)
+    r = fly(PBVS, {"depth_factor": 2.0})
+    assert r.outcome is vs.Outcome.local_minimum
+    np.testing.assert_allclose(where(r), [0, 0, 0.5], atol=1e-4)
     r = fly(POINT, {"depth_factor": 2.0})
     assert r.outcome is vs.Outcome.converged and r["position_error_m"][-1] < 2e-4
     assert r["depth_0"][-1] == pytest.approx(2 * GOAL_M, abs=1e-3)

@@ -72,7 +72,7 @@ def test_the_pictures_and_readings_of_runs_give_their_orders_without_mujoco(monk
 
     files, pictures = [], []
     for name, changes in RUNS.items():
-        settings = changes | {"stop.duration_s": 0.4}
+        settings = changes | {"stop.duration_s": 0.28}
         kept = overheard(monkeypatch, name, settings)
         files.append(tmp_path / f"{name}.pickle")
         files[-1].write_bytes(pickle.dumps((kept, name, settings)))

@@ -100,10 +100,10 @@ def name(row: dict[str, str]) -> str:
 
 
 TOLD = [row for row in ROWS if not decided_by_rounding(row)]
-"""The batched loop holds all of them (tests/experiments/basin); of the time loop every fourth is quick enough to be run each time."""
+"""The batched loop holds all of them (tests/experiments/basin); of the time loop every eighth is run each time, the others as studies."""
 
 
-@pytest.mark.parametrize("row", [pytest.param(row, id=name(row), marks=[pytest.mark.study] if i % 4 else []) for i, row in enumerate(TOLD)])
+@pytest.mark.parametrize("row", [pytest.param(row, id=name(row), marks=[pytest.mark.study] if i % 8 else []) for i, row in enumerate(TOLD)])
 def test_golden_row(row: dict[str, str], monkeypatch: pytest.MonkeyPatch):
     if name(row) == "book_sph-ibvs_polar-desired":
         # The camera goes behind the target's plane with all points in front of its lens, which ends a run here, not there.

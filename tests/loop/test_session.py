@@ -37,7 +37,7 @@ def same(a: vs.Recording, b: vs.Recording) -> bool:
 
 @pytest.mark.parametrize("name", [*TWELVE[::2], *(pytest.param(name, marks=pytest.mark.study) for name in TWELVE[1::2])])
 def test_its_bytes_are_those_of_a_run_with_and_without_whole_pictures(name: str) -> None:
-    scenario = vs.load(name, SHORT)
+    scenario = vs.load(name, {"stop.duration_s": 0.3})
     run = vs.run(scenario)
     with vs.Session(scenario, pictures=True) as session:
         frame = session.reset()
@@ -97,7 +97,7 @@ def test_a_command_by_hand_moves_the_robot_after_the_scenarios_latency(latency_s
     ("name", "motion"), [("omni_ibvs", [0.1, 0.0, 0.0]), ("car_pbvs", [0.3, 0.0]), ("quadrotor_hover", [0.2, 0.0, 0.0, 0.0])]
 )
 def test_a_robots_own_motions_are_camera_twists_by_its_mount(name: str, motion: list[float]) -> None:
-    scenario = vs.load(name, {"stop.duration_s": 1.5})
+    scenario = vs.load(name, {"detector": "oracle", "stop.duration_s": 1.5})
     basis = scenario.robot.motion_basis(vs.Mount.of(scenario.camera.mount.T), scenario.robot.start_joints())
     twist = basis @ motion
     with vs.Session(scenario) as by_motion, vs.Session(scenario) as by_twist:
@@ -125,7 +125,7 @@ def test_the_law_still_says_what_it_would_do() -> None:
 
 
 def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
-    with vs.Session(vs.load("ibvs_book")) as session:
+    with vs.Session(vs.load("ibvs_book", {"detector": "oracle"})) as session:
         frame = session.reset()
         for _ in range(5):
             frame = session.step([0.1, 0, 0, 0, 0, 0])
@@ -135,7 +135,7 @@ def test_a_law_that_took_over_again_drives_to_the_goal() -> None:
 
 
 def test_a_seed_draws_the_start_and_none_is_the_scenarios_own() -> None:
-    scenario = vs.load("ibvs_book", {"stop.duration_s": 2.0})
+    scenario = vs.load("ibvs_book", {"stop.duration_s": 0.5})
     alone = vs.run(scenario)
     with vs.Session(scenario) as session:
         assert same(turned(session), alone)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import io
 import re
 import time
@@ -30,8 +31,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
 
-TEXTS = {name: loader.text_of(path) for name, path in bundled_scenarios().items()}
-PLAIN = {name: plain_mapping(text, name, "")[0] for name, text in TEXTS.items()}
+FILES = bundled_scenarios()
 TYPES = list(KINDS["robots"].members) + list(KINDS["laws"].members) + list(KINDS["goals"].members)
 
 FLOATS = st.sampled_from(
@@ -47,6 +47,12 @@ ODD = st.one_of(
     st.lists(FLOATS, max_size=7), st.dictionaries(st.sampled_from(["kind", "x", "", "1"]), st.one_of(FLOATS, WORDS), max_size=2),
     st.just([0] * 500),
 )  # fmt: skip
+
+
+@functools.cache
+def plain_of(name: str) -> dict[str, Any]:
+    """The content of a bundled scenario; it is shared, to be copied."""
+    return plain_mapping(loader.text_of(FILES[name]), name, "")[0]
 
 
 def numbers(meta: list[Any], whole: bool) -> st.SearchStrategy[Any]:
@@ -185,7 +191,7 @@ def as_yaml(plain: Any) -> bytes:
 @st.composite
 def specs(draw: st.DrawFn) -> bytes:
     """A bundled scenario with one to three values replaced."""
-    plain = copy.deepcopy(PLAIN[draw(st.sampled_from(sorted(PLAIN)))])
+    plain = copy.deepcopy(plain_of(draw(st.sampled_from(sorted(FILES)))))
     for _ in range(draw(st.integers(1, 3))):
         _change(draw, plain, Scenario)
     return as_yaml(plain)
@@ -267,7 +273,7 @@ def _whole(draw: st.DrawFn, text: str) -> str:
 @st.composite
 def texts(draw: st.DrawFn) -> bytes:
     """The text of a bundled scenario with one to three damages."""
-    text = TEXTS[draw(st.sampled_from(sorted(TEXTS)))]
+    text = loader.text_of(FILES[draw(st.sampled_from(sorted(FILES)))])
     for _ in range(draw(st.integers(1, 3))):
         text = draw(st.sampled_from([_lines, _insert, _replace_number, _whole]))(draw, text)
     raw = text.encode(errors="surrogatepass")

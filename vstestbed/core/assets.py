@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 from vstestbed.core.errors import OutputError
@@ -26,9 +27,19 @@ def model_path(name: str) -> Path:
 
 def bundled_scenarios() -> dict[str, Path]:
     """Path of every bundled scenario by its name, sorted."""
-    return {p.stem: p for p in sorted(folder("scenarios").glob("*.yaml"))}
+    return _listed(folder("scenarios"))
 
 
 def bundled_comparisons() -> dict[str, Path]:
     """Path of every bundled comparison by its name, sorted."""
-    return {p.stem: p for p in sorted((folder("scenarios") / "compare").glob("*.yaml"))}
+    return _listed(folder("scenarios") / "compare")
+
+
+def _listed(place: Path) -> dict[str, Path]:
+    return dict(_files(place, place.stat().st_mtime_ns))  # the caller may change it
+
+
+@lru_cache(maxsize=8)
+def _files(place: Path, changed_ns: int) -> dict[str, Path]:
+    # kept until a file comes or goes: a comparison loads hundreds of scenarios by their names
+    return {p.stem: p for p in sorted(place.glob("*.yaml"))}

@@ -38,18 +38,21 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
     Raises:
         ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
-    plain, marks = _mapping(text, file, needs)
+    found = _mapping(text, file)
+    if found is None:
+        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
+    plain, marks = found
+    if plain is None:
+        raise ScenarioError([Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")])
     return copy.deepcopy(plain), dict(marks)  # the caller changes them
 
 
-@lru_cache(maxsize=16)
-def _mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
-    # kept: a comparison reads one file for each of its controllers
+@lru_cache(maxsize=256)
+def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None:
+    # Kept: a comparison reads one file for each of its controllers, and `describe` all bundled files.
     tree = _tree(text, file)
-    if tree is None:
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is empty; {needs}")])
     if not isinstance(tree, CommentedMap):
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"must be a mapping (name: value); {needs}")])
+        return None if tree is None else (None, {})
     marks: Marks = {}
     return _plain(tree, (), marks, file), marks
 

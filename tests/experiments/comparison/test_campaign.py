@@ -216,6 +216,13 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
     gone(second)
 
 
+@pytest.mark.study
+def test_a_dask_worker_that_is_a_process_gives_the_same(quick: Path, tmp_path: Path, cluster_of_processes: str, here: None):
+    there = compare([quick], GAINS, seeds=3, executor=cluster_of_processes, out=tmp_path / "dask", film=False, report=False)
+    assert timeless(there).equals(timeless(compare([quick], GAINS, seeds=3, out=tmp_path / "one", film=False, report=False)))
+    assert logs(tmp_path / "one") == logs(tmp_path / "dask")
+
+
 def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):
     for name in ("first", "second"):
         table = compare([quick], seeds=2, executor=cluster, out=tmp_path / name, film=False, report=False)
@@ -351,10 +358,17 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """A dask scheduler and a worker, each a process of its own on the loopback, as `dask scheduler` and `dask worker` start them."""
-    pytest.importorskip("distributed")
-    import distributed
+    """A dask scheduler and a worker that speak on the loopback as those of `dask scheduler` and `dask worker` do, in this process."""
+    distributed = pytest.importorskip("distributed")
+    one = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**one, processes=False, protocol="tcp") as made:
+        yield made.scheduler_address.replace("tcp://", "dask://")
 
+
+@pytest.fixture(scope="module")
+def cluster_of_processes() -> Iterator[str]:
+    """The same with a process for the worker."""
+    distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None) as made:
         yield made.scheduler_address.replace("tcp://", "dask://")
 

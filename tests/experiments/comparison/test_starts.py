@@ -324,7 +324,8 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
 
 def test_the_ideal_camera_of_realism_starts_where_the_arm_does():
     whole = chosen(["realism"], {}, {}, None)
-    found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}}))
+    worlds = {world: whole.cases["world"][world] for world in ("ideal", "noise")}
+    found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}, "world": worlds}))
     free, arm = (jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))
     for one, other in zip(free, arm, strict=True):
         a, b = one.scenario(), other.scenario()

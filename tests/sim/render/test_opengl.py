@@ -125,20 +125,22 @@ HASHES = """
 import hashlib, vstestbed as vs
 class Picture:
     def frame(self, frame): print(hashlib.sha256(frame.image.tobytes()).hexdigest())
-r = vs.run(vs.load("arm_ibvs", {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
+small = {"camera.width": 320, "camera.height": 240, "target.marker.radius": 0.04}
+r = vs.run(vs.load("arm_ibvs", small | {"stop.duration_s": 0.16, "law.gain": 2, "noise.image_sigma": 1.0}), [Picture()])
 print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 
 
-@pytest.mark.parametrize("numbers", [("0", "2"), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join)
+@pytest.mark.parametrize("numbers", [("2",), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join)
 @pytest.mark.opengl
-def test_any_number_of_raster_threads_draws_the_same_bytes(numbers: tuple[str, ...]):
-    # Mesa reads the number before its first context: a process for each.
+def test_any_number_of_raster_threads_draws_the_same_bytes(numbers: tuple[str, ...], capsys: pytest.CaptureFixture[str]):
+    # Mesa reads the number before its first context: a process for each. This one has another number, of `conftest`, or a core's each.
     started = [
         subprocess.Popen([sys.executable, "-c", HASHES], env=os.environ | {"LP_NUM_THREADS": n}, stdout=subprocess.PIPE, text=True)
         for n in numbers
     ]
-    outputs = [p.communicate(timeout=120)[0] for p in started]
+    exec(HASHES, {})
+    outputs = [capsys.readouterr().out, *(p.communicate(timeout=120)[0] for p in started)]
     assert all(p.returncode == 0 for p in started)
     assert len(set(outputs[0].split())) == 6  # five different pictures and the log
     assert len(set(outputs)) == 1

