@@ -25,7 +25,7 @@ class TargetNoise:
 
     The picture of the goal shows it unchanged, and so does the file that a detector of the target's picture has learned. With
     `noise.perturb` the pictures of the camera change instead, each anew: a rectangle on a poster stays where it is on it, one in a
-    picture moves. Both are called perturbed in the literature. A run with it takes some 0.6 s longer to begin, and no picture longer.
+    picture moves. Both are called perturbed in the literature. It costs some 0.5 s when a run begins, and nothing in a picture.
 
     Args:
         image_sigma: standard deviation of Gaussian noise on each channel of each pixel of the file, of 0 to 255, added last
