@@ -98,3 +98,29 @@ def test_a_picture_taken_with_a_wrong_calibration_is_the_true_lenss():
     u, v = s.camera.project(transform(s.goal_poses[-1], s.target.points)).round().astype(int).T
     assert frame.goal.image is not None
     assert (np.ptp(frame.goal.image.image[v, u].astype(int), axis=1) > 100).all()
+
+
+def test_the_targets_picture_changes_after_the_goal_was_taught_and_nothing_else_is_drawn_anew():
+    small = {
+        "camera.width": 160,
+        "camera.height": 120,
+        "target.width": 0.3,
+        "target.file": "texture:brick",
+        "noise.pixel_sigma_px": 0.2,
+        "noise.image_sigma": 2,
+        "noise.dropout": 0.1,
+    }
+    noise = {"image_sigma": 12.75, "perturb": [{"kind": "erasing", "probability": 1}]}
+    shown, measured = [], []
+    for target in ({}, noise):
+        episode = Episode(scenario("camera_vitvs", **small, **{"noise.target": target, "detector": "oracle"}), True, (), None)
+        try:
+            (taught,) = episode.recording().goal_images
+            frames = [episode.advance() for _ in range(3)]
+        finally:
+            episode.close()
+        shown.append((taught, frames[0].image))
+        measured.append([frame.observation.uv for frame in frames])
+    np.testing.assert_array_equal(shown[0][0], shown[1][0])
+    assert np.mean(shown[0][1] != shown[1][1]) > 0.01  # where the poster is in the picture
+    np.testing.assert_array_equal(measured[0], measured[1])

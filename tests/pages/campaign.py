@@ -1,7 +1,8 @@
-"""Comparisons of hours, in parts: `python -m tests.pages.campaign vitvs --starts 60 [--vary detector.features=orb] [--out DIR]`.
+"""Comparisons of hours, in parts: `python -m tests.pages.campaign vitvs --starts 60 [--only AXIS=NAME] [--vary detector.features=orb]`.
 
 Each call does further starts of each task, in an order drawn once for all, and adds them to what is kept in `kept/` of the same command.
-So at any time the page has a random sample of the whole, and says how many there are.
+So at any time the page has a random sample of the whole, and says how many there are. Interrupted (Ctrl-C, SIGTERM), it ends its workers
+and keeps what is done.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import sys
 import tempfile
 from collections.abc import Iterable
@@ -19,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from tests.pages.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
+from vstestbed.cli.compare import vary_of
+from vstestbed.cli.ending import exit_code
 from vstestbed.core.files import write_whole
 from vstestbed.experiments.comparison import Campaign, Job, prepared
 from vstestbed.experiments.comparison.folder import PLAN, table_of
@@ -29,23 +33,28 @@ SEED = 21
 """Of the order of the starts."""
 
 
-def main() -> None:
-    """Do further starts and keep them."""
+def main() -> int:
+    """Do further starts and keep them; the exit code, as of a command of vstestbed."""
     parser = argparse.ArgumentParser(prog="python -m tests.pages.campaign", description=__doc__)
     parser.add_argument("name", help="of a comparison, such as vitvs")
     parser.add_argument("--starts", type=int, required=True, help="how many of each task there are to be in all")
     parser.add_argument("--vary", nargs="*", default=[], metavar="a.b=v1,v2", help="as of `vstestbed compare`")
+    parser.add_argument("--only", nargs="*", default=[], metavar="AXIS=NAME", help="runs of this case or value alone")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="worker processes")
     parser.add_argument("--out", type=Path, help="a folder for the runs, gone on with where it exists; by default a temporary one")
     asked = parser.parse_args()
-    vary = {path: values.split(",") for path, _, values in (word.partition("=") for word in asked.vary)}
-    command = " ".join(["compare", asked.name, *(f"--vary {word}" for word in asked.vary)])
+    return exit_code(lambda: _go_on(asked))
+
+
+def _go_on(asked: argparse.Namespace) -> None:
+    command = shlex.join(["compare", asked.name, *(part for word in asked.vary for part in ("--vary", word))])
     with tempfile.TemporaryDirectory() as empty:
         out = asked.out or Path(empty) / "runs"
         resume = (out / PLAN).is_file()
-        with prepared([] if resume else [asked.name], {} if resume else vary, None, out, resume, {}, (), False) as (whole, _):
+        vary = {} if resume else vary_of(asked.vary)
+        with prepared([] if resume else [asked.name], vary, None, out, resume, {}, (), False) as (whole, _):
             kept = {_key(row): row for row in _kept(command)}
-            first = _in_order(whole.jobs)
+            first = [(job, i) for job, i in _in_order(whole.jobs) if _asked_for(job, asked.only)]
             done = [job for job, _ in first if (out / job.folder).is_dir()]
             jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
             try:
@@ -53,8 +62,15 @@ def main() -> None:
             finally:
                 rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
                 kept |= {_key(row): row for row in map(steady, rows)}
-                FOLDER.mkdir(exist_ok=True)
-                write_whole(place_of(command), _text(command, _columns(list(kept.values()))))
+                if kept:
+                    FOLDER.mkdir(exist_ok=True)
+                    write_whole(place_of(command), _text(command, _columns(list(kept.values()))))
+
+
+def _asked_for(job: Job, only: Iterable[str]) -> bool:
+    """Whether a run has all the values of `--only`."""
+    wanted = dict(word.split("=", 1) for word in only)
+    return all(str(job.controller.values.get(axis)) == name for axis, name in wanted.items())
 
 
 def _in_order(jobs: Iterable[Job]) -> list[tuple[Job, int]]:
@@ -96,4 +112,4 @@ def _key_of(job: Job) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

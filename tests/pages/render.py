@@ -69,6 +69,8 @@ def rendered(page: Path, kept: Kept) -> str:
         ratios=ratios,
         each=each,
         effects=effects,
+        same_starts=same_starts,
+        in_reach=in_reach,
     )
     return made.get_template(page.as_posix()).render()
 
@@ -133,6 +135,17 @@ def failed(rows: Iterable[Row], by: str = "seed") -> str:
 def failed_seeds(rows: Iterable[Row]) -> str:
     """The seeds that did not reach the goal: `7, 15`."""
     return ", ".join(str(row["seed"]) for row in rows if not row["success"]) or "none"
+
+
+def same_starts(rows: Iterable[Row], others: Iterable[Row]) -> list[Row]:
+    """The rows whose seed is one of the others'."""
+    seeds = {row["seed"] for row in others}
+    return [row for row in rows if row["seed"] in seeds]
+
+
+def in_reach(rows: Iterable[Row]) -> list[Row]:
+    """The rows whose start the robot reaches."""
+    return [row for row in rows if row["outcome"] != "unreachable"]
 
 
 def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:

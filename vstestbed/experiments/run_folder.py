@@ -118,7 +118,7 @@ def _experiment(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     yield "scenario.yaml", dump_for_folder(scenario).encode()
     for name, path in kept_files(scenario).items():
         yield name, path.read_bytes()
-    scene = scene_files(scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics, scenario.sights)
+    scene = scene_files(scenario.robot, scenario.camera, scenario.target_in_run, scenario.world, scenario.physics, scenario.sights)
     yield from scene.assets.items()
     yield "model.xml", scene.xml.encode()
 

@@ -56,7 +56,7 @@ class LiveView:
 
     def restart(self, scenario: Scenario, first: Sample) -> bool:
         """Begin anew; whether the scene is another one, so that all that others put into it is gone."""
-        parts = [(s.robot, s.camera, s.target, s.world) for s in (scenario, self._scenario)]
+        parts = [(s.robot, s.camera, s.target, s.target_in_run.sheet, s.world) for s in (scenario, self._scenario)]
         other = parts[0] != parts[1] or first.unit != self._unit
         self._scenario = scenario
         if other:
@@ -109,7 +109,7 @@ class LiveView:
 
 def _replay_of(scenario: Scenario) -> Replay:
     """The scene again, whose servo camera makes pictures as large as they are shown."""
-    parts = scenario.robot, scenario.camera, scenario.target, scenario.world
+    parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
     return Replay(*parts, shadows=False, sights=scenario.sights, share=min(1.0, WIDTH / scenario.camera.width))
 
 

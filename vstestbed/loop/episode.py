@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from vstestbed.camera import Image, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
+from vstestbed.features.observation import Sight
 from vstestbed.laws import Law
 from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
@@ -23,6 +25,7 @@ from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
+from vstestbed.scenario.noise import TargetNoise
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import IMAGE_STREAM, IMAGING_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
@@ -60,8 +63,9 @@ class Episode:
         self.frame: Frame | None = None
         self._waits = self._commanded = self.closed = False
         self._physics_s = self._record_s = self._redrawn_s = 0.0
+        shown = _shown_clean(scenario)
         self.plant, self._renderer = _plant(scenario, pictures, plate_m)
-        taken = take_goal_images(scenario, self.plant)
+        taken = take_goal_images(scenario, self.plant) if shown is None else shown
         self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
         from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
         self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera)
@@ -258,6 +262,16 @@ class Episode:
         return image.copy() if self._camera.whole and image is not None else image
 
 
+def _shown_clean(scenario: Scenario) -> tuple[Sight, ...] | None:
+    """Pictures of the goal before the target's picture was changed (`noise.target`); None where it is not changed."""
+    if scenario.noise.target.none or not scenario.needs_goal_image:
+        return None
+    clean = replace(scenario, noise=replace(scenario.noise, target=TargetNoise()))
+    plant, _ = _plant(clean, pictures=True, plate_m=0.0)
+    with closing(plant):
+        return take_goal_images(clean, plant)
+
+
 def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
     """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers, and of effects
     that it does not see.
@@ -271,7 +285,7 @@ def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, s
     return build_plant(
         scenario.robot,
         scenario.camera,
-        scenario.target,
+        scenario.target_in_run,
         scenario.world,
         scenario.physics,
         needs_image=scenario.needs_image or pictures,

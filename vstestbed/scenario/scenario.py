@@ -35,7 +35,7 @@ from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.in_view import in_view
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import check_randomise, drawn
-from vstestbed.scenario.streams import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM
+from vstestbed.scenario.streams import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM
 from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.scene.start_pose import flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
@@ -123,6 +123,7 @@ class Scenario:
         self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         check_mirror(self.camera, self.world)
+        self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
@@ -238,6 +239,11 @@ class Scenario:
     def T_world_goal(self) -> Array:
         """The camera's goal pose in the world (4, 4), for the target at its start."""
         return target_start(self.robot, self.target) @ inverse(self.goal_poses[-1])
+
+    @cached_property
+    def target_in_run(self) -> Target:
+        """The target as it looks in this run, with the changes of its picture that the seed draws (`noise.target`)."""
+        return self.noise.target.on(self.target, self.rng(TARGET_STREAM))
 
     def perturbed(self) -> Perturbed | None:
         """The perturbations of a run, with what is drawn for it; None where there are none."""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from copy import copy
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
-from vstestbed.targets.picture_file import PictureFile, picture_name, place_of_picture, read_picture
+from vstestbed.targets.picture_file import PictureFile, picture_name, place_of_picture, read_picture, read_rgb, texture_of
 from vstestbed.targets.points import BOARD_MARGIN
 from vstestbed.targets.surfaces import Sheet
 
@@ -72,6 +75,12 @@ class PictureTarget(Target):
     def source(self) -> Path:
         """The picture's file."""
         return place_of_picture(self.file)
+
+    def repainted(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Self:
+        """The same target with its picture changed: of the file's pixels (H, W, 3), red first, those that are drawn. `source` stays."""
+        other = copy(self)
+        other.__dict__["_found"] = texture_of(change(read_rgb(self.source))[..., ::-1])  # frozen; what `_found` else reads from the file
+        return other
 
     @property
     def height(self) -> float:

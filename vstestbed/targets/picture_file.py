@@ -88,7 +88,11 @@ def _read(path: Path, changed: int) -> PictureFile:
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise ParameterError("file", f"has {size / 1e6:.0f} MB; a picture may have {MOST_BYTES / 1e6:.0f}: save it smaller", str(path))
-    image = decoded(path)
+    return texture_of(decoded(path))
+
+
+def texture_of(image: NDArray[np.uint8]) -> PictureFile:
+    """The texture of a picture's pixels (H, W, 3), blue first."""
     height, width = image.shape[:2]
     for axis in (0, 1):
         image = _stretched(image, axis)

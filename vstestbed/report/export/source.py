@@ -115,7 +115,7 @@ class RecordedRun:
         """
         s = self.scenario
         noise = s.noise
-        scene = (s.robot, s.camera, s.target, s.world)
+        scene = (s.robot, s.camera, s.target_in_run, s.world)
         with closing(Retake(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as retake:
             names = retake.body_names
             for row in rows_of(self.log):

@@ -171,7 +171,7 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
 
     inset_in: size (width, height) of a picture in whose inset alone the servo camera's pictures are shown; its drafts are drawn as small.
     """
-    parts = scenario.robot, scenario.camera, scenario.target, scenario.world
+    parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
         share = min(share, inset_share(scenario.camera, inset_in))

@@ -1,0 +1,58 @@
+"""Comparisons in parts: which runs are asked for, and that an interrupted part is kept."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.pages import campaign, kept
+from tests.shortcuts import Here
+
+PLAN = """
+base: [ibvs_book]
+set: {detector: oracle, camera.rate_hz: 5, stop.duration_s: 0.4}
+axes: {law.gain: [0.5, 1.0]}
+tasks: {near: {camera_from_goal: [{xyz: [0, 0, -0.1]}, {xyz: [0, 0, -0.2]}, {xyz: [0, 0, -0.3]}]}}
+"""
+
+
+class Stopped(Here):
+    """Does two runs in this process; at the third the process is told to end, as by `kill`."""
+
+    left = 2
+
+    def submit(self, request):
+        if not self.left:
+            signal.raise_signal(signal.SIGTERM)
+        self.left -= 1
+        return super().submit(request)
+
+
+@pytest.fixture
+def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """`campaign WORDS`: its exit code, and the rows that are kept after it."""
+    for module in (campaign, kept):
+        monkeypatch.setattr(module, "FOLDER", tmp_path / "kept")
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    monkeypatch.chdir(tmp_path)
+
+    def of(pool: Here, *words: str):
+        monkeypatch.setattr(campaign, "pool_of", lambda *_: pool)
+        monkeypatch.setattr(sys, "argv", ["campaign", "plan.yaml", *words])
+        code = campaign.main()
+        (file,) = (tmp_path / "kept").glob("*.json")
+        columns = json.loads(file.read_text())["result"]["columns"]
+        return code, [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    return of
+
+
+def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
+    code, found = rows(Stopped(), "--starts", "3", "--only", "law.gain=1.0")
+    assert code == 130 and [row["law.gain"] for row in found] == [1.0]  # the second run was done, and not written yet
+    code, more = rows(Here(), "--starts", "3", "--only", "law.gain=1.0")
+    assert code == 0 and more[:1] == found and sorted(row["seed"] for row in more) == [0, 1, 2]
