@@ -217,8 +217,11 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
 
 
 @pytest.mark.study
-def test_a_dask_worker_that_is_a_process_gives_the_same(quick: Path, tmp_path: Path, cluster_of_processes: str, here: None):
+def test_a_dask_worker_that_is_a_process_gives_the_same(
+    quick: Path, tmp_path: Path, cluster_of_processes: str, monkeypatch: pytest.MonkeyPatch
+):
     there = compare([quick], GAINS, seeds=3, executor=cluster_of_processes, out=tmp_path / "dask", film=False, report=False)
+    run_here(monkeypatch)
     assert timeless(there).equals(timeless(compare([quick], GAINS, seeds=3, out=tmp_path / "one", film=False, report=False)))
     assert logs(tmp_path / "one") == logs(tmp_path / "dask")
 
