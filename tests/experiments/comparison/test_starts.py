@@ -315,6 +315,7 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
         campaign.run(pool)
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["converged", "unreachable"] and table["success"].to_list() == [True, False]
+    assert table["seed"].to_list() == [0, 1]  # also of a start that cannot be drawn
     assert "is out of its reach: it stays" in table["reason"][1]
     meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())
     assert len(meshes) == 5 and all(mesh.stat().st_nlink == 2 for mesh in meshes)  # one copy for all runs

@@ -6,7 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -124,8 +124,9 @@ class Campaign:
         try:
             return [job], request_of(job.folder, job.scenario(), job.seed in self.filmed)
         except VstestbedError as error:
-            # the scenario without the seed's draw: there is no drawn one
-            text = request_of(job.folder, job.controller.scenario, False).text
+            # the scenario with the run's seed, but without its draw: there is no drawn one
+            given = job.controller.scenario
+            text = request_of(job.folder, given if job.seed is None else replace(given, seed=job.seed), False).text
             unreachable = isinstance(error, UnreachableError)
             files = crashed(text, error.problem, outcome=Outcome.unreachable) if unreachable else crashed(text, str(error))
             store(self.folder, job, files, attempts=1)
