@@ -42,12 +42,8 @@ def figures(incomplete: str) -> list[str]:
 def kinds(incomplete: str) -> list[str]:
     """Words that `describe` knows: kinds, the fields of a scenario, and after `camera.` the kinds and fields of that block."""
     whole = _schema()
-    owner, dot, begun = incomplete.rpartition(".")
-    if dot:
-        rules = [whole]
-        for part in owner.split("."):
-            rules = [child for name, child in _within(rules, whole) if name == part]
-        return sorted({f"{owner}.{word}" for word in _words_in(rules, whole) if word.startswith(begun)})
+    if "." in incomplete:
+        return sorted(word for word in _below(incomplete.rpartition(".")[0], whole) if word.startswith(incomplete))
     words = set(whole["properties"])
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
@@ -69,10 +65,12 @@ def paths(incomplete: str) -> list[str]:
         prefix, last = f"{prefix}{next(iter(found))}.", ""
 
 
-def _words_in(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[str]:
-    """The kinds that a block may be, and its fields."""
-    for name, rule in _within(rules, whole):
-        yield rule["const"] if name == "kind" else name
+def _below(owner: str, whole: dict[str, Any]) -> set[str]:
+    """The kinds that the block at a dotted path may be, and its fields, with the path before them."""
+    rules = [whole]
+    for part in owner.split("."):
+        rules = [child for name, child in _within(rules, whole) if name == part]
+    return {f"{owner}.{rule['const'] if name == 'kind' else name}" for name, rule in _within(rules, whole)}
 
 
 def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:

@@ -49,27 +49,31 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
 
 def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Console) -> None:
     """Print a field: its sentence, default, unit and an example, and the blocks that have it; then the block that it holds."""
+    names, cls = _names(entries), next(iter(field.owners.values()))
     console.print(Text(field.path, style="bold"))
     console.print()
-    rows: dict[tuple[str, ...], list[str]] = {}
-    names = _names(entries)
-    for name, cls in field.owners.items():
-        rows.setdefault(tuple(map(str, _cells(cls, field.name, names))), []).append(name)
-    table = _field_table("field" if len(rows) == 1 else "field of")
-    for same in rows.values():
-        cells = _cells(field.owners[same[0]], field.name, names)
-        table.add_row(Text(field.name if len(rows) == 1 else "\n".join(same), style="cyan"), *cells)
-    console.print(table)
-    console.print()
-    if len(rows) == 1 and (owners := [name for name in field.owners if name != "scenario"]):
-        _wrapped(f"A field of {', '.join(owners)}.", console)
-    cls = next(iter(field.owners.values()))
+    _rows_of(field, names, console)
     example = next(examples_of(cls, field.name, bundled_uses()), None)
     if example is not None:
         text = flow_text(example)
         shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
         _wrapped(f"Example: {shown}", console)
     _held(list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values())), entries, console)
+
+
+def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> None:
+    """A table with one row where all blocks say the same of a field, and their names below it, else with a row for each that differs."""
+    rows: dict[tuple[str, ...], list[str]] = {}
+    for name, cls in field.owners.items():
+        rows.setdefault(tuple(map(str, _cells(cls, field.name, names))), []).append(name)
+    alike = len(rows) == 1
+    table = _field_table("field" if alike else "field of")
+    for same in rows.values():
+        table.add_row(Text(field.name if alike else "\n".join(same), style="cyan"), *_cells(field.owners[same[0]], field.name, names))
+    console.print(table)
+    console.print()
+    if alike and "scenario" not in field.owners:
+        _wrapped(f"A field of {', '.join(field.owners)}.", console)
 
 
 def _held(inner: list[str], entries: dict[str, Entry], console: Console) -> None:

@@ -143,12 +143,19 @@ def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> 
     if kind != "tuple_type":
         length = _only_length(block, name) if loc[-1] == name else None
         return words if length is None else f"must be a list of {length} items"
-    blocks = _choices(block, name)
-    if blocks and loc[-1] == name:
-        room = blocks[0][0]
-        return f"must be a list of blocks, each {f'a {room.what}' if room else f'of {_listed(blocks[0][1])}'}"
+    if loc[-1] != name:  # a list in a list
+        example = _list_like(block, name)
+        return f"{words}, as in {name}: {example}" if example else words
+    return _such_as(words, block, name)
+
+
+def _such_as(words: str, block: type, name: str) -> str:
+    """The words on a field that must be a list, with what its blocks are of, or an example."""
+    if blocks := _choices(block, name):
+        room, inner = blocks[0]
+        return f"must be a list of blocks, each {f'a {room.what}' if room else f'of {_listed(inner)}'}"
     example = _list_like(block, name)
-    return words if not example else f"{words}, such as {example}" if loc[-1] == name else f"{words}, as in {name}: {example}"
+    return f"{words}, such as {example}" if example else words
 
 
 def _list_like(block: type, name: str) -> str:

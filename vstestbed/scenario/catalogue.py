@@ -78,15 +78,14 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
     """
     if word in entries:
         return entries[word]
-    same = [entry for entry in entries.values() if named(entry) == word] if "." not in word else []
-    things = list({entry.cls: entry for entry in reversed(same)}.values())
-    if len(things) == 1:
-        return things[0]
-    if things:
+    if "." in word:
+        held = _held_in(word, entries) or _kind_held_in(word, entries)
+        return held[0] if len(held) == 1 else None
+    things = list({entry.cls: entry for entry in reversed(entries.values()) if named(entry) == word}.values())
+    if len(things) > 1:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
-    held = _held_in(word, entries) or _kind_held_in(word, entries)
-    return held[0] if len(held) == 1 else None
+    return things[0] if things else None
 
 
 def named(entry: Entry) -> str:

@@ -44,20 +44,33 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
+    holders = {_name_of(cls, entries): cls for cls in _holders(path, before, entries)}
+    if owners := {named_so: cls for named_so, cls in holders.items() if name in fields_of(cls)}:
+        return FieldPlace(path, name, owners, _settable(before, entries))
+    for named_so, cls in holders.items():
+        if _kind(cls) == name:
+            return entries[named_so]
+    raise _none_in(path, name, before, list(holders.values()))
+
+
+def _name_of(cls: type, entries: Mapping[str, Entry]) -> str:
+    """The name of a class's first entry."""
+    return next(entry.name for entry in entries.values() if entry.cls is cls)
+
+
+def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> list[type]:
+    """The classes of the blocks to which the parts of a path before its last one lead.
+
+    Raises:
+        ParameterError: one of them leads nowhere.
+    """
     holders = [_scenario(entries)]
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
         if not within:
             raise _none_in(path, part, before[:i], holders)
         holders = within
-    owners = [cls for cls in holders if name in fields_of(cls)]
-    kinds = [cls for cls in holders if _kind(cls) == name]
-    names = {entry.cls: entry.name for entry in reversed(entries.values())}
-    if owners:
-        return FieldPlace(path, name, {names[cls]: cls for cls in owners}, _settable(before, entries))
-    if kinds:
-        return entries[names[kinds[0]]]
-    raise _none_in(path, name, before, holders)
+    return holders
 
 
 def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:

