@@ -1,7 +1,9 @@
 """Comparisons of hours, in parts: `python -m tests.pages.campaign vitvs --starts 60 [--vary detector.features=orb] [--out DIR]`.
 
 Each call does further starts of each task, in an order drawn once for all, and adds them to what is kept in `kept/` of the same command.
-So at any time the page has a random sample of the whole, and says how many there are.
+So at any time the page has a random sample of the whole, and says how many there are. Cases that a comparison has gained since are flown,
+those that it no longer has are dropped; `--again field` flies those anew that have a value of this name:
+`python -m tests.pages.campaign realism_arm --starts 10 --again lab field`.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ def main() -> None:
     parser.add_argument("name", help="of a comparison, such as vitvs")
     parser.add_argument("--starts", type=int, required=True, help="how many of each task there are to be in all")
     parser.add_argument("--vary", nargs="*", default=[], metavar="a.b=v1,v2", help="as of `vstestbed compare`")
+    parser.add_argument("--again", nargs="*", default=[], metavar="VALUE", help="controllers with one of these values are flown anew")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="worker processes")
     parser.add_argument("--out", type=Path, help="a folder for the runs, gone on with where it exists; by default a temporary one")
     asked = parser.parse_args()
@@ -44,7 +47,7 @@ def main() -> None:
         out = asked.out or Path(empty) / "runs"
         resume = (out / PLAN).is_file()
         with prepared([] if resume else [asked.name], {} if resume else vary, None, out, resume, {}, (), False) as (whole, _):
-            kept = {_key(row): row for row in _kept(command)}
+            kept = {_key(row): row for row in _kept(command) if not set(asked.again) & {str(row[name]) for name in _named(row)}}
             first = _in_order(whole.jobs)
             done = [job for job, _ in first if (out / job.folder).is_dir()]
             jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
@@ -54,7 +57,8 @@ def main() -> None:
                 rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
                 kept |= {_key(row): row for row in map(steady, rows)}
                 FOLDER.mkdir(exist_ok=True)
-                write_whole(place_of(command), _text(command, _columns(list(kept.values()))))
+                known = [kept[key] for key in map(_key_of, whole.jobs) if key in kept]
+                write_whole(place_of(command), _text(command, _columns(known)))
 
 
 def _in_order(jobs: Iterable[Job]) -> list[tuple[Job, int]]:
