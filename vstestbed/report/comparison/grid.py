@@ -29,6 +29,8 @@ LEAST_SHOWN_S = 0.005
 """Changes and errors below this are shown as 0 [s, mm]."""
 MOST_COLUMNS = 9
 """Columns for which a number has its full size."""
+WIDER = 1.3
+"""Width of a cell with a sign and two digits over that of the others."""
 ALL = "all"
 """Heading of the mean over all columns."""
 Cells = dict[tuple[int, int], ControllerResults]
@@ -107,7 +109,8 @@ def grid(data: Data, width_in: float) -> Figure | None:
     if found is None:
         return None
     figure = new_figure(0.24 * len(found.rows) + 1.4, width_in)
-    panels = figure.subplots(1, 3, sharey=True)
+    n = len(found.columns)
+    panels = figure.subplots(1, 3, sharey=True, width_ratios=(n, WIDER * (n + (n > 1)), n))
     _reached(panels[0], found)
     _times(panels[1], found)
     _errors(panels[2], found)

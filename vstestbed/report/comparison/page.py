@@ -109,6 +109,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ),
 )
 
+GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
+
 
 def write_comparison_report(
     folder: Path,
@@ -209,19 +211,18 @@ def _on_page(data: Data, plot: int) -> str:
 def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> str:
     """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
     n, place = len(comparison.controllers), make_folder(folder / "figures")
-    if n <= PANELS:
-        shown, plots, words = comparison, range(len(PLOTS)), ""
-    elif effects.Grid.of(comparison) is not None:
-        shown, plots = comparison, [i for i, plot in enumerate(PLOTS) if plot[0] == "grid"]
+    if n > PANELS and effects.Grid.of(comparison) is not None:
         words = f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."
-    else:
-        shown, plots = comparison.first(PANELS), range(len(PLOTS))
-        words = f"The figures show the first {PANELS} of {n} controllers."
-    over_time = any(PLOTS[i][0] != "grid" for i in plots)
-    series = read_series(folder, shown) if over_time else Series(np.zeros(1), ())
-    chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < len(shown.controllers)]
-    data = Data(shown, series, chosen, _threshold(folder, shown, plugins) if over_time else None)
-    return (f'<p class="soft">{words}</p>' if words else "") + _figures(data, plots, place, call)
+        return _soft(words) + _figures(Data(comparison, Series(np.zeros(1), ()), all_pairs), (GRID,), place, call)
+    shown = comparison if n <= PANELS else comparison.first(PANELS)
+    chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
+    data = Data(shown, read_series(folder, shown), chosen, _threshold(folder, shown, plugins))
+    words = _soft(f"The figures show the first {PANELS} of {n} controllers.") if n > PANELS else ""
+    return words + _figures(data, range(len(PLOTS)), place, call)
+
+
+def _soft(words: str) -> str:
+    return f'<p class="soft">{words}</p>'
 
 
 def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str:
@@ -237,8 +238,7 @@ def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str
 
 def _sampled(most: int | None) -> str:
     """Which runs the curves are of, where it is not all."""
-    words = f"Errors over time are of the first {most or 0:,} runs of each controller, all else of all runs."
-    return f'<p class="soft">{words}</p>' if most else ""
+    return _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
 
 
 def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:
