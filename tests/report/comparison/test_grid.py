@@ -33,7 +33,7 @@ def table(effects: tuple[str, ...] = ("none", "late", "noisy")) -> pl.DataFrame:
 
 def drawn(frame: pl.DataFrame, axes: tuple[str, ...] = ("effect", "law")) -> list[str] | None:
     """The words in the grid's panels."""
-    figure = grid(Data(ComparisonResults(frame, axes), Series(np.zeros(1), []), []), 7.0)
+    figure = grid(Data(ComparisonResults(frame, axes), Series(np.zeros(1), ()), []), 7.0)
     return None if figure is None else [t.get_text() for panel in figure.axes for t in panel.findobj(Text)]
 
 
