@@ -197,6 +197,7 @@ def effects(rows: Sequence[Row]) -> str:
     assert found is not None
     changes, overall = found.changes(TIME), found.overall(TIME)
     marked = real(changes) | real(overall)
+    most = max(len(c.success) for c in found.cells.values())
 
     def change(at: object, d: Difference | None) -> str:
         if d is None or not math.isfinite(d.mean):
@@ -210,7 +211,7 @@ def effects(rows: Sequence[Row]) -> str:
         time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
         words = change((i, j), changes[i, j]) if (i, j) in changes else f"{median_of(time_s):.1f} s" if time_s else "-"
         tail = f", {median_of(errors):.2g} mm" if errors else ""
-        return (f"{good} of {n}: " if good < n else "") + words + tail
+        return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
 
     columns = range(len(found.columns))
     lines = ["| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
