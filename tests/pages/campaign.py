@@ -2,7 +2,8 @@
 
 Each call does further starts of each task, in an order drawn once for all, and adds them to what is kept in `kept/` of the same command.
 So at any time the page has a random sample of the whole, and says how many there are. Interrupted (Ctrl-C, SIGTERM), it ends its workers
-and keeps what is done.
+and keeps what is done. Cases that a comparison has gained since are flown, those that it no longer has are dropped; `--again field` flies
+those anew that have a value of this name: `python -m tests.pages.campaign realism_arm --starts 10 --again lab field`.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ def main() -> int:
     parser.add_argument("--starts", type=int, required=True, help="how many of each task there are to be in all")
     parser.add_argument("--vary", nargs="*", default=[], metavar="a.b=v1,v2", help="as of `vstestbed compare`")
     parser.add_argument("--only", nargs="*", default=[], metavar="AXIS=NAME", help="runs of this case or value alone")
+    parser.add_argument("--again", nargs="*", default=[], metavar="VALUE", help="controllers with one of these values are flown anew")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="worker processes")
     parser.add_argument("--out", type=Path, help="a folder for the runs, gone on with where it exists; by default a temporary one")
     asked = parser.parse_args()
@@ -53,7 +55,7 @@ def _go_on(asked: argparse.Namespace) -> None:
         resume = (out / PLAN).is_file()
         vary = {} if resume else vary_of(asked.vary)
         with prepared([] if resume else [asked.name], vary, None, out, resume, {}, (), False) as (whole, _):
-            kept = {_key(row): row for row in _kept(command)}
+            kept = {_key(row): row for row in _kept(command) if not set(asked.again) & {str(row[name]) for name in _named(row)}}
             first = [(job, i) for job, i in _in_order(whole.jobs) if _asked_for(job, asked.only)]
             done = [job for job, _ in first if (out / job.folder).is_dir()]
             jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
@@ -62,9 +64,9 @@ def _go_on(asked: argparse.Namespace) -> None:
             finally:
                 rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
                 kept |= {_key(row): row for row in map(steady, rows)}
-                if kept:
+                if known := [kept[key] for key in map(_key_of, whole.jobs) if key in kept]:
                     FOLDER.mkdir(exist_ok=True)
-                    write_whole(place_of(command), _text(command, _columns(list(kept.values()))))
+                    write_whole(place_of(command), _text(command, _columns(known)))
 
 
 def _asked_for(job: Job, only: Iterable[str]) -> bool:

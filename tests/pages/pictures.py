@@ -56,6 +56,7 @@ STUDIES: dict[str, tuple[str, str]] = {
     ),
     "realism_arm": ("compare realism_arm", "figures/grid.png"),
     "realism_camera": ("compare realism_camera", "figures/grid.png"),
+    "realism_pictures": ("compare realism_pictures", "figures/grid.png"),
     "realism_omni": ("compare realism_omni", "figures/grid.png"),
     "realism_car": ("compare realism_car", "figures/grid.png"),
     "realism_craft": ("compare realism_craft", "figures/grid.png"),

@@ -22,8 +22,8 @@ from tests.pages.kept import Kept, Row
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
 from vstestbed.experiments.bench.changes import BesideFloor
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.differences import paired_difference
-from vstestbed.report.comparison.grid import ERROR, Grid, beyond
+from vstestbed.report.comparison.differences import Difference, paired_difference
+from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.pairs import TIME
 from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
@@ -206,28 +206,34 @@ def tasks(rows: Sequence[Row]) -> str:
 def effects(rows: Sequence[Row]) -> str:
     """Effects by laws: runs that reached the goal, change of the time to converge [s], median final error [mm]; as the grid of a report.
 
-    The first row has the median time; a change is in bold where its 95 % interval excludes zero.
+    The first row has the median time, and the last column the mean change over all laws; a change is in bold where it is beyond chance
+    after Holm's correction over all cells, or over all rows of the last column.
     """
     names = list(rows[0])
     found = Grid.of(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])))
     assert found is not None
-    changes = found.changes(TIME)
+    changes, overall = found.changes(TIME), found.overall(TIME)
+    marked = real(changes) | real(overall)
+    most = max(len(c.success) for c in found.cells.values())
+
+    def change(at: object, d: Difference | None) -> str:
+        if d is None or not math.isfinite(d.mean):
+            return "-"
+        return f"**{d.mean:+.2f} s**" if at in marked else f"{d.mean:+.2f} s"
 
     def cell(i: int, j: int) -> str:
         c = found.cells[i, j]
         good, n = int(c.success.sum()), len(c.success)
         errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
         time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
-        change = changes.get((i, j))
-        words = f"{median_of(time_s):.1f} s" if change is None and time_s else "-"
-        if change is not None and math.isfinite(change.mean):
-            words = f"{change.mean:+.2f} s"
-            words = f"**{words}**" if beyond(change) else words
+        words = change((i, j), changes[i, j]) if (i, j) in changes else f"{median_of(time_s):.1f} s" if time_s else "-"
         tail = f", {median_of(errors):.2g} mm" if errors else ""
-        return (f"{good} of {n}: " if good < n else "") + words + tail
+        return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
 
-    lines = ["| |" + "".join(f" `{name}` |" for name in found.columns), "|---" * (len(found.columns) + 1) + "|"]
-    lines += [f"| {name} |" + "".join(f" {cell(i, j)} |" for j in range(len(found.columns))) for i, name in enumerate(found.rows)]
+    columns = range(len(found.columns))
+    lines = ["| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
+    for i, name in enumerate(found.rows):
+        lines.append(f"| {name} |" + "".join(f" {cell(i, j)} |" for j in columns) + f" {change(i, overall.get(i)) if i else ''} |")
     return "\n".join(lines)
 
 

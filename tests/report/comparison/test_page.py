@@ -207,6 +207,31 @@ def test_any_number_of_controllers(tmp_path: Path, controllers: int) -> None:
     assert "time_ms.physics" in reader.text
 
 
+@pytest.mark.parametrize(("effects", "laws", "figures"), [(2, 13, "first 24 of 26"), (13, 2, "grid stands for")])
+def test_of_many_controllers_the_page_has_the_grid_or_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, effects: int, laws: int, figures: str
+) -> None:
+    """Two values of an axis make no grid. No log is read for the grid: there is none here."""
+    drawn: list[tuple[str, int]] = []
+
+    def note(data: comparison_page.Data, plot: int) -> str:
+        drawn.append((comparison_page.PLOTS[plot][0], len(data.labels)))
+        return ""
+
+    monkeypatch.setattr(comparison_page, "_on_page", note)
+    monkeypatch.setattr(comparison_page, "_paper", lambda data, plot, place: None)
+    rows = [
+        {"scenario": "s", "effect": f"e{effect}", "law": f"l{law}", "seed": seed, "folder": "none", "outcome": "converged", "success": True}
+        | {"time_to_converge_s": 5.0 + effect + seed, "reason": "", "sim_time_s": 9.0, "attempts": 1}
+        for effect in range(effects)
+        for law in range(laws)
+        for seed in range(2)
+    ]
+    text = write_comparison_report(tmp_path, pl.DataFrame(rows), ("effect", "law")).read_text(encoding="utf-8")
+    assert figures in text
+    assert drawn == ([("grid", 26)] if effects > 2 else [(plot[0], 24) for plot in comparison_page.PLOTS])
+
+
 def test_text_is_escaped(tmp_path: Path, no_papers: None) -> None:
     frame = build(tmp_path, {"a": 1.0}, 2, {("a", 0): "timed_out"}).with_columns(
         pl.lit("<b>$x_1$</b>").alias("scenario"), pl.lit("<i>gone</i>").alias("reason")

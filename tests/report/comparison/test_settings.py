@@ -10,7 +10,7 @@ from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.page import write_comparison_report
-from vstestbed.report.comparison.settings import differing_fields, gains_alone, only_gains
+from vstestbed.report.comparison.settings import differing, gains_alone, in_words, only_gains
 
 
 def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
@@ -34,7 +34,9 @@ def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
     ],
 )
 def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]) -> None:
-    assert differing_fields(tmp_path, comparison(tmp_path, SCENARIO.replace(*change))) == fields
+    two = comparison(tmp_path, SCENARIO.replace(*change))
+    assert differing([tmp_path / str(c.runs["folder"][0]) / "scenario.yaml" for c in two.controllers]) == fields
+    assert gains_alone(tmp_path, two) == ("law.gain" if fields == ("law.gain",) else "")
 
 
 def test_only_gains() -> None:
@@ -49,5 +51,5 @@ def test_a_page_of_two_gains_says_that_a_gain_is_all_that_differs(tmp_path: Path
 
 
 def test_the_gains_in_words() -> None:
-    assert gains_alone(["law.gain.value"]) == "law.gain" and gains_alone(["law.kind"]) == ""
-    assert gains_alone(["law.k_alpha", "law.k_beta", "law.k_rho"]) == "law.k_alpha, law.k_beta and law.k_rho"
+    assert in_words(["law.gain.value"]) == "law.gain" and in_words([]) == ""
+    assert in_words(["law.k_rho", "law.k_alpha", "law.k_beta"]) == "law.k_alpha, law.k_beta and law.k_rho"

@@ -181,6 +181,16 @@ def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
     assert found.high == pytest.approx(-0.25 + 2.776 * 0.05, abs=1e-4)
 
 
+def test_differences_of_few_values_have_the_p_of_their_interval() -> None:
+    """Times are whole frames: 9 changes of -0.08 s and one of -0.12 s, of which a third of the resamples have no spread."""
+    for values in ([-0.08] * 9 + [-0.12], [-0.08] * 4 + [-0.12] * 6, [-0.04] * 2 + [-0.08] * 8):
+        found = paired_difference(values, np.zeros(10))
+        student = stats.ttest_1samp(values, 0).pvalue
+        assert found.real and student * (1 - 1e-9) <= found.p < 1e-3
+    # one pair of 20 that differs: Student's t, whatever the resamples without spread
+    assert paired_difference([1.0] + [0.0] * 19, np.zeros(20)).p >= stats.ttest_1samp([1.0] + [0.0] * 19, 0).pvalue * (1 - 1e-9)
+
+
 def test_many_pairs_are_resampled_in_parts() -> None:
     rng = np.random.default_rng(3)
     found = paired_difference(rng.normal(0.2, 1, 3000), np.zeros(3000), resamples=999)

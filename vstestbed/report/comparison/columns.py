@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -88,6 +88,8 @@ class ControllerResults:
 
     label: str
     runs: pl.DataFrame
+    _known: dict[Metric, Array] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Values by metric: each figure and each test asks for them again."""
 
     @cached_property
     def success(self) -> NDArray[np.bool_]:
@@ -110,7 +112,13 @@ class ControllerResults:
         return list(zip(self.tasks, self.seeds, strict=True))
 
     def values(self, metric: Metric) -> Array:
-        """The metric of every run in its display unit, shape (runs,); NaN where a run has none."""
+        """The metric of every run in its display unit, shape (runs,), read-only; NaN where a run has none."""
+        if metric not in self._known:
+            self._known[metric] = self._read(metric)
+            self._known[metric].setflags(write=False)
+        return self._known[metric]
+
+    def _read(self, metric: Metric) -> Array:
         if metric.name not in self.runs.columns:
             return np.full(len(self.runs), np.nan)
         # not strict: a crashed run has null, and a number may be stored as text
@@ -169,6 +177,10 @@ class ComparisonResults:
         if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`
             labels = [_label(tuple(map(str, key)), names, several) for key in rows]
         return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
+
+    def first(self, n: int) -> ComparisonResults:
+        """The first n controllers alone."""
+        return replace(self, table=pl.concat([c.runs for c in self.controllers[:n]]))
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:

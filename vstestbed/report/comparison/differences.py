@@ -88,7 +88,8 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
     Under 5 pairs interval and p are Student's t, which is exact for normal differences only, and wide. From 5 to 10 pairs the
     bootstrap is up to twice as wide as Student's t: it rather misses a real difference than reports a false one. Over MOST pairs they
     are Student's t, which by the central limit theorem no longer differs.
-    If nearly all differences are equal, resamples without spread occur: Student's t again. If all are equal up to
+    If nearly all differences are equal, resamples without spread occur, which have no t: where they reach into the tail, its end is
+    Student's t again, and p is at least Student's. If all are equal up to
     rounding, as in deterministic runs, then low = high = mean, and p is 0 or 1. The order of the pairs does not matter, and
     exchanging a and b changes the sign and nothing else.
 
@@ -157,7 +158,7 @@ def _reaches(d: Array, t: float, confidence: float, seed: int, resamples: int) -
     # where a share of resamples without spread reaches into the tail
     both, below, above = (end if math.isfinite(end) else student for end in ends)
     tail = found if t > 0 else -found[::-1]
-    p = max(_p(size, abs(t)), 2 * _p(tail, abs(t)))
+    p = max(_p(size, abs(t)), 2 * _p(tail, abs(t)), float(2 * stdtr(n - 1, -abs(t))) if math.isinf(size[-1]) else 0.0)
     return max(both, below), max(both, above), min(p, 1.0)
 
 
@@ -166,11 +167,16 @@ def _at(ordered: Array, share: float) -> float:
 
 
 def _p(ordered: Array, t: float) -> float:
-    """Probability of t or more, by the resamples in ascending order; where few are beyond t, along the power law of the last of them."""
-    n = len(ordered)
-    beyond = n - int(np.searchsorted(ordered, t, "left"))
-    last, inner = ordered[-COUNTED], ordered[-DECADE * COUNTED] if n >= DECADE * COUNTED else 0.0
-    if beyond >= COUNTED or not 0 < inner < last < math.inf:
+    """Probability of t or more, by the resamples in ascending order; where few are beyond t, along the power law of the last of them.
+
+    Resamples without spread have no t, so that they are beyond none.
+    """
+    n, ordered = len(ordered), ordered[np.isfinite(ordered)]
+    beyond = len(ordered) - int(np.searchsorted(ordered, t, "left"))
+    if len(ordered) < DECADE * COUNTED or beyond >= COUNTED:
+        return (beyond + 1) / (n + 1)
+    last, inner = ordered[-COUNTED], ordered[-DECADE * COUNTED]
+    if not 0 < inner < last:
         return (beyond + 1) / (n + 1)
     # share ~ t^-a, with a from the values that COUNTED and DECADE times as many resamples reach; Student's t has such a tail
     return COUNTED / (n + 1) * (t / last) ** (-math.log(DECADE) / math.log(last / inner))

@@ -27,7 +27,7 @@ DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)
 BANDS = 4
 """Most controllers whose quartile bands are drawn in one panel: more bands hide each other."""
 PANELS = 24
-"""Most controllers with a panel of their own in `each_run`."""
+"""Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart."""
 LINES, EACH_LEAST, EACH_MOST = 200, 5, 30
 """Single runs drawn in all panels of `each_run` together, and fewest and most in one panel."""
 LEAST_DIFFERENCE = 1e-9
@@ -82,7 +82,7 @@ def medians(data: Data, width_in: float) -> Figure:
 
 def each_run(data: Data, width_in: float) -> Figure:
     """One panel per controller: single runs as thin lines, median and quartile band over them, the other controllers' medians in grey."""
-    n = min(len(data.labels), PANELS)
+    n = len(data.labels)
     columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
@@ -91,7 +91,7 @@ def each_run(data: Data, width_in: float) -> Figure:
         if i >= n:
             axes.set_visible(False)
             continue
-        for k, other in enumerate(quartiles[:PANELS]):
+        for k, other in enumerate(quartiles):
             if k != i:
                 axes.plot(data.series.t, _shown(other[1]), color=RULE, linewidth=0.8)
         _draw_runs(axes, data, i, n)

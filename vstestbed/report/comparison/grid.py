@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric, value_text
-from vstestbed.report.comparison.differences import Difference, paired_difference
+from vstestbed.report.comparison.differences import FEWEST, Difference, paired_difference
 from vstestbed.report.comparison.figures import Data, wrapped
-from vstestbed.report.comparison.pairs import TIME
+from vstestbed.report.comparison.pairs import CHANCE, TIME
+from vstestbed.report.comparison.statistics import holm
 from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
 
 if TYPE_CHECKING:
@@ -28,7 +29,14 @@ LEAST_SHOWN_S = 0.005
 """Changes and errors below this are shown as 0 [s, mm]."""
 MOST_COLUMNS = 9
 """Columns for which a number has its full size."""
+WIDER = 1.3
+"""Width of a cell with a sign and two digits over that of the others."""
+ALL = "all"
+"""Heading of the mean over all columns."""
 Cells = dict[tuple[int, int], ControllerResults]
+Place = TypeVar("Place", bound=Hashable)
+Look = tuple[str, str, float, bool]
+"""Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold."""
 
 
 @dataclass(frozen=True)
@@ -59,18 +67,40 @@ class Grid:
 
     def changes(self, metric: Metric) -> dict[tuple[int, int], Difference]:
         """Paired differences of each row to the first by cell, over the starts from which both reached the goal."""
-        return {(i, j): _change(self.cells[0, j], cell, metric) for (i, j), cell in self.cells.items() if i > 0 and (0, j) in self.cells}
+        return {at: _mean([found]) for at, found in self._by_start(metric).items()}
+
+    def overall(self, metric: Metric) -> dict[int, Difference]:
+        """Paired differences of each row to the first: of each start the mean over the columns in which both reached the goal from it."""
+        found = self._by_start(metric)
+        return {i: _mean([cell for (row, _), cell in found.items() if row == i]) for i in dict.fromkeys(i for i, _ in found)}
+
+    def _by_start(self, metric: Metric) -> dict[tuple[int, int], dict[tuple[str, int], float]]:
+        """By cell the change against the first row from each start from which both reached the goal."""
+        cells = self.cells.items()
+        return {(i, j): _changes(self.cells[0, j], cell, metric) for (i, j), cell in cells if i > 0 and (0, j) in self.cells}
 
 
-def beyond(change: Difference) -> bool:
-    """Whether the interval of a change excludes zero."""
-    return bool(change.low > 0 or change.high < 0)
+def real(changes: Mapping[Place, Difference]) -> set[Place]:
+    """Which changes are beyond chance: p is at most CHANCE after Holm's correction over all of them, from FEWEST starts or more.
+
+    Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
+    """
+    adjusted = holm([d.p if d.n >= FEWEST else np.nan for d in changes.values()])
+    return {at for at, p in zip(changes, adjusted, strict=True) if p <= CHANCE}
 
 
-def _change(before: ControllerResults, now: ControllerResults, metric: Metric) -> Difference:
+def _changes(before: ControllerResults, now: ControllerResults, metric: Metric) -> dict[tuple[str, int], float]:
     first, second = ({s: (v, ok) for s, v, ok in zip(c.starts, c.values(metric), c.success, strict=True)} for c in (before, now))
     both = [s for s in first if s in second and (metric.every_pair or (first[s][1] and second[s][1]))]
-    return paired_difference([second[s][0] for s in both], [first[s][0] for s in both])
+    return {s: float(second[s][0] - first[s][0]) for s in both}
+
+
+def _mean(columns: list[dict[tuple[str, int], float]]) -> Difference:
+    """Of the changes from each start the mean over the columns, and of these the mean over the starts with its test."""
+    starts = dict.fromkeys(start for column in columns for start in column)
+    values = [[column[start] for column in columns if np.isfinite(column.get(start, np.nan))] for start in starts]
+    means = [np.mean(those) for those in values if those]
+    return paired_difference(means, np.zeros(len(means)))
 
 
 def grid(data: Data, width_in: float) -> Figure | None:
@@ -79,14 +109,16 @@ def grid(data: Data, width_in: float) -> Figure | None:
     if found is None:
         return None
     figure = new_figure(0.24 * len(found.rows) + 1.4, width_in)
-    panels = figure.subplots(1, 3, sharey=True)
+    n = len(found.columns)
+    panels = figure.subplots(1, 3, sharey=True, width_ratios=(n, WIDER * (n + (n > 1)), n))
     _reached(panels[0], found)
     _times(panels[1], found)
     _errors(panels[2], found)
     for axes in panels:
-        axes.set_xlim(-0.5, len(found.columns) - 0.5)
+        names = [*found.columns, ALL] if axes is panels[1] and len(found.columns) > 1 else found.columns
+        axes.set_xlim(-0.5, len(names) - 0.5)
         axes.set_ylim(len(found.rows) - 0.5, -0.5)
-        axes.set_xticks(range(len(found.columns)), found.columns, rotation=60, ha="right", rotation_mode="anchor")
+        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", rotation_mode="anchor")
         axes.grid(visible=False)
         axes.tick_params(length=0)
         for side in axes.spines.values():
@@ -96,34 +128,37 @@ def grid(data: Data, width_in: float) -> Figure | None:
 
 
 def _reached(axes: Axes, found: Grid) -> None:
-    runs = {len(c.success) for c in found.cells.values()}
-    alike = len(runs) == 1
-    axes.set_title(f"reached the goal, of {runs.pop()}" if alike else "reached the goal")
+    most = max(len(c.success) for c in found.cells.values())
+    axes.set_title(f"reached the goal, of {most}")
 
-    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+    def cell(i: int, j: int, c: ControllerResults) -> Look:
         good, n = int(c.success.sum()), len(c.success)
-        words = str(good) if alike else f"{good}/{n}"
+        words = str(good) if n == most else f"{good}/{n}"
         return (words, GOAL, 0.25, False) if good == n else (words, LOST, 1 - 0.7 * good / n, False)
 
     _fill(axes, found, cell)
 
 
 def _times(axes: Axes, found: Grid) -> None:
-    """Median time in the first row; below it the mean change with its sign, bold where its interval excludes zero."""
+    """Median time in the first row; below it the mean change with its sign, bold where it is beyond chance; last their mean."""
     axes.set_title(f"{TIME.title.lower()}, change [s]")
-    changes = found.changes(TIME)
+    changes, overall = found.changes(TIME), found.overall(TIME)
+    marked: set[Any] = real(changes) | real(overall)
     largest = max((abs(d.mean) for d in changes.values() if np.isfinite(d.mean)), default=0.0) or 1.0
 
-    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+    def change(at: Any, d: Difference) -> Look:
+        sign = "" if not abs(d.mean) >= LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
+        size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
+        return sign + _short(abs(d.mean)), LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, at in marked
+
+    def cell(i: int, j: int, c: ControllerResults) -> Look:
         if i == 0 or (i, j) not in changes:
             return _short(_median(c.counted(TIME))), LINE_COLORS[7], 0.15, False
-        d = changes[i, j]
-        sign = "" if not abs(d.mean) >= LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
-        words = sign + _short(abs(d.mean))
-        size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
-        return words, LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, beyond(d)
+        return change((i, j), changes[i, j])
 
     _fill(axes, found, cell)
+    if len(found.columns) > 1:
+        _draw(axes, found, {(i, len(found.columns)): change(i, d) for i, d in overall.items()})
 
 
 def _errors(axes: Axes, found: Grid) -> None:
@@ -132,7 +167,7 @@ def _errors(axes: Axes, found: Grid) -> None:
     known = np.log([v for v in values.values() if np.isfinite(v) and v > 0] or [1.0])
     low, span = known.min(), float(np.ptp(known)) or 1.0
 
-    def cell(i: int, j: int, c: ControllerResults) -> tuple[str, str, float, bool]:
+    def cell(i: int, j: int, c: ControllerResults) -> Look:
         value = values[i, j]
         strength = 0.0 if not (np.isfinite(value) and value > 0) else float(np.log(value) - low) / span
         return _short(value), LINE_COLORS[1], strength, False
@@ -140,13 +175,17 @@ def _errors(axes: Axes, found: Grid) -> None:
     _fill(axes, found, cell)
 
 
-def _fill(axes: Axes, found: Grid, cell: Callable[[int, int, ControllerResults], tuple[str, str, float, bool]]) -> None:
-    """Draw each cell: words, colour, strength of the colour from 0 to 1, whether in bold."""
+def _fill(axes: Axes, found: Grid, cell: Callable[[int, int, ControllerResults], Look]) -> None:
+    """Draw each controller's cell."""
+    _draw(axes, found, {(i, j): cell(i, j, controller) for (i, j), controller in found.cells.items()})
+
+
+def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> None:
+    """Draw cells by row and column."""
     from matplotlib.patches import Rectangle
 
     size = 6.5 * min(1.0, MOST_COLUMNS / len(found.columns))
-    for (i, j), controller in found.cells.items():
-        words, color, strength, bold = cell(i, j, controller)
+    for (i, j), (words, color, strength, bold) in looks.items():
         axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.9, color=color, alpha=STRONGEST * strength, linewidth=0))
         style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size, "fontweight": "bold" if bold else "normal"}
         axes.text(j, i, words, **style)

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
 import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
@@ -18,12 +19,12 @@ from vstestbed.report.comparison import figures as comparison_figures
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
-from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.figures import PANELS, Data
 from vstestbed.report.comparison.interquartile import Interquartile, interquartiles
 from vstestbed.report.comparison.pairs import Pair, pairs
 from vstestbed.report.comparison.records import write_records
-from vstestbed.report.comparison.series import read_series
-from vstestbed.report.comparison.settings import differing_fields, gains_alone
+from vstestbed.report.comparison.series import Series, read_series
+from vstestbed.report.comparison.settings import gains_alone
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
 from vstestbed.report.html.notebook import cell
 from vstestbed.report.html.parts import figure, film
@@ -68,7 +69,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "runs",
         "Error of single runs",
         "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
-        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dotted: the threshold. Up to 24 controllers.",
+        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dotted: the threshold.",
         2,
         comparison_figures.each_run,
     ),
@@ -85,8 +86,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "grid",
         "Effects and controllers",
         "A row for each value of the first axis, a column for each of the second. Of the time to converge the first row has the median, "
-        "and the others the mean change against it over the starts from which both reached the goal; in bold where its 95 % interval "
-        "excludes zero, which one in twenty does by chance.",
+        "and the others the mean change against it over the starts from which both reached the goal. Last: the mean over the columns. "
+        "In bold: p is at most 0.05 after Holm's correction over all cells, or over all rows of the last column.",
         2,
         effects.grid,
     ),
@@ -107,6 +108,8 @@ PLOTS: Final[tuple[Plot, ...]] = (
         comparison_figures.differences,
     ),
 )
+
+GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 
 def write_comparison_report(
@@ -135,14 +138,13 @@ def write_comparison_report(
         OutputError: a file cannot be written.
     """
     comparison = ComparisonResults(table, axes, metrics, description)
-    data = Data(comparison, read_series(folder, comparison), pairs(comparison), _threshold(folder, comparison, plugins))
-    means = interquartiles(comparison)
-    write_records(folder, comparison, means, data.pairs)
-    figures = _figures(data, make_folder(folder / "figures"), call)
+    all_pairs, means = pairs(comparison), interquartiles(comparison)
+    write_records(folder, comparison, means, all_pairs)
+    figures = _all_figures(folder, comparison, all_pairs, plugins, call)
     body = [
-        summary_text.headline(comparison, data.pairs, gains_alone(differing_fields(folder, comparison))),
+        summary_text.headline(comparison, all_pairs, gains_alone(folder, comparison)),
         baseline_section.section(folder),
-        *_tables(comparison, means, data.pairs),
+        *_tables(comparison, means, all_pairs),
         f"<section><h2>Figures</h2>{figures}</section>",
         _film(film.result() if isinstance(film, Future) else film),
         comparison_failures.section(folder, comparison),
@@ -169,7 +171,7 @@ def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], me
     comparison = ComparisonResults(table, axes, metrics or shown_by_default(table))
     paired = pairs(comparison)
     body = [
-        summary_text.headline(comparison, paired, gains_alone(differing_fields(folder, comparison))),
+        summary_text.headline(comparison, paired, gains_alone(folder, comparison)),
         *_tables(comparison, interquartiles(comparison), paired),
         comparison_tables.SCRIPT,
     ]
@@ -206,11 +208,28 @@ def _on_page(data: Data, plot: int) -> str:
         return "" if drawn is None else figure(title, to_svg(drawn, key, title), caption)
 
 
-def _figures(data: Data, place: Path, call: Call) -> str:
-    """All figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
-    numbers = range(len(PLOTS))
+def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> str:
+    """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
+    n, place = len(comparison.controllers), make_folder(folder / "figures")
+    if n > PANELS and effects.Grid.of(comparison) is not None:
+        words = f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."
+        return _soft(words) + _figures(Data(comparison, Series(np.zeros(1), ()), all_pairs), (GRID,), place, call)
+    shown = comparison if n <= PANELS else comparison.first(PANELS)
+    chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
+    data = Data(shown, read_series(folder, shown), chosen, _threshold(folder, shown, plugins))
+    words = _soft(f"The figures show the first {PANELS} of {n} controllers.") if n > PANELS else ""
+    return words + _figures(data, range(len(PLOTS)), place, call)
+
+
+def _soft(words: str) -> str:
+    return f'<p class="soft">{words}</p>'
+
+
+def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str:
+    """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
     on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
-    narrow, broad = ([f for i in numbers if PLOTS[i][3] == columns and (f := on_page[i].result())] for columns in (1, 2))
+    drawn = [(PLOTS[i][3], made.result()) for i, made in zip(numbers, on_page, strict=True)]
+    narrow, broad = ([f for columns, f in drawn if columns == wanted and f] for wanted in (1, 2))
     for paper in papers:
         paper.result()
     above = _sampled(data.series.sampled)
@@ -219,8 +238,7 @@ def _figures(data: Data, place: Path, call: Call) -> str:
 
 def _sampled(most: int | None) -> str:
     """Which runs the curves are of, where it is not all."""
-    words = f"Errors over time are of the first {most or 0:,} runs of each controller, all else of all runs."
-    return f'<p class="soft">{words}</p>' if most else ""
+    return _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
 
 
 def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:
