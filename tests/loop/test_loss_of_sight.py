@@ -79,7 +79,7 @@ def black_from(monkeypatch: pytest.MonkeyPatch, frame: int) -> None:
 def shutter_that(monkeypatch: pytest.MonkeyPatch, change: Callable[[Planned], Planned]) -> None:
     """Pictures whose plan is changed."""
     real = Shutter.following
-    monkeypatch.setattr(Shutter, "following", lambda shutter: change(real(shutter)))
+    monkeypatch.setattr(Shutter, "following", lambda shutter, exposure_s=None: change(real(shutter, exposure_s)))
 
 
 def bound(scenario: vs.Scenario, speed: float, blind_s: float, blind_m: float = np.inf) -> tuple[float, float]:

@@ -387,7 +387,15 @@ class TestBundled:
         assert written["robot"]["actuation"] == "industrial"
         assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True, "saturation": 1.0, "albedo": 1.0}
         drift = {"brightness": 0.0, "color": 0.0, "contrast": 0.0, "period_s": 10.0}
-        assert written["noise"] == {"image_sigma": 0.0, "pixel_sigma_px": 0.0, "dropout": 0.0, "drift": drift, "perturb": []}
+        target = {"image_sigma": 0.0, "perturb": []}
+        assert written["noise"] == {
+            "image_sigma": 0.0,
+            "pixel_sigma_px": 0.0,
+            "dropout": 0.0,
+            "drift": drift,
+            "perturb": [],
+            "target": target,
+        }
 
 
 def conforms(value: Any, rule: dict[str, Any], whole: dict[str, Any]) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,6 @@ from vstestbed.camera import Image, Picture
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
-from vstestbed.features.observation import Sight
 from vstestbed.laws import Law
 from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
@@ -20,17 +18,14 @@ from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
-from vstestbed.loop.pictureless import warn_without_pictures
+from vstestbed.loop.plant_of import plant_of, shown_clean
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
-from vstestbed.scenario.noise import TargetNoise
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import IMAGE_STREAM, IMAGING_STREAM, LINK_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
-from vstestbed.sim.base import Plant
-from vstestbed.sim.build import build_plant
+from vstestbed.scenario.streams import LINK_STREAM
 from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import directions
 from vstestbed.tasks.frame import Frame
@@ -63,8 +58,8 @@ class Episode:
         self.frame: Frame | None = None
         self._waits = self._commanded = self.closed = False
         self._physics_s = self._record_s = self._redrawn_s = 0.0
-        shown = _shown_clean(scenario)
-        self.plant, self._renderer = _plant(scenario, pictures, plate_m)
+        shown = shown_clean(scenario)
+        self.plant, self._renderer = plant_of(scenario, pictures, plate_m)
         taken = take_goal_images(scenario, self.plant) if shown is None else shown
         self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
         from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
@@ -239,9 +234,8 @@ class Episode:
         self._redrawn_s += plant.render_s - rendered
         before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
         judged = self.frame
-        if (
-            self._commanded and before is not None
-        ):  # this frame's own command is not known yet: judged, and at the end logged, with that in force
+        # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
+        if self._commanded and before is not None:
             judged = replace(judged, command=before.command, allocation=before.allocation)
         self._waits = True
         if verdict := self._judge.verdict(judged):
@@ -260,45 +254,3 @@ class Episode:
         """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
         image = made.shot.picture.image if made.shot.picture else None
         return image.copy() if self._camera.whole and image is not None else image
-
-
-def _shown_clean(scenario: Scenario) -> tuple[Sight, ...] | None:
-    """Pictures of the goal before the target's picture was changed (`noise.target`); None where it is not changed."""
-    if scenario.noise.target.none or not scenario.needs_goal_image:
-        return None
-    clean = replace(scenario, noise=replace(scenario.noise, target=TargetNoise()))
-    plant, _ = _plant(clean, pictures=True, plate_m=0.0)
-    with closing(plant):
-        return take_goal_images(clean, plant)
-
-
-def _plant(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
-    """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers, and of effects
-    that it does not see.
-    """
-    warn_without_pictures(scenario)
-    scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
-    if scenery is not None and chroma is not None:
-        from vstestbed.sim.scene.scenery import warn_of_colours  # here: MuJoCo is imported where there is any
-
-        warn_of_colours(scenery.file, scenario.detector.kind, chroma)
-    return build_plant(
-        scenario.robot,
-        scenario.camera,
-        scenario.target_in_run,
-        scenario.world,
-        scenario.physics,
-        needs_image=scenario.needs_image or pictures,
-        needs_truth=scenario.detector.needs_truth,
-        image_sigma=scenario.noise.image_sigma,
-        rng=scenario.rng(IMAGE_STREAM),
-        depth_rng=scenario.rng(RGBD_STREAM),
-        sensor_rng=scenario.rng(SENSOR_STREAM),
-        motion_rng=scenario.rng(MOTION_STREAM),
-        imaging_rng=scenario.rng(IMAGING_STREAM),
-        drift=scenario.noise.drift,
-        perturbed=scenario.perturbed(),
-        order_s=scenario.timing.order_s(scenario.camera),
-        led=scenario.timing.interpolated(*scenario.clock),
-        plate_m=plate_m,
-    )
