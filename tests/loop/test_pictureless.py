@@ -43,9 +43,15 @@ def test_each_effect_is_told(name: str, caplog: pytest.LogCaptureFixture) -> Non
     assert [record.getMessage() for record in caplog.records] == [f"{field}: {words}"]
 
 
+def test_a_target_whose_picture_has_changed_is_told() -> None:
+    scenario = vs.load("arm_picture", SHORT | {"noise.target.image_sigma": 3})
+    assert list(effects_on_pictures(scenario)) == ["noise.target"]
+
+
 def test_what_acts_without_pictures_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
     acts = {"camera.readout_s": 0.02, "camera.latency_s": 0.04, "timing.exposure_s": 0.01, "noise.pixel_sigma_px": 1, "noise.dropout": 0.1}
     warn_without_pictures(vs.load("arm_ibvs", SHORT | acts | {"noise.perturb": ["outliers"]}))
+    warn_without_pictures(vs.load("arm_ibvs", SHORT | {"camera.exposure": {"blurs": True}}))  # its time is the age of the pictures
     assert caplog.text == ""
 
 

@@ -58,6 +58,11 @@ def test_the_torsion_at_the_stages_ends_is_the_catalogues(size: int) -> None:
     assert 1e4 * np.array(curve.bends) == pytest.approx([first, second], rel=0.03)  # printed with two digits
 
 
+def test_one_number_stands_for_all_joints() -> None:
+    found = vs.load("arm_jaco", {"robot.strain_wave": {"sizes": 14, "rotor_kgm2": 0.2}}).robot
+    assert found.strain_wave == StrainWave(sizes=(14,), rotor_kgm2=(0.2,))
+
+
 def test_the_table_grows_with_the_size() -> None:
     table = np.array(list(CURVES.values()))
     assert (np.diff(table, axis=0) > 0).all() and (table[:, 0] < table[:, 1]).all() and (np.diff(table[:, 2:], axis=1) > 0).all()

@@ -155,6 +155,20 @@ def test_an_oracles_log_does_not_depend_on_pictures():
 
 
 @pytest.mark.parametrize(
+    ("exposure", "logged"),
+    [
+        ({"time_s": 0.008, "gain": 4}, (0.008, 4)),
+        ({"nominal_s": 0.006}, (0.006, 1)),
+        ({"time_s": 0.02, "gain": 3, "auto": {"longest_s": 0.01, "largest_gain": 16}}, (0.01, 6)),
+    ],
+)
+def test_an_oracles_log_has_time_and_gain_with_which_the_camera_begins(exposure: dict[str, Any], logged: tuple[float, float]):
+    recording = vs.run(scenario(exposure, {"detector": "oracle", "law.depth": "oracle", "stop.duration_s": 0.1}))
+    columns = [recording.columns.index(name) for name in ("exposure_s", "gain")]
+    np.testing.assert_allclose(recording.table[:, columns], np.tile(logged, (len(recording.table), 1)), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
     ("exposure", "settings", "words"),
     [
         ({"auto": {"longest_s": 0.041}}, {}, r"camera\.exposure\.auto\.longest_s.*at most 0\.04 s"),

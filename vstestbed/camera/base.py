@@ -168,7 +168,8 @@ class Camera(ABC):
         """Refuse what its lens, its rate or its size cannot have."""
         if len(self.panels) > 1:
             field = next(name for name in ("optics", "exposure", "sensor", "stream") if getattr(self, name) is not None)
-            words = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several; works: perspective or fisheye"
+            several = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several"
+            words = f"{several}; works: perspective, fisheye or catadioptric"
             raise ParameterError(field, words)
         if self.optics is not None:
             self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))

@@ -158,10 +158,15 @@ class ExposureControl:
             raise ParameterError("light", "must have rising times", [list(pair) for pair in self.light])
 
     @property
-    def first_s(self) -> float:
-        """Exposure time of a fixed exposure, or with which an automatic one begins that has not settled [s]."""
+    def first(self) -> tuple[float, float]:
+        """Time [s] and gain [1] of a fixed exposure, or with which an automatic one begins that has not settled."""
         time_s = self.time_s or self.nominal_s
-        return time_s if self.auto is None else self.auto.split(self.auto.within(time_s * self.gain))[0]
+        return (time_s, self.gain) if self.auto is None else self.auto.split(self.auto.within(time_s * self.gain))
+
+    @property
+    def first_s(self) -> float:
+        """The time of it [s]."""
+        return self.first[0]
 
     @property
     def most_s(self) -> float:

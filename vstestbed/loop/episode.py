@@ -248,7 +248,8 @@ class Episode:
         """Exposure time [s] and gain of a picture, for the log; without one those with which the camera begins."""
         if self.scenario.needs_image and picture is not None and picture.exposed is not None:
             return {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
-        return {"exposure_s": self.scenario.timing.first_s(self.scenario.camera), "gain": 1.0}
+        control = self.scenario.camera.blurring
+        return {} if control is None else dict(zip(("exposure_s", "gain"), control.first, strict=True))
 
     def _image(self, made: Exposed) -> Image | None:
         """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""

@@ -15,13 +15,17 @@ OF_CAMERAS = "optics", "exposure", "sensor", "stream"
 
 def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     """The dotted paths of what a scenario does to its pictures alone."""
-    yield from (f"camera.{name}" for name in OF_CAMERAS if getattr(scenario.camera, name) is not None)
+    given = (name for name in OF_CAMERAS if getattr(scenario.camera, name) is not None)
+    # With `blurs` the exposure is also a time, half of which each picture is older.
+    yield from (f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None)
     noise, light = scenario.noise, scenario.world.light
     if noise.image_sigma > 0:
         yield "noise.image_sigma"
     if noise.drift != Noise().drift:
         yield "noise.drift"
     yield from (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == ("picture",))
+    if not noise.target.none:
+        yield "noise.target"
     if light is not None and light.flicker.depth > 0:
         yield "world.light.flicker"
 

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import OneForAll
 from vstestbed.core.spec import spec
 from vstestbed.robots.joint_effects import each
 
-Sizes = Annotated[tuple[Annotated[int, Ge(0), Le(100)], ...], Len(1, 7)]
-Rotors = Annotated[tuple[Annotated[float, Ge(0), Le(1e3)], ...], Len(0, 7)]
+Sizes = Annotated[tuple[Annotated[int, Ge(0), Le(100)], ...], Len(1, 7), OneForAll()]
+Rotors = Annotated[tuple[Annotated[float, Ge(0), Le(1e3)], ...], Len(0, 7), OneForAll()]
 
 
 class Torsion(NamedTuple):

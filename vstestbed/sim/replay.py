@@ -86,6 +86,11 @@ class Replay:
         self._own: tuple[Stage, View] | None = None
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
+    def of_target(self, target: Target) -> Replay:
+        """Another replay, of the same scene with this target, whose servo camera gives images of the same size; it is to be closed."""
+        parts = self._parts
+        return Replay(parts.robot, parts.camera, target, parts.world, self._shadows, parts.sights, share=self._share)
+
     @property
     def cameras(self) -> list[str]:
         """Names of the cameras that pictures can be taken from."""

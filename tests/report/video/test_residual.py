@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
+import vstestbed as vs
+from vstestbed.report.video.film import replay_of, rows_of
+from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.overlay import text_size, text_width
-from vstestbed.report.video.residual import SHARE, WORDS, _label
+from vstestbed.report.video.quality import DRAFT
+from vstestbed.report.video.residual import SHARE, WORDS, Residual, _label
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (1280, 720)])
@@ -21,3 +27,16 @@ def test_the_name_is_whole_on_light_and_dark(width: int, height: int, grey: int)
     assert (below == grey).all()
     lit = np.flatnonzero((strip > 200).any(axis=(0, 2)))
     assert lit[0] >= 1 and lit[-1] < inset.shape[1] - 1
+
+
+def test_the_goals_picture_taken_again_is_that_before_the_target_changed() -> None:
+    small = {"camera.width": 64, "camera.height": 48, "camera.renderer": "rays", "law.levels": 1, "stop.duration_s": 0.1}
+    taken = []
+    for noise in ({}, {"image_sigma": 40}):
+        s = vs.load("camera_photometric", small | {"noise.target": noise})
+        with closing(replay_of(s, DRAFT)) as replay:
+            frame = FilmFrame.of_row(next(iter(rows_of(vs.run(s).rows))), s)
+            residual = Residual(s, replay)
+            taken.append(residual._goal_image(frame, 0))
+            assert replay.seen(frame.t) is None  # it is no picture of the run
+    np.testing.assert_array_equal(*taken)

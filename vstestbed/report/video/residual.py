@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Final
 
 import cv2
@@ -62,8 +63,10 @@ class Residual:
         if said is not None and said.source is not None:
             return said.read(s.camera)
         T_world_goal = frame.T_world_target @ inverse(s.goal_poses[view])
-        image = self._replay.picture("eye", s.camera.width, s.camera.height, frame.t, frame.T_world_target, frame.q, T_world_goal)
-        return image.copy() if said is None else said.under_its_light(image.copy(), s.rng(GOAL_STREAM))
+        # Of a scene of its own: the target as it was before `noise.target`, and no picture that others take for one of the run.
+        with closing(self._replay.of_target(s.target)) as taught:
+            image = taught.picture("eye", s.camera.width, s.camera.height, frame.t, frame.T_world_target, frame.q, T_world_goal).copy()
+        return image if said is None else said.under_its_light(image, s.rng(GOAL_STREAM))
 
 
 def _label(image: Image, size: int) -> None:
