@@ -1,7 +1,7 @@
 """Makes the pages' pictures again: `python -m tests.pages.pictures [NAME ...] [--studies] [--out DIR]`.
 
-Without names: all that show films (a minute each); `--studies`: the figures of studies, too, some of which take half an hour. Each picture
-goes into `.media/`, or into DIR.
+Without names: all that show films (a minute each), and the grids of kept comparisons (seconds); `--studies`: the figures of studies, too,
+some of which take half an hour. Each picture goes into `.media/`, or into DIR.
 """
 
 from __future__ import annotations
@@ -22,9 +22,17 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+import polars as pl
 
 import vstestbed as vs
+from tests.pages.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.report.comparison import grid as effects
+from vstestbed.report.comparison.columns import ComparisonResults
+from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.page import COLUMN_IN, DPI
+from vstestbed.report.comparison.series import Series
+from vstestbed.report.html.canvas import save, style
 from vstestbed.report.video.film import Pictures, replay_of, rows_of
 from vstestbed.report.video.film_frame import FilmFrame
 from vstestbed.report.video.frame_reader import FrameReader, scaled
@@ -54,18 +62,14 @@ STUDIES: dict[str, tuple[str, str]] = {
         "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
         "basin.png",
     ),
-    "realism_arm": ("compare realism_arm", "figures/grid.png"),
-    "realism_camera": ("compare realism_camera", "figures/grid.png"),
-    "realism_pictures": ("compare realism_pictures", "figures/grid.png"),
-    "realism_omni": ("compare realism_omni", "figures/grid.png"),
-    "realism_car": ("compare realism_car", "figures/grid.png"),
-    "realism_craft": ("compare realism_craft", "figures/grid.png"),
     "depth_error": ("sweep depth_error", "convergence.png"),
     "calibration_error": ("sweep calibration_error", "convergence.png"),
     "delay_arm": ("gain-limit arm_ibvs", "delay.png"),
     "flow_spherical_sphere": ("optical-flow --feature spherical", "flow_spherical_sphere.png"),
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
+GRIDS = ("realism_arm", "realism_camera", "realism_pictures", "realism_omni", "realism_car", "realism_craft")
+"""Comparisons of effects and laws, whose figures are drawn of the same kept results as the pages' tables, in seconds."""
 SHOWN_S = Fraction(18, 5)
 CAMERA = "camera_effects"
 CAMERA_EFFECTS: dict[str, dict[str, object]] = {
@@ -186,6 +190,17 @@ def study(name: str, folder: Path) -> Image:
         return scaled(shown, WIDE, reader.height * WIDE // reader.width)
 
 
+def grid_of(name: str, folder: Path) -> Image:
+    """The grid of a comparison of effects and laws, of its kept results."""
+    rows = Kept(may_run=False)(f"compare {name}")
+    comparison = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), ("effect", "law"))
+    with style(paper=True):
+        drawn = effects.grid(Data(comparison, Series(np.zeros(1), ()), []), COLUMN_IN[2])
+        assert drawn is not None, name
+        save(drawn, folder / f"{name}.png", DPI)
+    return figure(folder / f"{name}.png")
+
+
 def figure(path: Path) -> Image:
     """A figure, scaled down to FIGURE pixels where it is wider."""
     whole = cv2.imread(str(path))
@@ -230,18 +245,19 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / ".media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
-            made = own() if own else strip(name) if name in FILMS else study(name, Path(folder))
+            of_runs = grid_of if name in GRIDS else study
+            made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
             print(path)
