@@ -56,3 +56,10 @@ def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
     assert code == 130 and [row["law.gain"] for row in found] == [1.0]  # the second run was done, and not written yet
     code, more = rows(Here(), "--starts", "3", "--only", "law.gain=1.0")
     assert code == 0 and found[0] in more and sorted(row["seed"] for row in more) == [0, 1, 2]
+
+
+@pytest.mark.parametrize("word", ["1.0", "law.gain=2", "gain=1.0"])
+def test_a_part_that_no_run_is_of_is_refused(rows, word: str, capsys: pytest.CaptureFixture[str]):
+    rows(Here(), "--starts", "1")
+    code, _ = rows(Here(), "--starts", "1", "--only", word)
+    assert code == 2 and "--only must be AXIS=NAME of runs that there are" in capsys.readouterr().err

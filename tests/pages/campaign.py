@@ -24,6 +24,7 @@ import numpy as np
 from tests.pages.kept import FOLDER, Row, _columns, _rows, _text, place_of, steady
 from vstestbed.cli.compare import vary_of
 from vstestbed.cli.ending import exit_code
+from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
 from vstestbed.experiments.comparison import Campaign, Job, prepared
 from vstestbed.experiments.comparison.folder import PLAN, table_of
@@ -56,7 +57,8 @@ def _go_on(asked: argparse.Namespace) -> None:
         vary = {} if resume else vary_of(asked.vary)
         with prepared([] if resume else [asked.name], vary, None, out, resume, {}, (), False) as (whole, _):
             kept = {_key(row): row for row in _kept(command) if not set(asked.again) & {str(row[name]) for name in _named(row)}}
-            first = [(job, i) for job, i in _in_order(whole.jobs) if _asked_for(job, asked.only)]
+            wanted = _wanted(asked.only, whole.jobs)
+            first = [(job, i) for job, i in _in_order(whole.jobs) if _values(job).items() >= wanted.items()]
             done = [job for job, _ in first if (out / job.folder).is_dir()]
             jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
             try:
@@ -69,10 +71,22 @@ def _go_on(asked: argparse.Namespace) -> None:
                     write_whole(place_of(command), _text(command, _columns(known)))
 
 
-def _asked_for(job: Job, only: Iterable[str]) -> bool:
-    """Whether a run has all the values of `--only`."""
-    wanted = dict(word.split("=", 1) for word in only)
-    return all(str(job.controller.values.get(axis)) == name for axis, name in wanted.items())
+def _values(job: Job) -> dict[str, str]:
+    """The varied values of a run, as words."""
+    return {axis: str(value) for axis, value in job.controller.values.items()}
+
+
+def _wanted(only: Iterable[str], jobs: Iterable[Job]) -> dict[str, str]:
+    """The values of `--only` by their axes.
+
+    Raises:
+        ParameterError: no run has one of them.
+    """
+    known = {f"{axis}={value}" for job in jobs for axis, value in _values(job).items()}
+    for word in only:
+        if word not in known:
+            raise ParameterError("--only", f"must be AXIS=NAME of runs that there are; {nearest(word, sorted(known))}", word)
+    return dict(word.split("=", 1) for word in only)
 
 
 def _in_order(jobs: Iterable[Job]) -> list[tuple[Job, int]]:
