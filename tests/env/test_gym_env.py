@@ -347,7 +347,7 @@ def test_nothing_is_simulated_or_drawn_before_the_first_reset(monkeypatch: pytes
     def refuse(*_: Any, **__: Any) -> None:
         raise RuntimeError("built")
 
-    monkeypatch.setattr("vstestbed.loop.episode.build_plant", refuse)
+    monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", refuse)
     env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels", render_mode="rgb_array")
     with pytest.raises(RuntimeError, match="built"):
         env.reset()

@@ -228,7 +228,7 @@ class TestWholeOrNotAtAll:
         def broken(*_: object, **__: object) -> None:
             raise EnvironmentLackError("no OpenGL", "get some")
 
-        monkeypatch.setattr("vstestbed.loop.episode.build_plant", broken)
+        monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", broken)
         with pytest.raises(EnvironmentLackError):
             run_into(new_folder(scenario, None), scenario, "none")
         assert not Path("runs").exists()

@@ -16,7 +16,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import Array
 from vstestbed.experiments.run_folder import run_into
-from vstestbed.loop import episode as loop
+from vstestbed.loop import plant_of as loop
 from vstestbed.loop.log_file import read_log
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant

@@ -63,6 +63,16 @@ def test_one_number_stands_for_all_joints() -> None:
     assert found.strain_wave == StrainWave(sizes=(14,), rotor_kgm2=(0.2,))
 
 
+def test_a_stiffness_of_the_preset_does_not_hide_it() -> None:
+    given = {"robot.realism": "field", "robot.strain_wave": {"sizes": [20, 20, 20, 0, 0, 0]}}
+    with pytest.raises(ScenarioError, match=r"is given by realism field and by strain_wave; works: robot.gears.stiffness_nmprad=\[\]"):
+        vs.load("arm_ibvs", given)
+    found = vs.load("arm_ibvs", given | {"robot.gears.stiffness_nmprad": []}).robot.mechanics
+    assert found is not None and found.stiffest[0] == 29000
+    own = vs.load("arm_ibvs", given | {"robot.gears.stiffness_nmprad": [4e3, 4e3, 4e3, 0, 0, 0]}).robot.mechanics
+    assert own is not None and own.stiffest[0] == 4e3
+
+
 def test_the_table_grows_with_the_size() -> None:
     table = np.array(list(CURVES.values()))
     assert (np.diff(table, axis=0) > 0).all() and (table[:, 0] < table[:, 1]).all() and (np.diff(table[:, 2:], axis=1) > 0).all()

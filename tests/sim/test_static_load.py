@@ -40,7 +40,7 @@ def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) ->
     words = refusal(tmp_path, **loaded(20.0))
     needed = LOAD + 20 * 9.81 * (REACH + 0.2)
     assert words.startswith(
-        f"robot.payload.mass_kg swing needs {needed:.4g} Nm to hold the arm at its start, and its motor and friction have"
+        f"robot.payload.mass_kg asks swing for {needed:.4g} Nm to hold the arm at its start, and its motor and friction have"
     )
     assert f"{MOST:g} Nm: it would fall; works: at most {np.floor(100 * MOST_KG) / 100:g} kg here, got 20.0" in words
 
@@ -50,7 +50,7 @@ def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) ->
 )
 def test_the_limit_is_that_of_statics(tmp_path: Path, effects: dict[str, Any]) -> None:
     plant_of(arm(tmp_path, axis="0 1 0", **loaded(0.999 * MOST_KG, **effects))).close()
-    assert "swing needs 50.0" in refusal(tmp_path, **loaded(1.001 * MOST_KG, **effects))
+    assert "asks swing for 50.0" in refusal(tmp_path, **loaded(1.001 * MOST_KG, **effects))
     plant_of(arm(tmp_path, axis="0 0 1", **loaded(200.0, **effects))).close()  # a vertical axis feels no weight
 
 
@@ -68,7 +68,7 @@ def test_under_the_limit_it_stands_and_over_it_falls(tmp_path: Path, monkeypatch
 def test_an_arm_too_weak_for_its_own_links(tmp_path: Path) -> None:
     words = refusal(tmp_path, torque_limits=(10.0, 10.0))
     assert words == (
-        f"robot.start swing needs {LOAD:.4g} Nm to hold the arm at its start, and its motor and friction have 10 Nm: it would fall; "
+        f"robot.start asks swing for {LOAD:.4g} Nm to hold the arm at its start, and its motor and friction have 10 Nm: it would fall; "
         "works: another start, or stronger motors"
     )
     assert refusal(tmp_path, torque_limits=(10.0, 10.0), payload=Payload(mass_kg=1)).endswith(
@@ -83,11 +83,11 @@ def test_motors_without_limits_hold_all(tmp_path: Path) -> None:
 def test_the_puma_names_the_joint_that_gives_way() -> None:
     with pytest.raises(UnreachableError) as refused:
         vs.run(vs.load("arm_ibvs", {"robot.payload.mass_kg": 200, "detector": "oracle"}))
-    found = re.search(r"(joint_\d) needs ([\d.]+) Nm .* have ([\d.]+) Nm.*at most ([\d.]+) kg", str(refused.value))
+    found = re.search(r"asks (joint_\d) for ([\d.]+) Nm .* have ([\d.]+) Nm.*at most ([\d.]+) kg", str(refused.value))
     assert found and found[1] == "joint_5" and float(found[2]) > 5 * float(found[3]) and 1 < float(found[4]) < 60
 
 
 def test_in_a_comparison_it_is_an_outcome() -> None:
     text = dump(vs.load("arm_ibvs", {"robot.payload.mass_kg": 200, "detector": "oracle"}))
     files = execute(RunRequest("run", text, filmed=False))
-    assert b'"outcome": "unreachable"' in files["summary.json"] and b"joint_5 needs" in files["summary.json"]
+    assert b'"outcome": "unreachable"' in files["summary.json"] and b"asks joint_5 for" in files["summary.json"]

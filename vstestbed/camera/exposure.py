@@ -141,7 +141,7 @@ class ExposureControl:
         auto: automatic exposure and gain; None for fixed ones.
         blurs: the exposure time is also that of the motion blur, of each row of a rolling shutter and of what flicker is averaged over, in
             place of `timing.exposure_s`. The time stamp stays its middle. The log then has each picture's time and gain in the columns
-            `exposure_s` and `gain`. Without pictures (detector `oracle`) it is the time with which the camera begins.
+            `exposure_s` and `gain`. Without pictures (detector `oracle`) it is the time with which the camera begins; e.g. `true`.
     """
 
     nominal_s: PositiveTime = 0.005

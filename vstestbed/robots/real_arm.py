@@ -115,11 +115,15 @@ class RealArm(Realistic, Arm):
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where there are none of its own."""
+        preset = self.presets.get(self.realism, {}).get("gears")
         if gears.stiffness_nmprad:
+            if self.strain_wave is not None and gears == preset:
+                words = f"is given by realism {self.realism} and by strain_wave; works: robot.gears.stiffness_nmprad=[]"
+                raise ParameterError("gears.stiffness_nmprad", words)
             return each("gears.stiffness_nmprad", gears.stiffness_nmprad, self.slides, turns=False), None, None
         if self.strain_wave is not None:
             return *self.strain_wave.curves(self.slides), self.strain_wave.rotors(self.slides)
-        if gears != self.presets.get(self.realism, {}).get("gears"):
+        if gears != preset:
             words = "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave: {sizes: [20]}"
             raise ParameterError("gears.stiffness_nmprad", words)
         return np.zeros(len(self.joints)), None, None

@@ -37,7 +37,8 @@ class WheelSpread:
     def __post_init__(self) -> None:
         """Refuse errors that are listed and drawn."""
         if self.sigma and self.errors is not None:
-            raise ParameterError("errors", "must be none with sigma > 0, which draws them; works: sigma 0 with listed errors", self.errors)
+            words = "must be none with sigma > 0, which draws them, also that of robot.realism; works: sigma 0 beside the listed errors"
+            raise ParameterError("errors", words, list(self.errors))
 
     def drawn(self, rng: np.random.Generator) -> WheelSpread:
         """The same with four errors drawn from `rng`; without any where sigma is 0."""

@@ -34,7 +34,7 @@ def check_static_load(stage: Stage) -> None:
     slides = model.joint(f"robot/{robot.joints[joint]}").type[0] == mujoco.mjtJoint.mjJNT_SLIDE
     unit = "N" if slides else "Nm"
     words = (
-        f"{robot.joints[joint]} needs {abs(weight[joint]):.4g} {unit} to hold the arm at its start, and its motor and friction have "
+        f"asks {robot.joints[joint]} for {abs(weight[joint]):.4g} {unit} to hold the arm at its start, and its motor and friction have "
         f"{holds[joint]:.4g} {unit}: it would fall"
     )
     payload = None if robot.mechanics is None else robot.mechanics.payload

@@ -36,7 +36,7 @@ def test_a_run_that_cannot_start_leaves_no_assets(tmp_path: Path, monkeypatch: p
     def broken(*_: object, **__: object) -> None:
         raise EnvironmentLackError("no OpenGL", "get some")
 
-    monkeypatch.setattr("vstestbed.loop.episode.build_plant", broken)
+    monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", broken)
     with pytest.raises(EnvironmentLackError):
         run_into(new_folder(vs.load("arm_tags"), tmp_path / "run"), vs.load("arm_tags"), "none")
     assert not (tmp_path / "run").exists()
