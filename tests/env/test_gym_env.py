@@ -369,6 +369,7 @@ def test_the_view_from_outside_is_the_films() -> None:
     assert env.unwrapped.metadata["render_fps"] == 25
 
 
+@pytest.mark.study
 def test_two_in_processes_give_the_numbers_of_single_ones(quick: Path) -> None:
     in_processes_as_alone(2, "vstestbed/scenario-v0", {"scenario": str(quick)})
 

@@ -232,6 +232,7 @@ def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Pa
         assert table["attempts"].to_list() == [1, 1]
 
 
+@pytest.mark.study
 def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, vstestbed_process: Any):
     script = tmp_path / "script.py"
     script.write_text("import vstestbed as vs\nvs.compare(['quick.yaml'], seeds=2, jobs=1, film=False)\n", encoding="utf-8")
