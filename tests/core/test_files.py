@@ -81,6 +81,7 @@ def test_nothing_is_left_of_a_file_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.study
 def test_every_file_of_a_comparison_beside_planted_links(
     command, quick: Path, tmp_path: Path, victim: Path, here: None, one_figure: None
 ) -> None:

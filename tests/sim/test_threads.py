@@ -75,7 +75,7 @@ REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; star
     [
         (ANY_ORDER + INTERRUPTED, "gl True True True\ninterrupted True\n"),
         (AT_EXIT, "ready\n"),
-        (FORKED, f"0 True\n{REFUSED}\n0 True\n"),
+        pytest.param(FORKED, f"0 True\n{REFUSED}\n0 True\n", marks=pytest.mark.study),
     ],
     ids=["thread, main, thread, several at once, Ctrl-C", "the process ends during a run in a daemon thread", "forks"],
 )

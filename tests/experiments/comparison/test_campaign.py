@@ -170,6 +170,7 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
         assert words in page
 
 
+@pytest.mark.study
 def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
     campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     request = request_of("runs/a", vs.load(quick), False)
@@ -204,6 +205,7 @@ def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, t
     assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
 
 
+@pytest.mark.study
 def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(quick: Path, tmp_path: Path):
     with closing(LocalPool(2, tmp_path)) as pool:
         first, second = (slot.pid.result() for slot in pool._slots)

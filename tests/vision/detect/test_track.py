@@ -91,7 +91,7 @@ def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest
     blobs, asked, homes = Blobs(), [], set()
     memory, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG)
     monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("a marker was lost"))
-    for T in turning(-0.08, 85):
+    for T in turning(-0.13, 52):
         look = blobs.look(memory, CAMERA, TARGET)
         assert look is not None
         panels = tuple(i for i, windows in enumerate(look) if windows)
