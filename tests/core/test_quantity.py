@@ -131,7 +131,7 @@ def test_plausible_extremes_load(settings: dict[str, object], words: str) -> Non
 class TestOneNumberForAllJoints:
     def test_is_the_list_of_it(self) -> None:
         assert Joints(most=2).most == Joints(most=[2]).most == (2.0,)  # pyright: ignore[reportArgumentType] - a number for a list is the point
-        assert Joints(counts=3).counts == (3,)  # pyright: ignore[reportArgumentType]
+        assert Joints(counts=3).counts == (3,)  # pyright: ignore[reportArgumentType] - likewise
         assert Joints(most=(1, 2)).most == (1.0, 2.0)
 
     def test_the_schema_has_both(self) -> None:

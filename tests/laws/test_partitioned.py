@@ -30,7 +30,7 @@ BOOK = {"gain": ConstantGain(value=0.1), "gain_z": 0.2, "gain_turn": 0.1, "depth
 @functools.cache
 def book_run(sigma: str) -> vs.Recording:
     """Square at z = 3, camera (1, 1, -3) turned by .6 rad, goal a square of 400 px, .1 s a step, to a 2-norm of .5 px."""
-    law = Partitioned(**(BOOK | {"sigma": sigma}))  # pyright: ignore[reportArgumentType]
+    law = Partitioned(**(BOOK | {"sigma": sigma}))  # pyright: ignore[reportArgumentType] - of dict values
     return fly(law, (1, 1, -3), 0.6, target_z=3, rate_hz=10, norm_px=0.5, duration_s=300)
 
 
