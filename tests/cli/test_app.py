@@ -107,6 +107,8 @@ class TestBadInput:
             (["report", "."], ".: no run here; a run's folder holds"),
             (["render", ".", "--size", "big"], "--size must be WIDTHxHEIGHT in pixels, such as 1280x720, got 'big'"),
             (["render", ".", "--size", "8x8"], "--size must be WIDTHxHEIGHT in pixels"),
+            (["render", ".", "--out", "film"], "--out must end in .mp4, or in .gif with --gif, got 'film'"),
+            (["render", ".", "--gif", "--out", "a.mp4"], "--out must end in .gif, or in .mp4 without --gif, got 'a.mp4'"),
             (["bench", "nowhere"], "nowhere: no such file"),
         ],
     )

@@ -156,12 +156,12 @@ def render(
     from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.load import load
 
-    size_px = _size(size)
+    size_px, path = _size(size), _film_file(out, run_dir / camera, ".gif" if gif else ".mp4")
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load(run_dir / "scenario.yaml", plugins=plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
-    path = make_parents(out or run_dir / f"{camera}.{'gif' if gif else 'mp4'}")
+    make_parents(path)
     quality, ending = quality_of(scenario, fine), ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
@@ -173,6 +173,13 @@ def render(
         raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def _film_file(out: Path | None, default: Path, ending: str) -> Path:
+    """The film's file, which has the ending by which players know it."""
+    if out is not None and out.suffix.lower() != ending:
+        raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if ending == '.gif' else '.gif with'} --gif", str(out))
+    return out or default.with_name(default.name + ending)
 
 
 def _must_hold(folder: Path, *names: str) -> None:

@@ -62,10 +62,10 @@ LAWS += ("pose", "pose_origin", "hybrid")
 def test_a_batch_gives_the_folders_of_single_runs(canonical: dict[str, list[Scenario]], law: str):
     """A run of each task by one of the laws, of one by the others beside another; the study below compares all."""
     whole, first = canonical[law], LAWS.index(law) % 5
-    picked = [(first + i) % 5 for i in range(5 if law == "points" else 2)]  # seed by seed: the first of each task
+    picked = [(first + i) % 5 for i in range(3 if law == "points" else 2)]  # seed by seed: the first of each task
     flown = BatchRequest.of("a", [whole[i] for i in picked]).perform()
     assert [i for i, files in zip(picked, flown, strict=True) if files is None] == []
-    for i, files in list(zip(picked, flown, strict=True))[: 5 if law == "points" else 1]:
+    for i, files in list(zip(picked, flown, strict=True))[: 3 if law == "points" else 1]:
         single = execute(request_of("a", whole[i], False))
         assert files is not None and single.keys() == files.keys()
         assert files["scenario.yaml"].decode() == dump(whole[i], defaults=True) == single["scenario.yaml"].decode()
