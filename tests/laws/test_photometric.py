@@ -145,6 +145,14 @@ def test_other_light_is_fitted_with_the_motion(texture: np.ndarray) -> None:
     assert flown(replace(law, light="gain_offset"), texture, off, spoil=brighter)[0] < 1e-3
 
 
+@pytest.mark.parametrize("goal", [{}, {"goal.picture": {"brightness": 0.7}}], ids=["same", "darker"])
+def test_other_light_is_told_from_a_motion_far_away_too(goal: dict[str, object]) -> None:
+    """From a start at which gain and offset, fitted at the coarsest level, take most of the motion's error for the light's."""
+    r = vs.run(vs.load("arm_photometric", {"law.light": "gain_offset", **goal}))
+    assert r.outcome is vs.Outcome.converged
+    assert r["position_error_m"][-1] < 1e-3
+
+
 @pytest.mark.parametrize("robust", ["none", "tukey"])
 def test_light_alone_is_no_motion(texture: np.ndarray, robust: Robust) -> None:
     """Of I = 0.9 I* + 7 nothing is left for the motion, and no error."""

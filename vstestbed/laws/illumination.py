@@ -1,4 +1,8 @@
-"""A lamp that changed since the goal's picture was taken: gain and offset of the grey levels, fitted together with the camera's motion."""
+"""A lamp that changed since the goal's picture was taken: gain and offset of the grey levels.
+
+Near the goal they are fitted together with the camera's motion. Far from it the fit takes errors of the motion for the light's, since the
+columns of both look alike in small pictures that show different parts of a scene; there the two pictures get the same mean and contrast.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,8 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 
 Light = Literal["same", "gain_offset"]
+LEAST_SPREAD = 1e-3
+"""Least standard deviation of a picture, by which one without any structure is divided [grey levels]."""
 
 
 def light_rows(goal: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -23,6 +29,12 @@ def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDAr
     H, b = weighted @ of_light.T, weighted @ e
     found = np.asarray(np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32)
     return np.asarray(e - found @ of_light, np.float32)
+
+
+def relit(grey: NDArray[np.float32], goal: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A picture with the mean and the standard deviation of the goal's, (I - m) s* / s + m*; both of the same shape [grey levels]."""
+    spread = max(float(grey.std()), LEAST_SPREAD)
+    return np.asarray((grey - grey.mean()) * np.float32(goal.std() / spread) + goal.mean(), np.float32)
 
 
 def eliminated(H: Array, b: Array) -> tuple[Array, Array]:

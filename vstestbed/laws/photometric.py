@@ -17,7 +17,7 @@ from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.illumination import Light
+from vstestbed.laws.illumination import Light, relit
 from vstestbed.laws.luminance import GoalLevel, Grey, LevelPixels, Normal, Which, coarser, luminance, motion_px
 from vstestbed.laws.robust import Robust
 
@@ -91,7 +91,8 @@ class Photometric(LawBase):
         robust: W, the weights of an M-estimator with the scale of the median absolute deviation, at the finest level: `none`, `huber` or
             `tukey`.
         light: `same` as when the goal's picture was taken, or `gain_offset`: I = (1 + a) I* + b, with a and b fitted in each picture
-            together with the motion; a lamp that became brighter is then no error, and needs some structure more.
+            together with the motion at the finest level, while at coarser ones the picture gets the mean and the contrast of the goal's;
+            a lamp that became brighter is then no error, and needs some structure more.
         depth: Z of the pixels: `goal`, the markers' plane as seen at the goal; `constant`; or `sensor`, a depth camera's.
         smooth_px: standard deviation of the Gaussian that smooths both pictures first [px]; 0: none. It widens the basin, and makes L the
             true one of the pictures, whose differences from pixel to pixel are then small.
@@ -162,7 +163,7 @@ class Photometric(LawBase):
             return memory, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
         robust = self.robust if memory.level == 0 else "none"
-        normal = level.normal(grey, self.interaction, robust, near)
+        normal = level.normal(self._lit_as(level, grey, memory.level), self.interaction, robust, near)
         step = self._solved(normal, basis, self.damping.at(observation.t - memory.t0))
         if step is None:
             return memory, Command.rest(basis, NO_PIXEL)
@@ -204,6 +205,10 @@ class Photometric(LawBase):
             grey = coarser(grey)
         return grey
 
+    def _lit_as(self, goal: GoalLevel, grey: Grey, level: int) -> Grey:
+        """The picture of a coarser level as if in the goal's light; at the finest one the light is fitted with the motion."""
+        return relit(grey, goal.grey) if level > 0 and self.light == "gain_offset" else grey
+
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
         """The goal's picture, level by level.
 
@@ -215,7 +220,7 @@ class Photometric(LawBase):
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)
-            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number), self.light))
+            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number), self.light if number == 0 else "same"))
             grey = coarser(grey)
         return tuple(made)
 
