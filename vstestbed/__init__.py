@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from vstestbed.experiments.run_folder import run_into
     from vstestbed.experiments.tuning import tune
     from vstestbed.features import FEATURES, Feature
-    from vstestbed.features.observation import Goal, Observation
+    from vstestbed.features.observation import Goal, Observation, Sight
     from vstestbed.laws import LAWS, Command, Law, LawBase
     from vstestbed.loop.controller import Controller
     from vstestbed.loop.recording import Recording
@@ -81,7 +81,7 @@ _HOMES = {
     "vstestbed.experiments.run_folder": ("run_into",),
     "vstestbed.experiments.tuning": ("tune",),
     "vstestbed.features": ("FEATURES", "Feature"),
-    "vstestbed.features.observation": ("Goal", "Observation"),
+    "vstestbed.features.observation": ("Goal", "Observation", "Sight"),
     "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
     "vstestbed.loop.controller": ("Controller",),
     "vstestbed.loop.recording": ("Recording",),
@@ -153,6 +153,7 @@ __all__ = [
     "RobotBase",
     "Scenario",
     "Session",
+    "Sight",
     "Stop",
     "Target",
     "Task",

@@ -202,7 +202,7 @@ def _why_no_error(recording: Recording) -> str:
     if recording.outcome.name == "law_failed":
         return "not known, since the law failed"
     seen = [name for name in recording.columns if name.startswith("u_") and name[2:].isdecimal()]
-    if any(np.isfinite(recording[name][-1]) for name in seen):
+    if recording.scenario.detector.rows == 0 or any(np.isfinite(recording[name][-1]) for name in seen):
         return "not known, since the law could not work with what was in sight"
     return "target not in sight"
 

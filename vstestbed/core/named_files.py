@@ -55,7 +55,8 @@ def place_of_file(file: str) -> Path:
         path = Path(found.submodule_search_locations[0]) / inside
     if not is_there(path):
         where = f" ({path})" if file.startswith(PACKAGE) else ""  # of others `file` is the path
-        raise ParameterError("file", f"is not there{where}; give its path, absolute or relative to the scenario's file", file)
+        words = "give its path: absolute, or relative to the scenario's file (with --set to this folder)"
+        raise ParameterError("file", f"is not there{where}; {words}", file)
     return path
 
 

@@ -24,7 +24,7 @@ from vstestbed.laws.robust import Robust
 NO_PICTURE = "the law has no picture"
 BLANK = "the picture shows next to nothing of what the goal's shows"
 NO_PIXEL = "no pixel of the picture fits the goal's"
-NO_STRUCTURE = "the goal's picture has too little structure: a motion of 10 mm or 1 degree would change it by less than 0.05 grey levels"
+NO_STRUCTURE = "the goal's picture has too little structure (a motion of 10 mm or 1 degree changes it by less than 0.05 grey levels)"
 NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
 LEAST_CHANGE = 0.05
 """Least RMS change of the goal's picture [grey levels] by a motion of 10 mm or 1 degree, whichever changes it least. With structure it is
@@ -216,7 +216,7 @@ class Photometric(LawBase):
             ParameterError: the goal has no picture.
         """
         if goal.image is None or not isinstance(goal.camera, Perspective):
-            raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_image to the Controller")
+            raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_images to the Controller")
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)

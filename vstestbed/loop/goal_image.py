@@ -73,7 +73,8 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
     images = images or _from_files(scenario)
     if len(images) != len(views):
         words = (
-            f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it"
+            f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it;"
+            " give them, or name their files in goal.picture"
         )
         raise ParameterError("goal_images", words, len(images))
     for sight in images:

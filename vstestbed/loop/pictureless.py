@@ -1,4 +1,4 @@
-"""Effects on pictures in a run in which nobody looks at any: they are told, since a comparison would take them for harmless."""
+"""Effects on pictures or measured points in a run that has none: they are told, since a comparison would take them for harmless."""
 
 from __future__ import annotations
 
@@ -30,13 +30,24 @@ def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
         yield "world.light.flicker"
 
 
-def warn_without_pictures(scenario: Scenario) -> None:
-    """Warn once of effects on pictures where neither the detector nor the law looks at pictures: they change nothing then."""
+def effects_on_points(scenario: Scenario) -> Iterator[str]:
+    """The dotted paths of what a scenario does to measured points alone."""
+    noise = scenario.noise
+    yield from (f"noise.{name}" for name in ("pixel_sigma_px", "dropout") if getattr(noise, name) > 0)
+    yield from (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == ("pixels",))
+
+
+def warn_without_effect(scenario: Scenario) -> None:
+    """Warn once of effects on pictures where neither detector nor law looks at any, and of those on points that no detector measures."""
+    detector = scenario.detector
     if not scenario.needs_image and (found := ", ".join(effects_on_pictures(scenario))):
-        _warn_once(found, scenario.detector.kind)
+        why = f"it changes pictures and detector {detector.kind} looks at none; works: a detector of pictures, such as blobs"
+        _warn_once(found, why)
+    if detector.rows == 0 and (found := ", ".join(effects_on_points(scenario))):
+        why = f"it changes measured points and detector {detector.kind} measures none; works: noise of the picture, noise.image_sigma"
+        _warn_once(found, why)
 
 
 @functools.cache
-def _warn_once(found: str, detector: str) -> None:
-    words = "without effect, for it changes pictures and detector %s looks at none; works: a detector of pictures, such as blobs"
-    logging.getLogger("vstestbed").warning(f"%s: {words}", found, detector)
+def _warn_once(found: str, why: str) -> None:
+    logging.getLogger("vstestbed").warning("%s: without effect, for %s", found, why)

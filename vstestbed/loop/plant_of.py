@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from vstestbed.features.observation import Sight
 from vstestbed.loop.goal_image import take_goal_images
-from vstestbed.loop.pictureless import warn_without_pictures
+from vstestbed.loop.pictureless import warn_without_effect
 from vstestbed.scenario.noise import TargetNoise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
@@ -29,7 +29,7 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
     """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers, and of effects
     that it does not see.
     """
-    warn_without_pictures(scenario)
+    warn_without_effect(scenario)
     scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
     if scenery is not None and chroma is not None:
         from vstestbed.sim.scene.scenery import warn_of_colours  # here: MuJoCo is imported where there is any
