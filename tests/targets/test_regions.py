@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Pose, inverse, lengths
 from vstestbed.targets import Ball, Shape
 from vstestbed.targets.conic import distance_to_conic, fitted_conic
 from vstestbed.targets.figures import FIGURES, PolygonFigure
-from vstestbed.targets.polygons import centroid, covariance, signed_area
+from vstestbed.targets.polygons import centroid, covariance, evenly_along, signed_area
 from vstestbed.testing import check_target
 
 VIEW = Pose(xyz=(0.1, -0.2, 1.1), rpy_deg=(25, -30, 50)).T
@@ -77,6 +77,11 @@ def test_moments_of_a_rectangle_by_hand():
 def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
     with pytest.raises(ScenarioError, match=r" target\.figure\.at: must not cross or touch itself: the sides from corners"):
         vs.load("arm_region", {"target.figure": {"kind": "polygon", "at": at}})
+
+
+def test_points_along_a_polygon_are_evenly_apart():
+    along = evenly_along(np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8)  # a rectangle of perimeter 8
+    np.testing.assert_allclose(along, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]], atol=1e-12)
 
 
 def test_a_polygon_is_the_same_whichever_way_round_it_is_given():
