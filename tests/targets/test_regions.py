@@ -130,6 +130,11 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
     assert np.isnan(ball.points_at(np.eye(4))).all()  # from inside
 
 
+ALIKE = "of this robot's 6 motions at the goal, since a ball looks alike from other places; use law.redundant: true"
+DISC: dict[str, Any] = {"target.figure": {"kind": "disc", "radius": 0.15}, "law.depth": "goal"}
+SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
+
+
 @pytest.mark.parametrize(
     ("name", "settings", "words"),
     [
@@ -139,6 +144,14 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
             "law.depth: may not be pnp: the outline of a ball does not tell how it is turned, and so has no pose; use",
         ),
         ("arm_ibvs", {"law.depth": "size"}, "law.depth: may be size only with target ball"),
+        (
+            "arm_ball",
+            {"law.feature": "point", "law.redundant": False},
+            f"law.feature: point tells 3 {ALIKE}, which leaves the others open$",
+        ),
+        ("arm_ball", {"law.redundant": False}, f"law.feature: ellipse tells 3 {ALIKE}, which leaves the others alone$"),
+        ("arm_region", DISC | {"law.feature": "point"}, "point tells 3 of this robot's 6 motions at the goal, since a disc looks alike"),
+        ("arm_region", DISC | {"law.feature": "spherical"} | SLANT, "spherical tells 5 of this robot's 6 motions"),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
         ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
         ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
@@ -168,6 +181,22 @@ def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
     assert "deg from the goal, where 3 motions are free (law.redundant)" in words
     free = [vs.load(name).free_motions for name in ("quadrotor_ball", "arm_avoid_limits", "arm_region")]
     assert free == [1, 2, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "free"),
+    [
+        ("arm_ball", {"law.feature": "point"}, 3),
+        ("arm_ball", {"law.feature": "polar"}, 3),
+        ("quadrotor_ball", {"law.feature": "point"}, 1),
+        ("arm_region", DISC | {"law.feature": "point", "law.redundant": True}, 3),
+        ("arm_region", DISC | SLANT | {"law.feature": "point", "law.redundant": True}, 1),
+        ("arm_region", DISC | SLANT | {"law.feature": "ellipse", "law.redundant": True}, 1),
+        ("arm_region", {"law.feature": "point", "law.redundant": True}, 0),
+    ],
+)
+def test_points_of_an_outline_tell_no_more_than_its_picture(name: str, settings: dict[str, Any], free: int):
+    assert vs.load(name, settings).free_motions == free
 
 
 @pytest.mark.study

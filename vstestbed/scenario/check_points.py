@@ -17,6 +17,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.laws.select import at_goal
 from vstestbed.robots import Mount, Robot
+from vstestbed.scenario.outlines import called, is_sized, motions_told, runs_along
 from vstestbed.targets import Target
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Detector
@@ -152,13 +153,12 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
 
 def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
     """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
-    sized = target.by_size(np.zeros((len(target.points), 3))) is not None
+    sized = is_sized(target)
     if law.depth.needs_size and not sized:
         raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
-    if not target.outlined or len(target.places) or not (law.depth.needs_pose or needs_pose):
+    if not runs_along(target) or not (law.depth.needs_pose or needs_pose):
         return
-    what = "a ball" if sized else "a disc"
-    words = f"may not be {law.depth.kind}: the outline of {what} does not tell how it is turned, and so has no pose"
+    words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
     raise ParameterError(
         "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
     )
@@ -180,30 +180,40 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
 
 
-def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> None:
-    """Refuse a feature of all markers together that tells fewer motions than the robot has, where the law does not leave motions open.
+def check_determined(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> None:
+    """Refuse a feature that tells fewer motions than the robot has, where the law does not leave motions open.
+
+    Features of all markers together may, and all features of an outline that looks alike from other places.
 
     Raises:
         ParameterError: it names the feature, and what would work.
     """
-    for servo, told, all_motions in _told(robot, camera, law, goal):
-        if told < all_motions and not (servo.feature.rows_per_marker or servo.redundant):
-            words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
-            more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") else ""
-            raise ParameterError("law.feature", f"{words}; use law.redundant: true, which leaves the others alone{more}")
+    for servo, own, seen, all_motions in _told(robot, camera, target, law, goal):
+        told, alike, each = min(own, seen), seen < all_motions, servo.feature.rows_per_marker
+        if servo.redundant or told == all_motions or (each and not alike):
+            continue
+        words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
+        words += f", since {called(target)} looks alike from other places" if alike else ""
+        words += f"; use law.redundant: true, which leaves the others {'open' if each else 'alone'}"
+        more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") and own < seen else ""
+        raise ParameterError("law.feature", words + more)
 
 
-def free_motions(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> int:
+def free_motions(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> int:
     """How many of the robot's motions a law with `redundant` leaves free at a goal view, where its pose is not determined; 0 for none."""
-    return max((motions - told for servo, told, motions in _told(robot, camera, law, goal) if servo.redundant), default=0)
+    told = _told(robot, camera, target, law, goal)
+    return max((motions - min(own, seen) for servo, own, seen, motions in told if servo.redundant), default=0)
 
 
-def _told(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int]]:
-    """Each law with a feature that may leave motions open, how many motions it tells at a goal view, and how many the robot has."""
+def _told(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int, int]]:
+    """Each law with a feature that may leave motions open, how many motions of the robot's its interaction matrix tells at a goal view, how
+    many the target's picture does, and how many the robot has.
+    """
     basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    seen = motions_told(target, goal.T_camera_target, basis)
     views = ((servo, at_goal(servo.feature, goal)) for servo in _image_based(law))
     return [
-        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), basis.shape[1])
+        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), seen, basis.shape[1])
         for servo, inputs in views
         if inputs is not None
     ]

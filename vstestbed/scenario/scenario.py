@@ -136,7 +136,7 @@ class Scenario:
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         if self.detector.rows is None:  # else its own points, which the goal's picture shows
-            check_determined(self.robot, self.camera, self.law, self.goal_view)
+            check_determined(self.robot, self.camera, self.target, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
@@ -178,7 +178,9 @@ class Scenario:
     @cached_property
     def free_motions(self) -> int:
         """How many motions `law.redundant` leaves free at the goal, whose pose is then not determined; 0 for none."""
-        return free_motions(self.robot, self.camera, self.law, self.goal_view) if self.detector.rows is None else 0
+        if self.detector.rows is not None:
+            return 0
+        return free_motions(self.robot, self.camera, self.target, self.law, self.goal_view)
 
     @property
     def rows(self) -> int:
