@@ -131,7 +131,12 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
 
 
 ALIKE = "of this robot's 6 motions at the goal, since a ball looks alike from other places; use law.redundant: true"
-DISC: dict[str, Any] = {"target.figure": {"kind": "disc", "radius": 0.15}, "law.depth": "goal"}
+DISC: dict[str, Any] = {
+    "target.figure": {"kind": "disc", "radius": 0.15},
+    "law.depth": "goal",
+    "stop.converged.position_m": None,
+    "stop.converged.rotation_deg": None,
+}
 SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
 
 
@@ -152,6 +157,17 @@ SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
         ("arm_ball", {"law.redundant": False}, f"law.feature: ellipse tells 3 {ALIKE}, which leaves the others alone$"),
         ("arm_region", DISC | {"law.feature": "point"}, "point tells 3 of this robot's 6 motions at the goal, since a disc looks alike"),
         ("arm_region", DISC | {"law.feature": "spherical"} | SLANT, "spherical tells 5 of this robot's 6 motions"),
+        (
+            "arm_ball",
+            {"stop.converged": {"position_m": 0.003, "rotation_deg": 0.3}},
+            "stop.converged.position_m: needs the target's pose, which the outline of a ball does not tell; works: error_px alone",
+        ),
+        ("arm_ball", {"stop.converged.rotation_deg": 0.3}, "stop.converged.rotation_deg: needs the target's pose"),
+        (
+            "arm_region",
+            {"law.depth": "goal"},
+            "needs the target's pose, which law.depth goal does not estimate; works: law.depth pnp, or error_px alone",
+        ),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
         ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
         ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),

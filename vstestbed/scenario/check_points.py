@@ -22,6 +22,8 @@ from vstestbed.targets import Target
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Detector
 
+BY_ESTIMATE = ("position_m", "rotation_deg")
+"""Conditions of convergence by the robot's own estimate."""
 ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 
@@ -92,8 +94,9 @@ def _kept_inside(law: Any, detector: str) -> ParameterError:
     return ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
 
 
-def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers.
+def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers, a pose that
+    an outline does not tell or the law does not take from it.
 
     Raises:
         ParameterError: it names the condition, and what would work.
@@ -102,10 +105,24 @@ def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
     if goal.error_grey is not None and not in_grey:
         words = f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use error_px"
         raise ParameterError("stop.converged.error_grey", words)
-    if detector.rows == 0 and (goal.error_px is not None or goal.by_estimate):
-        field = "error_px" if goal.error_px is not None else "position_m" if goal.position_m is not None else "rotation_deg"
+    field = next((name for name in ("error_px", *BY_ESTIMATE) if getattr(goal, name) is not None), None)
+    if detector.rows == 0 and field:
         words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
         raise ParameterError(f"stop.converged.{field}", words)
+    for name in BY_ESTIMATE:
+        if getattr(goal, name) is not None and (words := _untold_pose(target, law)):
+            raise ParameterError(f"stop.converged.{name}", f"needs the target's pose, {words}", getattr(goal, name))
+
+
+def _untold_pose(target: Target, law: Law[Any]) -> str:
+    """Why the pose of an outline is not estimated, and what would work; empty where it is, and for markers."""
+    if not target.outlined:  # of markers some detectors solve the pose themselves
+        return ""
+    if runs_along(target):
+        return f"which the outline of {called(target)} does not tell; works: error_px alone"
+    if law.depth.needs_pose or {"T_camera_target", "place"} & set(law.inputs):
+        return ""
+    return f"which law.depth {law.depth.kind} does not estimate; works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
 
 
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:

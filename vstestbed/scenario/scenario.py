@@ -128,7 +128,7 @@ class Scenario:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
-        check_judged(self.stop, self.detector, self.law)
+        check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
