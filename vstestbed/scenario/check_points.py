@@ -24,6 +24,8 @@ from vstestbed.vision import DETECTORS, Detector
 
 BY_ESTIMATE = ("position_m", "rotation_deg")
 """Conditions of convergence by the robot's own estimate."""
+FIRST_POSE = 4
+"""Fewest points that tell a pose by themselves."""
 ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 
@@ -46,7 +48,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         raise _open_pose(robot, target.points, law, needs_pose)
 
 
-def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
+def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
     """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
 
     Raises:
@@ -63,12 +65,25 @@ def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], vie
     if detector.fleeting and law.depth.estimator is not None:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    _check_first_pose(robot, detector, law)
     if not detector.changing:
         return
     if law.needs_same_markers:
         raise _same_markers_needed(law, detector.kind)
     if "radius_px" in law.inputs:
         raise _kept_inside(law, detector.kind)
+
+
+def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse three points where the pose is needed: they have up to four, and only the last picture's pose would tell which is meant."""
+    upright = robot.base == "planar"  # one of the four has the base upright on the floor
+    needed = law.depth.needs_pose or "T_camera_target" in law.inputs
+    if upright or not needed or detector.rows is None or detector.rows >= FIRST_POSE:
+        return
+    words = f"must be at least {FIRST_POSE} where the target's pose is needed, since three points have up to four poses"
+    depths = ", or law.depth goal or sensor" if _has_depth(law) and "T_camera_target" not in law.inputs else ""
+    field = "detector.best" if hasattr(detector, "best") else "detector"
+    raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
 
 
 def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:

@@ -132,7 +132,7 @@ class Scenario:
         check_metrics(self.metrics)
         check_randomise(self.randomise)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
-        check_own_points(self.camera, self.detector, self.law, self.goal_views)
+        check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         if self.detector.rows is None:  # else its own points, which the goal's picture shows

@@ -161,6 +161,13 @@ def test_the_goal_s_picture_must_have_as_many_key_points_as_tell_a_plane():
         assert seen(detector, begun_with(few, detector), GOAL_H, sigma=0.0)[1].seen.sum() >= 4
 
 
+THREE = {"detector.best": 3, "detector.least": 3}
+
+
+def test_three_points_will_do_where_no_pose_is_needed():
+    assert vs.load("camera_keypoints", THREE | {"law.depth": "goal"}).rows == 3
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -176,6 +183,11 @@ def test_the_goal_s_picture_must_have_as_many_key_points_as_tell_a_plane():
             r"law\.visibility\.margin_px: keeps points from the border or a plane, .*; works: law\.visibility\.margin_px: 0",
         ),
         ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
+        (
+            THREE,
+            r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, or law\.depth goal or sensor, got 3",
+        ),
+        (THREE | {"law": "pbvs"}, r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, got 3"),
     ],
 )
 def test_laws_and_cameras_that_need_markers_are_refused(changes: dict[str, Any], words: str):
