@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Pose, inverse, lengths
 from vstestbed.targets import Ball, Shape
 from vstestbed.targets.conic import distance_to_conic, fitted_conic
 from vstestbed.targets.figures import FIGURES, PolygonFigure
-from vstestbed.targets.polygons import centroid, covariance, signed_area
+from vstestbed.targets.polygons import centroid, covariance, evenly_along, signed_area
 from vstestbed.testing import check_target
 
 VIEW = Pose(xyz=(0.1, -0.2, 1.1), rpy_deg=(25, -30, 50)).T
@@ -79,6 +79,11 @@ def test_a_polygon_that_meets_itself_is_refused(at: list[list[float]]):
         vs.load("arm_region", {"target.figure": {"kind": "polygon", "at": at}})
 
 
+def test_points_along_a_polygon_are_evenly_apart():
+    along = evenly_along(np.array([[0.0, 0], [3, 0], [3, 1], [0, 1]]), 8)  # a rectangle of perimeter 8
+    np.testing.assert_allclose(along, [[0, 0], [1, 0], [2, 0], [3, 0], [3, 1], [2, 1], [1, 1], [0, 1]], atol=1e-12)
+
+
 def test_a_polygon_is_the_same_whichever_way_round_it_is_given():
     at = SIZES["polygon"]["at"]
     there, back = (polygon(way) for way in (at, at[::-1]))
@@ -125,6 +130,16 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
     assert np.isnan(ball.points_at(np.eye(4))).all()  # from inside
 
 
+ALIKE = "of this robot's 6 motions at the goal, since a ball looks alike from other places; use law.redundant: true"
+DISC: dict[str, Any] = {
+    "target.figure": {"kind": "disc", "radius": 0.15},
+    "law.depth": "goal",
+    "stop.converged.position_m": None,
+    "stop.converged.rotation_deg": None,
+}
+SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
+
+
 @pytest.mark.parametrize(
     ("name", "settings", "words"),
     [
@@ -134,6 +149,25 @@ def test_a_balls_rays_touch_it_and_its_size_gives_its_place():
             "law.depth: may not be pnp: the outline of a ball does not tell how it is turned, and so has no pose; use",
         ),
         ("arm_ibvs", {"law.depth": "size"}, "law.depth: may be size only with target ball"),
+        (
+            "arm_ball",
+            {"law.feature": "point", "law.redundant": False},
+            f"law.feature: point tells 3 {ALIKE}, which leaves the others open$",
+        ),
+        ("arm_ball", {"law.redundant": False}, f"law.feature: ellipse tells 3 {ALIKE}, which leaves the others alone$"),
+        ("arm_region", DISC | {"law.feature": "point"}, "point tells 3 of this robot's 6 motions at the goal, since a disc looks alike"),
+        ("arm_region", DISC | {"law.feature": "spherical"} | SLANT, "spherical tells 5 of this robot's 6 motions"),
+        (
+            "arm_ball",
+            {"stop.converged": {"position_m": 0.003, "rotation_deg": 0.3}},
+            "stop.converged.position_m: needs the target's pose, which the outline of a ball does not tell; works: error_px alone",
+        ),
+        ("arm_ball", {"stop.converged.rotation_deg": 0.3}, "stop.converged.rotation_deg: needs the target's pose"),
+        (
+            "arm_region",
+            {"law.depth": "goal"},
+            "needs the target's pose, which law.depth goal does not estimate; works: law.depth pnp, or error_px alone",
+        ),
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
         ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
         ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
@@ -163,6 +197,22 @@ def test_a_ball_leaves_motions_free_and_no_pose_is_the_goal(tmp_path: Path):
     assert "deg from the goal, where 3 motions are free (law.redundant)" in words
     free = [vs.load(name).free_motions for name in ("quadrotor_ball", "arm_avoid_limits", "arm_region")]
     assert free == [1, 2, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "free"),
+    [
+        ("arm_ball", {"law.feature": "point"}, 3),
+        ("arm_ball", {"law.feature": "polar"}, 3),
+        ("quadrotor_ball", {"law.feature": "point"}, 1),
+        ("arm_region", DISC | {"law.feature": "point", "law.redundant": True}, 3),
+        ("arm_region", DISC | SLANT | {"law.feature": "point", "law.redundant": True}, 1),
+        ("arm_region", DISC | SLANT | {"law.feature": "ellipse", "law.redundant": True}, 1),
+        ("arm_region", {"law.feature": "point", "law.redundant": True}, 0),
+    ],
+)
+def test_points_of_an_outline_tell_no_more_than_its_picture(name: str, settings: dict[str, Any], free: int):
+    assert vs.load(name, settings).free_motions == free
 
 
 @pytest.mark.study

@@ -37,7 +37,7 @@ def never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
     if scenario.detector.changing:
         words = f"detector {scenario.detector.kind} has found nothing of the goal's picture in any picture"
-        return f"{words}: the start may show too little of it, or from too far aside"
+        return f"{words}: the start may show too little of it, or from too far aside, or too few points of it are looked for"
     target, n = scenario.target, len(scenario.target.points)
     words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
     if scenario.detector.needs_sheet:

@@ -17,10 +17,15 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.laws.select import at_goal
 from vstestbed.robots import Mount, Robot
+from vstestbed.scenario.outlines import called, is_sized, motions_told, runs_along
 from vstestbed.targets import Target
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Detector
 
+BY_ESTIMATE = ("position_m", "rotation_deg")
+"""Conditions of convergence by the robot's own estimate."""
+FIRST_POSE = 4
+"""Fewest points that tell a pose by themselves."""
 ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 
@@ -43,7 +48,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
         raise _open_pose(robot, target.points, law, needs_pose)
 
 
-def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
+def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
     """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
 
     Raises:
@@ -60,12 +65,25 @@ def check_own_points(camera: Camera, detector: Detector[Any], law: Law[Any], vie
     if detector.fleeting and law.depth.estimator is not None:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    _check_first_pose(robot, detector, law)
     if not detector.changing:
         return
     if law.needs_same_markers:
         raise _same_markers_needed(law, detector.kind)
     if "radius_px" in law.inputs:
         raise _kept_inside(law, detector.kind)
+
+
+def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse three points where the pose is needed: they have up to four, and only the last picture's pose would tell which is meant."""
+    upright = robot.base == "planar"  # one of the four has the base upright on the floor
+    needed = law.depth.needs_pose or "T_camera_target" in law.inputs
+    if upright or not needed or detector.rows is None or detector.rows >= FIRST_POSE:
+        return
+    words = f"must be at least {FIRST_POSE} where the target's pose is needed, since three points have up to four poses"
+    depths = ", or law.depth goal or sensor" if _has_depth(law) and "T_camera_target" not in law.inputs else ""
+    field = "detector.best" if hasattr(detector, "best") else "detector"
+    raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
 
 
 def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:
@@ -91,8 +109,9 @@ def _kept_inside(law: Any, detector: str) -> ParameterError:
     return ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
 
 
-def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers.
+def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers, a pose that
+    an outline does not tell or the law does not take from it.
 
     Raises:
         ParameterError: it names the condition, and what would work.
@@ -101,10 +120,24 @@ def check_judged(stop: Stop, detector: Detector[Any], law: Law[Any]) -> None:
     if goal.error_grey is not None and not in_grey:
         words = f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use error_px"
         raise ParameterError("stop.converged.error_grey", words)
-    if detector.rows == 0 and (goal.error_px is not None or goal.by_estimate):
-        field = "error_px" if goal.error_px is not None else "position_m" if goal.position_m is not None else "rotation_deg"
+    field = next((name for name in ("error_px", *BY_ESTIMATE) if getattr(goal, name) is not None), None)
+    if detector.rows == 0 and field:
         words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
         raise ParameterError(f"stop.converged.{field}", words)
+    for name in BY_ESTIMATE:
+        if getattr(goal, name) is not None and (words := _untold_pose(target, law)):
+            raise ParameterError(f"stop.converged.{name}", f"needs the target's pose, {words}", getattr(goal, name))
+
+
+def _untold_pose(target: Target, law: Law[Any]) -> str:
+    """Why the pose of an outline is not estimated, and what would work; empty where it is, and for markers."""
+    if not target.outlined:  # of markers some detectors solve the pose themselves
+        return ""
+    if runs_along(target):
+        return f"which the outline of {called(target)} does not tell; works: error_px alone"
+    if law.depth.needs_pose or {"T_camera_target", "place"} & set(law.inputs):
+        return ""
+    return f"which law.depth {law.depth.kind} does not estimate; works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
 
 
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
@@ -152,13 +185,12 @@ def _check_shown(target: Target, detector: Detector[Any]) -> None:
 
 def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
     """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
-    sized = target.by_size(np.zeros((len(target.points), 3))) is not None
+    sized = is_sized(target)
     if law.depth.needs_size and not sized:
         raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
-    if not target.outlined or len(target.places) or not (law.depth.needs_pose or needs_pose):
+    if not runs_along(target) or not (law.depth.needs_pose or needs_pose):
         return
-    what = "a ball" if sized else "a disc"
-    words = f"may not be {law.depth.kind}: the outline of {what} does not tell how it is turned, and so has no pose"
+    words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
     raise ParameterError(
         "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
     )
@@ -180,30 +212,40 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
 
 
-def check_determined(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> None:
-    """Refuse a feature of all markers together that tells fewer motions than the robot has, where the law does not leave motions open.
+def check_determined(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> None:
+    """Refuse a feature that tells fewer motions than the robot has, where the law does not leave motions open.
+
+    Features of all markers together may, and all features of an outline that looks alike from other places.
 
     Raises:
         ParameterError: it names the feature, and what would work.
     """
-    for servo, told, all_motions in _told(robot, camera, law, goal):
-        if told < all_motions and not (servo.feature.rows_per_marker or servo.redundant):
-            words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
-            more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") else ""
-            raise ParameterError("law.feature", f"{words}; use law.redundant: true, which leaves the others alone{more}")
+    for servo, own, seen, all_motions in _told(robot, camera, target, law, goal):
+        told, alike, each = min(own, seen), seen < all_motions, servo.feature.rows_per_marker
+        if servo.redundant or told == all_motions or (each and not alike):
+            continue
+        words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
+        words += f", since {called(target)} looks alike from other places" if alike else ""
+        words += f"; use law.redundant: true, which leaves the others {'open' if each else 'alone'}"
+        more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") and own < seen else ""
+        raise ParameterError("law.feature", words + more)
 
 
-def free_motions(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> int:
+def free_motions(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> int:
     """How many of the robot's motions a law with `redundant` leaves free at a goal view, where its pose is not determined; 0 for none."""
-    return max((motions - told for servo, told, motions in _told(robot, camera, law, goal) if servo.redundant), default=0)
+    told = _told(robot, camera, target, law, goal)
+    return max((motions - min(own, seen) for servo, own, seen, motions in told if servo.redundant), default=0)
 
 
-def _told(robot: Robot, camera: Camera, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int]]:
-    """Each law with a feature that may leave motions open, how many motions it tells at a goal view, and how many the robot has."""
+def _told(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int, int]]:
+    """Each law with a feature that may leave motions open, how many motions of the robot's its interaction matrix tells at a goal view, how
+    many the target's picture does, and how many the robot has.
+    """
     basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    seen = motions_told(target, goal.T_camera_target, basis)
     views = ((servo, at_goal(servo.feature, goal)) for servo in _image_based(law))
     return [
-        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), basis.shape[1])
+        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), seen, basis.shape[1])
         for servo, inputs in views
         if inputs is not None
     ]

@@ -128,15 +128,15 @@ class Scenario:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
         check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
-        check_judged(self.stop, self.detector, self.law)
+        check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
         check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
-        check_own_points(self.camera, self.detector, self.law, self.goal_views)
+        check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         if self.detector.rows is None:  # else its own points, which the goal's picture shows
-            check_determined(self.robot, self.camera, self.law, self.goal_view)
+            check_determined(self.robot, self.camera, self.target, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
@@ -178,7 +178,9 @@ class Scenario:
     @cached_property
     def free_motions(self) -> int:
         """How many motions `law.redundant` leaves free at the goal, whose pose is then not determined; 0 for none."""
-        return free_motions(self.robot, self.camera, self.law, self.goal_view) if self.detector.rows is None else 0
+        if self.detector.rows is not None:
+            return 0
+        return free_motions(self.robot, self.camera, self.target, self.law, self.goal_view)
 
     @property
     def rows(self) -> int:

@@ -35,6 +35,14 @@ def covariance(xy: Array) -> Array:
     return (2 * total + mixed + mixed.T) / (12 * cross.sum())
 
 
+def evenly_along(xy: Array, count: int) -> Array:
+    """Points (count, 2) along the sides of a polygon (E, 2), evenly by length, from its first corner on."""
+    closed = np.concatenate([xy, xy[:1]])
+    reached = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    at = np.arange(count) / count * reached[-1]
+    return np.column_stack([np.interp(at, reached, closed[:, k]) for k in (0, 1)])
+
+
 def crossing(xy: Array) -> tuple[int, int] | None:
     """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do; None where there are none.
 

@@ -22,7 +22,8 @@ from vstestbed.laws.following import Followed, change_of_markers
 from vstestbed.laws.solve import PSEUDO_INVERSE
 from vstestbed.loop.unseen import detail
 from vstestbed.vision import Keypoints
-from vstestbed.vision.match.features import Orb
+from vstestbed.vision.detect import keypoints
+from vstestbed.vision.match.features import Orb, extracted
 from vstestbed.vision.match.flow import Klt
 from vstestbed.vision.match.slots import Slots
 from vstestbed.vision.pose.flow_depth import FlowMemory
@@ -44,6 +45,13 @@ def seen(detector: Keypoints, memory: Any, H: Array, sigma: float = 2.0) -> Any:
 
 def begun(detector: Keypoints) -> Any:
     return detector.begin(the_goal(), CAMERA, TARGET)
+
+
+def begun_with(few: int, detector: Keypoints) -> Any:
+    """`begun` where the goal's picture has few key points."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(keypoints, "extracted", lambda *given: tuple(part[:few] for part in extracted(*given)))
+        return begun(detector)
 
 
 ROLLED = homography_of((0.06, -0.05, -0.7), (5, 8, 40))
@@ -102,6 +110,8 @@ def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_re
         r"^ \(detector keypoints: \d+ points match the goal's picture, of which \d+ agree with one plane; of those tried the patches of 0 "
     )
     assert re.search(words, sentence)
+    sentence = detail(vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), False)
+    assert sentence.endswith("too little of it, or from too far aside, or too few points of it are looked for)")
     noise = np.random.default_rng(1).integers(0, 255, (240, 320, 3), np.uint8)
     detection = detector.detect(begun(detector), Picture(0.0, (noise,)), None, CAMERA, TARGET, RNG)[1]
     assert re.search(r"\d+ points match the goal's picture, of which 0 agree with one plane: the target may have too little", detection.why)
@@ -121,7 +131,7 @@ def test_only_the_board_s_points_count_where_that_is_asked_for():
 def test_what_cannot_work_is_refused_with_a_sentence():
     flat = replace(the_goal(), image=Sight(np.full((240, 320, 3), 90, np.uint8)))
     with pytest.raises(ParameterError, match="must find least = 4 key points or more in the goal's picture: sift finds 0; use a target"):
-        Keypoints().begin(flat, CAMERA, TARGET)
+        Keypoints(ransac="none").begin(flat, CAMERA, TARGET)
     edge_on = replace(the_goal(), T_camera_target=np.array([[0.0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, 0.6], [0, 0, 0, 1]]))
     with pytest.raises(ParameterError, match=r"orb finds \d\d+, of which 0 have a depth there; use a goal that shows more"):
         Keypoints(features=Orb()).begin(edge_on, CAMERA, TARGET)
@@ -140,6 +150,24 @@ def test_what_cannot_work_is_refused_with_a_sentence():
         Keypoints().detect(begun(Keypoints()), None, None, CAMERA, TARGET, RNG)
 
 
+def test_the_goal_s_picture_must_have_as_many_key_points_as_tell_a_plane():
+    orb, words = Orb(most=400), "must find {} in the goal's picture: orb finds {}; use a target with more texture"
+    plane = words.format("8 key points or more, as many as tell a plane,", 6) + ", or ransac: none$"
+    with pytest.raises(ParameterError, match=plane):
+        begun_with(6, Keypoints(features=orb))
+    with pytest.raises(ParameterError, match=words.format("least = 9 key points or more", 8) + "$"):
+        begun_with(8, Keypoints(features=orb, least=9))
+    for few, detector in [(8, Keypoints(features=orb)), (6, Keypoints(features=orb, ransac="none", subpixel=False))]:
+        assert seen(detector, begun_with(few, detector), GOAL_H, sigma=0.0)[1].seen.sum() >= 4
+
+
+THREE = {"detector.best": 3, "detector.least": 3}
+
+
+def test_three_points_will_do_where_no_pose_is_needed():
+    assert vs.load("camera_keypoints", THREE | {"law.depth": "goal"}).rows == 3
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -155,6 +183,11 @@ def test_what_cannot_work_is_refused_with_a_sentence():
             r"law\.visibility\.margin_px: keeps points from the border or a plane, .*; works: law\.visibility\.margin_px: 0",
         ),
         ({"camera": {"kind": "spherical"}}, "with a camera that sees all round"),
+        (
+            THREE,
+            r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, or law\.depth goal or sensor, got 3",
+        ),
+        (THREE | {"law": "pbvs"}, r"detector\.best: must be at least 4 where the target's pose is needed, .*; works: 4, got 3"),
     ],
 )
 def test_laws_and_cameras_that_need_markers_are_refused(changes: dict[str, Any], words: str):

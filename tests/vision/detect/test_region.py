@@ -19,7 +19,7 @@ from vstestbed.targets import Ball, Shape, Square, Target
 from vstestbed.targets.figures import FIGURES
 from vstestbed.targets.polygons import centroid, signed_area
 from vstestbed.vision import Detection, RegionDetector
-from vstestbed.vision.detect.edges import edge_points
+from vstestbed.vision.detect.edges import bare_share, edge_points
 
 CAMERA = Perspective(width=320, height=240, fovy_deg=60, multisampling=4)
 RNG = np.random.default_rng(0)
@@ -121,6 +121,31 @@ def test_a_window_is_enough_and_gives_the_same():
 def test_a_region_that_is_partly_hidden_is_lost(hidden: tuple[int, int, int, int]):
     for target in (shape(), Ball(pose=Pose(), radius=0.2)):
         assert not found(target, painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden))[1].seen.any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "T", "hidden"),
+    [
+        ("whale", FACING, (79, 104, 221, 161)),  # its border lay on an outline that was 3388 px off
+        ("whale", TURNED, (131, 25, 184, 165)),  # 320 px
+        ("l_shape", FACING, (121, 132, 206, 172)),  # 72152 px
+        ("l_shape", FACING, (145, 51, 206, 172)),  # the best homography folds the picture onto a line
+    ],
+)
+def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline(kind: str, T: Array, hidden: tuple[int, int, int, int]):
+    target = shape(kind)
+    assert found(target, painted(border_of(target, T)))[1].seen.all()
+    assert not found(target, painted(border_of(target, T), hidden=hidden))[1].seen.any()
+
+
+def test_an_outline_is_bare_where_no_border_of_the_region_is_near():
+    region = np.zeros((20, 40), np.uint8)
+    region[5:15, 10:30] = 255
+    sides = np.array([[10.0, 9], [29, 9], [20, 5], [20, 14]])
+    for reach, off, share in [(2.5, 2.4, 0.0), (2.5, 9.0, 0.5), (2.5, 1000.0, 0.5), (2.5, np.nan, 0.5)]:
+        moved = sides + [[-off, 0], [0, 0], [0, -off], [0, 0]]
+        assert bare_share(moved, region, reach) == share, off
+    assert bare_share(np.array([[20.0, 9]]), region, 2.5) == 1  # within the region, but not at its border
 
 
 def test_a_region_that_reaches_the_pictures_border_is_lost():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from cv2.typing import MatLike
@@ -60,6 +62,25 @@ def edge_points(cover: NDArray[np.floating]) -> Array:
     along_rows = _crossings(c, du >= dv)
     along_columns = _crossings(np.ascontiguousarray(c.T), np.ascontiguousarray((dv > du).T))
     return np.concatenate([along_rows, along_columns[:, ::-1]]) - REACH
+
+
+def bare_share(uv: Array, alone: NDArray[np.uint8], reach_px: float) -> float:
+    """Share of points uv (S, 2) [px] that no pixel at a region's border is within `reach_px` of; NaN counts as such a point.
+
+    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`), also at corners and under blur.
+
+    Args:
+        uv: in coordinates of `alone`. alone: 255 in the region's pixels, shape (H, W).
+    """
+    pad = math.ceil(reach_px) + 1  # beyond it nothing is within reach
+    region = cv2.copyMakeBorder(alone, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+    inner = cv2.erode(region, NEIGHBOURS)
+    away = cv2.distanceTransform(cv2.bitwise_not(region - inner), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    height, width = away.shape
+    with np.errstate(invalid="ignore"):
+        at = np.rint(uv + pad)
+        u, v = at[((at >= 0) & (at < [width, height])).all(axis=1)].astype(int).T
+    return 1 - np.count_nonzero(away[v, u] <= reach_px) / len(uv)
 
 
 def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:

@@ -21,6 +21,7 @@ from vstestbed.vision.goal_points import goal_of_points, points_of
 from vstestbed.vision.match.features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched
 from vstestbed.vision.match.flow import Klt, NoTracking, Tracking, followed
 from vstestbed.vision.match.mutual import mutual_matches
+from vstestbed.vision.match.pairs import Pairs, among, those
 from vstestbed.vision.match.patches import refined, smooth, whole
 from vstestbed.vision.match.planar_map import LEAST_INLIERS, PlanarMap, planar_map, spread_out
 from vstestbed.vision.match.slots import Slots
@@ -30,8 +31,6 @@ SPARE, FURTHER, LEAST_TRIED = 1.5, 4, 16
 multiple of the first ones; and the fewest at first, since a plane needs eight that agree."""
 SLIPPED_PX = 0.25
 """A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
-Pairs = tuple[Array, Array]
-"""Places (M, 2) in the goal's picture and in this one [px]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,8 @@ class Keypoints(DetectorBase):
     Args:
         features: what finds, describes and matches key points: `sift`, `orb`, `akaze`, or a plugin's.
         best: most points that are reported, the number of rows [1].
-        least: fewest points that are reported; with fewer nothing is seen [1].
+        least: fewest points that are reported; with fewer nothing is seen [1]. With `ransac: homography` eight must agree with one plane
+            besides, of which `best` are reported.
         choose: which of the matched points: the `distance` of whose descriptors is least, or those that are `spread` over the picture.
         ratio: a match counts only if its distance is under this share of the distance to the second nearest [1]; none: all
             mutual matches count; e.g. `0.8`.
@@ -132,8 +132,8 @@ class Keypoints(DetectorBase):
         """The goal picture's key points.
 
         Raises:
-            ParameterError: there is no picture of the goal, or it has fewer than `least` key points, or fewer where they are looked for;
-                or the target has no board.
+            ParameterError: there is no picture of the goal, or it has fewer key points than can ever match, or fewer where they are
+                looked for; or the target has no board.
         """
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
@@ -142,20 +142,27 @@ class Keypoints(DetectorBase):
         learned = self._learned(goal, target) if self._extractor else None
         return KeypointsMemory(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
+    @property
+    def _matching(self) -> int:
+        """Fewest key points of the goal's picture that must match: `least`, and as many as tell a plane where one is asked for."""
+        return max(self.least, LEAST_INLIERS) if self.ransac == "homography" else self.least
+
     def _learned(self, goal: Goal, target: Target) -> tuple[Array, NDArray[Any]]:
         assert goal.image is not None
         assert self._extractor is not None
         uv, descriptors = extracted(self._extractor, goal.image.image)
         there = self._usable(goal, target, uv)
-        if np.count_nonzero(there) < self.least:
+        if np.count_nonzero(there) < self._matching:
             raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
         return uv[there], descriptors[there]
 
     def _too_few(self, found: int, usable: int) -> str:
         """What is wrong with the goal's picture, in which so many key points are found and so many of them are usable."""
-        words = f"must find least = {self.least} key points or more in the goal's picture: {self.features.kind} finds {found}"
-        if found < self.least:
-            return f"{words}; use a target with more texture"
+        plane = self._matching > self.least
+        wanted = f"{self._matching} key points or more, as many as tell a plane," if plane else f"least = {self.least} key points or more"
+        words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
+        if found < self._matching:
+            return f"{words}; use a target with more texture{', or ransac: none' if plane and found >= self.least else ''}"
         if self.within == "board":
             return f"{words}, of which {usable} lie on the target's board; use a goal that shows it larger, or within: picture"
         return f"{words}, of which {usable} have a depth there; use a goal that shows more of the target's plane, or a depth camera"
@@ -256,15 +263,15 @@ class Keypoints(DetectorBase):
         """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
-            new = ~_among(pairs[0], kept[0])
+            new = ~among(pairs[0], kept[0])
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
         found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
         if self.ransac == "homography":
-            pairs, first = _those(pairs, np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1], first)
+            pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1], first)
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
-        return self._measured(memory, *_those(pairs, whole(dim, *pairs, found[0].derivatives(pairs[0])), first), dim, found[0]), agreeing
+        return self._measured(memory, *those(pairs, whole(dim, *pairs, found[0].derivatives(pairs[0])), first), dim, found[0]), agreeing
 
     def _measured(self, memory: KeypointsMemory, pairs: Pairs, first: int, dim: Image, plane: PlanarMap) -> Pairs:
         """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
@@ -288,13 +295,3 @@ class Keypoints(DetectorBase):
         found = refined(memory.smooth, smooth(dim), uv_goal, uv, plane.derivatives(uv_goal))
         better = planar_map(plane.camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
         return found if better is None else np.where(better[1][:, None], found, np.nan)
-
-
-def _among(uv: Array, others: Array) -> NDArray[np.bool_]:
-    """Which of the points uv (M, 2) are among others (N, 2)."""
-    return np.asarray((uv[:, None] == others).all(axis=2).any(axis=1))
-
-
-def _those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, int]:
-    """The pairs for which `which` (M,) holds, and how many of the first ones are among them."""
-    return (pairs[0][which], pairs[1][which]), int(np.count_nonzero(which[:first]))

@@ -11,9 +11,12 @@ from vstestbed.camera import Panel
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal
 from vstestbed.targets import Target
-from vstestbed.targets.polygons import centroid, covariance
+from vstestbed.targets.polygons import centroid, covariance, evenly_along
 from vstestbed.targets.regions import LEAST_AHEAD
 from vstestbed.vision.detect.polygon_fit import fit_polygon, roundness
+
+CLOSE = 200
+"""Points of a polygon's outline by which it is compared with the border in the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,10 @@ class Border:
         """Unit rays (K, 3) in the camera's frame of pixels (K, 2) of the panel."""
         return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
 
+    def project(self, p: Array) -> Array:
+        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens does not see one."""
+        return self.panel.lens.project(p @ self.panel.R_camera_panel)
+
 
 @dataclass(frozen=True, slots=True)
 class OutlineFit:
@@ -46,11 +53,13 @@ class OutlineFit:
     Attributes:
         p: its points as directions in the camera's frame, shape (M, 3), in the target's order.
         off_px: distance of each point of the border from it, shape (K,) [px].
+        close: directions along it (S, 3), evenly: of a polygon closer together than its points, of what is round the points.
         turn: how the target is turned in the picture (`PolygonFit.turn`) [rad]; 0 for what is round.
     """
 
     p: Array
     off_px: Array
+    close: Array
     turn: float = 0.0
 
 
@@ -67,7 +76,7 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         return _polygon(border, rays, target, target.figure_corners, turn, expected)
     # A round region of pixels with standard deviation s has the radius 2 s.
     found = target.round_outline(rays)
-    return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px)
+    return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px, found.p)
 
 
 def turn_at(goal: Goal, target: Target) -> float:
@@ -91,9 +100,13 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
     if found is None:
         return None
-    p = np.column_stack([target.points[:, :2], np.ones(len(target.points))]) @ found.H.T
-    p = p * np.sign(p[:, 2:])  # before the camera
-    return OutlineFit(p, found.off * border.size_px, found.turn)
+    p, close = (_before(np.column_stack([xy, np.ones(len(xy))]) @ found.H.T) for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
+    return OutlineFit(p, found.off * border.size_px, close, found.turn)
+
+
+def _before(p: Array) -> Array:
+    """Directions (K, 3), each turned to lie before the camera."""
+    return p * np.sign(p[:, 2:])
 
 
 def _linearised(border: Border) -> tuple[Array, Array]:

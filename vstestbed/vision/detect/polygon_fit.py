@@ -24,6 +24,8 @@ OUTLIER = 4.0
 """Points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight."""
 FAINT = 2e-3
 """Share of the region's size under which no distance is unusual."""
+FLAT = 1e3
+"""Condition of a homography between both round figures over which it has folded the picture onto a line; of a region it is under ten."""
 PREFERRED = 1.02
 """Of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken."""
 
@@ -120,6 +122,8 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
         G = G + np.append(step, 0.0).reshape(3, 3)
         if np.abs(step).max() < SETTLED:
             break
+    if not np.linalg.cond(G) < FLAT:
+        return None
     return G, off, math.atan2(G[0, 1] - G[1, 0], G[0, 0] + G[1, 1])
 
 

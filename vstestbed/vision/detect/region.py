@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Look, Picture, Window
 from vstestbed.core.errors import ParameterError
@@ -20,7 +21,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.detect.colour_blobs import Region, chroma_mask, noise_level
-from vstestbed.vision.detect.edges import coverage, edge_points
+from vstestbed.vision.detect.edges import bare_share, coverage, edge_points
 from vstestbed.vision.detect.outline_fit import Border, OutlineFit, fit_outline, turn_at
 from vstestbed.vision.detect.windows import Move, windows_round
 
@@ -32,6 +33,9 @@ MOST_TRIED = 3
 """Regions of the target's hue that are tried, the largest first."""
 NOISE_PX = 0.05
 """Added to the tolerance by noise [px per grey level of its standard deviation]."""
+PIXEL_PX = 1.0
+"""Added to the tolerance where the outline is compared with whole pixels [px]: outlines that were right, sharp, blurred over up to 8 px or
+under noise, then had under 0.015 of their length farther from the region's pixels."""
 BESIDE_PX = 3
 """A region is measured so far beyond its box [px], which may touch the window in which it was searched."""
 
@@ -77,14 +81,17 @@ class RegionDetector(DetectorBase):
     the rows: with 4 samples the points of a shape 200 px long are exact to some hundredths of a pixel.
 
     Lost: a region that reaches the image's border, since the moments of a part are not those of the region, or of which another thing
-    hides a part: more than `hidden_share` of its border is farther than `tolerance_px` from the fitted outline.
+    hides a part: more than `hidden_share` of its border is farther than `tolerance_px` from the fitted outline, or of the outline from
+    its border. By the second, a remnant is no region that lies along one side of an outline many times its size. A part with the outline
+    of the whole as seen from elsewhere, such as half of a square, is not told from it.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to the region [grey levels]; scenes keep everything else below it.
         hue_tolerance_deg: largest difference to the target's hue.
         least_area_px: least area of the region [px^2].
         tolerance_px: largest distance of the border from the fitted outline [px].
-        hidden_share: share of the border that may be farther away, above which the region counts as partly hidden [1].
+        hidden_share: share of the border, and of the fitted outline, that may be farther from the other, above which the region counts as
+            partly hidden [1].
         window_margin_px: margin of the window around the predicted region, besides half of its last move [px].
 
     Reference: coverage as the mean over a pixel: Corke 2017, Robotics, Vision & Control, section 13.1 (regions, moments).
@@ -201,15 +208,25 @@ class RegionDetector(DetectorBase):
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
         border = Border(edge, middle, spread, camera.panels[panel])
-        tolerance = self.tolerance_px + NOISE_PX * region.noise
-        turn = None if memory.box is None else memory.turn
-        fit = fit_outline(border, target, turn, memory.expected)
-        if fit is not None and turn is not None and not self._fits(fit, tolerance):
-            fit = fit_outline(border, target, None, memory.expected)
-        return Found(box, middle, fit) if fit is not None and self._fits(fit, tolerance) else None
+        fit = self._fitting(border, found, (left, top), self.tolerance_px + NOISE_PX * region.noise, memory, target)
+        return None if fit is None else Found(box, middle, fit)
 
-    def _fits(self, fit: OutlineFit, tolerance: float) -> bool:
-        return float(np.mean(fit.off_px > tolerance)) <= self.hidden_share
+    def _fitting(
+        self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, memory: RegionMemory, target: Target
+    ) -> OutlineFit | None:
+        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
+
+        Args:
+            found: 255 in the region's pixels, of a part of the image whose first pixel is `corner`.
+        """
+        for turn in [None] if memory.box is None else [memory.turn, None]:
+            fit = fit_outline(border, target, turn, memory.expected)
+            if fit is None:
+                continue
+            bare = bare_share(border.project(fit.close) - corner, found, tolerance + PIXEL_PX)
+            if float(np.mean(fit.off_px > tolerance)) <= self.hidden_share and bare <= self.hidden_share:
+                return fit
+        return None
 
 
 def _inside(box: Window, window: Window, lens: Camera) -> bool:
