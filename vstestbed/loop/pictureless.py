@@ -19,22 +19,26 @@ def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     # With `blurs` the exposure is also a time, half of which each picture is older.
     yield from (f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None)
     noise, light = scenario.noise, scenario.world.light
-    if noise.image_sigma > 0:
-        yield "noise.image_sigma"
-    if noise.drift != Noise().drift:
-        yield "noise.drift"
-    yield from (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == ("picture",))
-    if not noise.target.none:
-        yield "noise.target"
-    if light is not None and light.flicker.depth > 0:
-        yield "world.light.flicker"
+    told = {
+        "noise.image_sigma": noise.image_sigma > 0,
+        "noise.drift": noise.drift != Noise().drift,
+        "noise.target": not noise.target.none,
+        "world.light.flicker": light is not None and light.flicker.depth > 0,
+    }
+    yield from (name for name, acts in told.items() if acts)
+    yield from _perturbing(noise, "picture")
 
 
 def effects_on_points(scenario: Scenario) -> Iterator[str]:
     """The dotted paths of what a scenario does to measured points alone."""
     noise = scenario.noise
     yield from (f"noise.{name}" for name in ("pixel_sigma_px", "dropout") if getattr(noise, name) > 0)
-    yield from (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == ("pixels",))
+    yield from _perturbing(noise, "pixels")
+
+
+def _perturbing(noise: Noise, what: str) -> Iterator[str]:
+    """The kinds of `noise.perturb` that change this alone."""
+    return (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == (what,))
 
 
 def warn_without_effect(scenario: Scenario) -> None:
