@@ -58,6 +58,16 @@ def test_an_interrupted_part_is_kept_and_gone_on_with(rows):
     assert code == 0 and found[0] in more and sorted(row["seed"] for row in more) == [0, 1, 2]
 
 
+def test_rows_kept_before_have_the_labels_of_the_plan(rows, tmp_path: Path):
+    rows(Here(), "--starts", "1")
+    (file,) = (tmp_path / "kept").glob("*.json")
+    kept_before = json.loads(file.read_text())
+    kept_before["result"]["columns"]["amount"] = ["9", "9"]
+    file.write_text(json.dumps(kept_before))
+    _, found = rows(Here(), "--starts", "2")
+    assert len(found) == 4 and all(row["amount"] == str(row["seed"]) for row in found)
+
+
 @pytest.mark.parametrize("word", ["1.0", "law.gain=2", "gain=1.0"])
 def test_a_part_that_no_run_is_of_is_refused(rows, word: str, capsys: pytest.CaptureFixture[str]):
     rows(Here(), "--starts", "1")

@@ -13,6 +13,7 @@ from tests.scenario.schemas import whole_schema
 from vstestbed.cli.describe import describe_entry, describe_field
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.registry import Room
 from vstestbed.experiments.comparison import Comparison
 from vstestbed.scenario.catalogue import Entry, catalogue
 from vstestbed.scenario.field_paths import FieldPlace, looked_up
@@ -52,6 +53,29 @@ def test_a_law(command) -> None:
     assert "gain 0.5 1/s lambda. See gain." in lines
     assert any(line.startswith("Used in: arm_pbvs, ") for line in lines)
     assert lines[-1] == "law: {kind: pbvs, gain: 0.5, translation: cdMc}"
+
+
+def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:
+    lines = shown("feature.ellipse", 100).splitlines()
+    rows = [i for i, line in enumerate(lines) if line.startswith(("xg, yg   ", "n20, n11, n02  ", "xn, yn, an   "))]
+    assert len(rows) == 3 and all(line.startswith("  ") for line in lines[rows[1] + 1 : rows[2]])
+    assert not any("  " in line.strip() for line in lines[rows[1] + 1 : rows[2]])  # a source's indentation is not in the middle of a line
+    lines = shown("detector.keypoints").splitlines()
+    assert sum(line.startswith("- ") for line in lines) == 4 and not any(" - With" in line for line in lines)
+    assert "  nearest." in shown("detector.keypoints", 100).splitlines()
+
+
+@pytest.mark.parametrize("room", [entry.room for entry in ENTRIES.values() if entry.cls is None], ids=lambda room: room.what)
+def test_a_table_of_kinds_has_whole_sentences(room: Room) -> None:
+    assert [cls for cls in room.members.values() if not class_text(cls).summary.endswith(".")] == []
+
+
+def test_kinds_of_one_model_are_shown_with_it(command) -> None:
+    """What all depth cameras do to the true depth, and what all streams do to a picture; a kind says where that is."""
+    text = " ".join(command("describe", "camera.depth_sensor").out.split())
+    assert "comes the measured one: 1. At an edge" in text and "is rounded to a multiple of `quantum_px`. 4. There are holes" in text
+    assert "4:2:0" in shown("stream") and "vstestbed describe stream has what all kinds have in common." in shown("stream.jpeg")
+    assert "in common" not in shown("law.pbvs") + shown("law")  # what a base says to those who write a law
 
 
 def test_a_block_that_no_bundled_file_has_still_has_an_example() -> None:

@@ -66,7 +66,7 @@ def _go_on(asked: argparse.Namespace) -> None:
             finally:
                 rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
                 kept |= {_key(row): row for row in map(steady, rows)}
-                if known := [kept[key] for key in map(_key_of, whole.jobs) if key in kept]:
+                if known := [_labelled(kept[key], job) for job in whole.jobs if (key := _key_of(job)) in kept]:
                     FOLDER.mkdir(exist_ok=True)
                     write_whole(place_of(command), _text(command, _columns(known)))
 
@@ -112,6 +112,11 @@ def _kept(command: str) -> list[Row]:
 def _key(row: Row) -> str:
     """What tells a run from the others: scenario, varied values and start."""
     return json.dumps({name: value for name, value in row.items() if name in _named(row)}, sort_keys=True)
+
+
+def _labelled(row: Row, job: Job) -> Row:
+    """The row with the label that the plan gives its start now: rows kept before may have another."""
+    return {**row, AMOUNT: job.controller.amounts[job.seed]} if AMOUNT in row and job.seed is not None else row
 
 
 def _named(row: Row) -> list[str]:

@@ -165,7 +165,9 @@ class Stereo(DepthSensor):
 
 @spec
 class StructuredLight(DepthSensor):
-    """A camera and a projector of a pattern (the first Kinect). With Z and sigma in metres and theta in radians
+    """A camera and a projector of a pattern (the first Kinect).
+
+    With Z and sigma in metres and theta in radians
 
     sigma = 0.0012 + 0.0019 (Z - 0.4)^2 + 0.0001 theta^2 / (sqrt(Z) (pi/2 - theta)^2),
 
@@ -197,7 +199,9 @@ class StructuredLight(DepthSensor):
 
 @spec
 class TimeOfFlight(DepthSensor):
-    """The phase of modulated light (the second Kinect), from one point of view. With Z in metres, theta in radians and sigma in millimetres
+    """The phase of modulated light (the second Kinect), from one point of view.
+
+    With Z in metres, theta in radians and sigma in millimetres
 
     sigma = 1.5 - 0.5 Z + 0.3 Z^2 + 0.1 Z^(3/2) theta^2 / (pi/2 - theta)^2.
 

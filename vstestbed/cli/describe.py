@@ -26,8 +26,8 @@ from vstestbed.scenario.field_paths import FieldPlace
 
 SET_LINE = 100
 """A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""
-_ITEM = re.compile(r"\S+  ")
-"""The first word of a line in a list, after which the rest of it is set off."""
+_ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
+"""The beginning of an item of a list, or of a row of definitions, whose few first words are set off: `xn, yn, an     xg/sqrt(a)`."""
 
 
 def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:
@@ -37,14 +37,27 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
         assert entry.room is not None  # an entry has a class, or is a room
         _kinds(entry, entry.room, console)
         return
-    words = class_text(entry.cls)
+    _text(entry.cls, console)
+    console.print()
+    console.print(_fields(entry.cls, _names(entries)))
+    if entry.room is not None and _common(entry.room) is not None:
+        console.print()
+        _wrapped(f"vstestbed describe {entry.room.what} has what all kinds have in common.", console)
+    _use(entry, console)
+
+
+def _text(cls: type, console: Console) -> None:
+    """The docstring of a class up to its fields, and its sources."""
+    words = class_text(cls)
     for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
         console.print()
         for line in _lines(paragraph):
             _wrapped(line, console)
-    console.print()
-    console.print(_fields(entry.cls, _names(entries)))
-    _use(entry, console)
+
+
+def _common(room: Room) -> type | None:
+    """The block from which all kinds come, if it says more than what it is; None else."""
+    return room.base if room.base is not None and class_text(room.base).text else None
 
 
 def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Console) -> None:
@@ -92,6 +105,8 @@ def _kinds(entry: Entry, room: Room, console: Console) -> None:
     for kind, cls in room.members.items():
         table.add_row(Text(kind, style="cyan"), Text(class_text(cls).summary))
     console.print(table)
+    if (common := _common(room)) is not None:
+        _text(common, console)
     console.print()
     field = entry.field.removesuffix("[]")
     place = "" if field == room.what else f" In a scenario the field is called {field}."
@@ -105,7 +120,7 @@ def _lines(paragraph: str) -> Iterator[str]:
         if whole and _ITEM.match(line):
             yield whole
             whole = ""
-        whole = f"{whole} {line}" if whole else line
+        whole = f"{whole} {line.strip()}" if whole else line
         if len(line) < SET_LINE:
             yield whole
             whole = ""
@@ -114,7 +129,8 @@ def _lines(paragraph: str) -> Iterator[str]:
 
 
 def _wrapped(line: str, console: Console) -> None:
-    indent = "  " if "  " in line or line.startswith(("Source:", "Used in:")) else ""
+    number = re.match(r"- |\d+\. ", line)
+    indent = " " * len(number[0]) if number else "  " if "  " in line or line.startswith(("Source:", "Used in:")) else ""
     for part in textwrap.wrap(line, console.width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False):
         console.print(Text(part), soft_wrap=True)
 

@@ -31,6 +31,12 @@ class Room:
         self.members: dict[str, type] = {}
         ROOMS.append(self)
 
+    @property
+    def base(self) -> type | None:
+        """The spec class from which all kinds come, and which is none of them; None where there is none."""
+        kinds = self.members.values()
+        return next((cls for cls in SPECS if kinds and cls not in kinds and all(issubclass(kind, cls) for kind in kinds)), None)
+
     def implied(self, block: Mapping[str, Any]) -> str | None:
         """The kind of a block without `kind`, by one of its fields; None where none tells it."""
         return next((kind for field, kind in self.fields.items() if field in block), None)

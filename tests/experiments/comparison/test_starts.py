@@ -148,6 +148,13 @@ class TestFile:
         with pytest.raises(ScenarioError, match=words):
             self.written(tmp_path, lists)
 
+    def test_a_start_has_one_number(self, tmp_path: Path):
+        """In its folder, in the table's `seed`, and as the label by which a report names it, unless there are amounts."""
+        found = self.written(tmp_path, '{"camera_from_goal": [{"xyz": [0, 0, -1]}, {"xyz": [0, 0, -2]}]}')
+        for job in jobs(controllers(found), None):
+            assert job.seed is not None
+            assert job.controller.amounts[job.seed] == str(job.seed) == Path(job.folder).name
+
     def test_some_of_the_bundled_starts(self):
         """`--limit 20`: from the middle of equal parts, under the numbers that the runs have among all."""
         table = StartTable(file=str(bundled_comparisons()["canonical"].with_name("vitvs_starts.json")))
@@ -188,7 +195,9 @@ class TestFolder:
     def test_other_metrics_have_a_table_of_median_and_largest(self, folder: Path):
         whole = (folder / "tasks.md").read_text()
         labels = ("Largest retreat [m]", "Largest rotation [deg]")
-        retreat, rotation = (whole.split(f"{label}: median, largest\n\n")[1].split("\n\n")[0] for label in labels)
+        retreat, rotation = (
+            whole.split(f"{label}: median and largest of the runs that reached the goal\n\n")[1].split("\n\n")[0] for label in labels
+        )
         assert "Time to converge [s]" not in whole
         # Of the points' turns only that of 45 degrees arrives: a retreat of 1 / cos(22.5 deg) - 1 = .082 m, in steps of a tenth 1 cm more.
         median, largest = retreat.splitlines()[2].split("|")[2].split(",")

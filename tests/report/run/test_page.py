@@ -186,6 +186,12 @@ def test_failure_is_told_and_coloured_as_such() -> None:
     assert "Target lost Gone. Task error by measured pixels: 0.123 px, limit 0.200 px. Time to converge –" in checked(text).text
 
 
+def test_a_law_that_measures_no_markers_has_its_error_in_grey_levels() -> None:
+    judged = {"judged_error": 0.39, "judged_unit": "grey levels", "judged_by": "grey levels"}
+    text = checked(render_page(log(10), summary(final_error_px=None, **judged), SCENARIO, {})).text
+    assert "Measured image error 0.390 grey levels" in text
+
+
 def test_text_is_escaped() -> None:
     nasty = summary(scenario="<script>alert(1)</script>", reason='a < b & "c"', versions={"<i>": "<u>"})
     reader = checked(render_page(log(10), nasty, SCENARIO, {}, Setting(description="<img src=x>", changed=("law=<img src=x>",))))

@@ -36,7 +36,8 @@ class StartTable:
         seeds: in place of these lists: number of random starts.
         file: in place of these lists: a JSON file, relative to the comparison's, with one or more of `each`, `camera_from_goal` and
             `target_from_goal` as they are written here; e.g. `my_starts.json`.
-        amounts: label of each run [unit as in `unit`]: 20 (deg), 40, ...; by default 1, 2, ..., for random starts the seed.
+        amounts: label of each run [unit as in `unit`]: 20 (deg), 40, ...; by default its number from 0, as in `seed` and in
+            the name of its folder.
         unit: unit of the amounts.
     """
 
@@ -101,9 +102,8 @@ class StartTable:
         return tuple((2 * i + 1) * self.runs // (2 * limit) for i in range(limit))  # in the middle of equal parts
 
     def labels(self) -> tuple[str, ...]:
-        """The label of each run; without amounts its number, for random starts the seed."""
-        first = 0 if self.seeds is not None else 1  # seeds count from 0, runs for readers from 1
-        return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(first, first + self.runs))
+        """The label of each run; without amounts its number from 0, by which table and folder have it."""
+        return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(self.runs))
 
 
 def _read_lists(file: str) -> StartLists:

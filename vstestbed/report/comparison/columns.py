@@ -77,6 +77,11 @@ class Metric:
         """Title and unit: `Final error [px]`."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
+    @property
+    def over(self) -> str:
+        """Which runs the median is of."""
+        return "all runs" if self.every_run else "the runs that reached the goal"
+
 
 @dataclass(frozen=True)
 class ControllerResults:

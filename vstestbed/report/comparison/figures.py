@@ -6,17 +6,19 @@ Each function takes the data and the width of the figure [in], since the page an
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.series import Series
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure
+from vstestbed.report.run.tracks import MeasuredError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,12 +38,11 @@ LEAST_DIFFERENCE = 1e-9
 
 @dataclass(frozen=True)
 class Data:
-    """Everything the figures draw; threshold_px: RMS error that counts as converged, None where the controllers differ in it."""
+    """Everything the figures draw."""
 
     comparison: ComparisonResults
     series: Series
     pairs: list[Pair]
-    threshold_px: float | None = None
 
     @property
     def labels(self) -> list[str]:
@@ -65,48 +66,65 @@ def wrapped(label: str, width: int = 20) -> str:
 
 
 def medians(data: Data, width_in: float) -> Figure:
-    """Median error of each controller over time with its quartile band, in one panel."""
-    figure = new_figure(0.58 * width_in + legend_height_in(data), width_in)
-    axes = figure.add_subplot()
-    quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
-    for i, quartile in enumerate(quartiles):
-        _draw_quartiles(axes, data.series.t, quartile, look(i), band=len(quartiles) <= BANDS)
-    _error_axes(axes, data, quartiles)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("RMS error [px]")
+    """Median error of each controller over time with its quartile band, in one panel for each unit."""
+    units = data.series.units()
+    figure = new_figure((0.58 + 0.4 * (len(units) - 1)) * width_in + legend_height_in(data), width_in)
+    panels = np.ravel(figure.subplots(len(units), 1, sharex=True, squeeze=False))
+    for axes, (error, those) in zip(panels, units.items(), strict=True):
+        quartiles = [data.series.quartiles(i) for i in those]
+        for i, quartile in zip(those, quartiles, strict=True):
+            _draw_quartiles(axes, data.series.t, quartile, look(i), band=len(data.labels) <= BANDS)
+        _error_axes([axes], data.series.t[-1], error, [*quartiles, *(data.series.errors[i] for i in those)])
+        axes.set_ylabel(wrapped(error.label, 16))
+        if error.threshold and axes.get_yscale() == "log":
+            words, at = f"{error.threshold:g} {error.unit}", (1, error.threshold)
+            axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
+    panels[-1].set_xlabel("time [s]")
     legend(figure, data)
-    if data.threshold_px and axes.get_yscale() == "log":
-        axes.annotate(f"{data.threshold_px:g} px", (1, data.threshold_px), xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
     return figure
 
 
 def each_run(data: Data, width_in: float) -> Figure:
-    """One panel per controller: single runs as thin lines, median and quartile band over them, the other controllers' medians in grey."""
-    n = len(data.labels)
+    """One panel per controller: single runs as thin lines, median and quartile band over them, the other controllers' medians in grey.
+
+    Panels of the same unit have the same axis of errors, and each the medians of its own unit.
+    """
+    n, units = len(data.labels), data.series.units()
     columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
-    grid = figure.subplots(-(-n // columns), columns, sharex=True, sharey=True, squeeze=False)
-    quartiles = [data.series.quartiles(i) for i in range(len(data.labels))]
-    for i, axes in enumerate(np.ravel(grid)):
-        if i >= n:
-            axes.set_visible(False)
-            continue
-        for k, other in enumerate(quartiles):
-            if k != i:
-                axes.plot(data.series.t, _shown(other[1]), color=RULE, linewidth=0.8)
-        _draw_runs(axes, data, i, n)
-        _draw_quartiles(axes, data.series.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+    panels = np.ravel(figure.subplots(-(-n // columns), columns, sharex=True, sharey=len(units) == 1, squeeze=False))
+    for axes in panels[n:]:
+        axes.set_visible(False)
+    for i, axes in enumerate(panels[:n]):
         axes.set_title(wrapped(data.labels[i], 28))
         axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
-    _error_axes(grid[0, 0], data, quartiles)
+    for error, those in units.items():
+        _draw_each({i: panels[i] for i in those}, data, error)
     figure.supxlabel("time [s]", fontsize=_size())
-    figure.supylabel("RMS error [px]", fontsize=_size())
+    if len(units) == 1:
+        figure.supylabel(next(iter(units)).label, fontsize=_size())
+        return figure
+    for error, those in units.items():
+        for i in those:
+            panels[i].set_ylabel(wrapped(error.label, 16))
     return figure
 
 
-def _draw_runs(axes: Axes, data: Data, i: int, n: int) -> None:
+def _draw_each(panels: Mapping[int, Axes], data: Data, error: MeasuredError) -> None:
+    """The controllers of one unit, each in its panel, by number."""
+    quartiles = {i: data.series.quartiles(i) for i in panels}
+    for i, axes in panels.items():
+        for k in panels:
+            if k != i:
+                axes.plot(data.series.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
+        _draw_runs(axes, data, i)
+        _draw_quartiles(axes, data.series.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+    _error_axes([*panels.values()], data.series.t[-1], error, [*quartiles.values(), *(data.series.errors[i] for i in panels)])
+
+
+def _draw_runs(axes: Axes, data: Data, i: int) -> None:
     """The first runs of a controller; failed ones in red, with a cross where the target was last seen."""
-    most = min(max(LINES // n, EACH_LEAST), EACH_MOST)
+    most = min(max(LINES // len(data.labels), EACH_LEAST), EACH_MOST)
     success = data.comparison.controllers[i].success
     for error, reached in zip(data.series.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
@@ -132,22 +150,20 @@ def _shown(error: Array) -> Array:
     return np.where(np.isfinite(error) & (error > 0), error, np.nan)
 
 
-def _error_axes(axes: Axes, data: Data, quartiles: Sequence[Array]) -> None:
-    """Logarithmic error axis over the range of runs and quartiles, with the threshold in every panel that shares the axis."""
-    found = [q[np.isfinite(q) & (q > 0)] for q in quartiles]
-    found += [e[np.isfinite(e) & (e > 0)].astype(float) for e in data.series.errors]
-    values = np.concatenate(found)
-    everywhere: Any = axes.figure.axes
+def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, shown: Sequence[Array | NDArray[np.float32]]) -> None:
+    """Logarithmic error axis over the range of what is shown, the runs and their quartiles, the same in each panel, with the threshold."""
+    values = np.concatenate([e[np.isfinite(e) & (e > 0)].astype(float) for e in shown])
     if not len(values):
-        axes.set_yticks([])
-        axes.text(0.5, 0.5, "no run with a log", transform=axes.transAxes, ha="center", va="center", alpha=0.7)
+        panels[0].set_yticks([])
+        panels[0].text(0.5, 0.5, "no run with a log", transform=panels[0].transAxes, ha="center", va="center", alpha=0.7)
         return
-    axes.set_yscale("log")
     low, high = np.quantile(values, [0.001, 0.999])  # a single outlier may not squeeze all other curves
-    axes.set_ylim(0.7 * min(low, data.threshold_px or low), 1.5 * high)
-    axes.set_xlim(0, data.series.t[-1])
-    for panel in everywhere if data.threshold_px else ():
-        panel.axhline(data.threshold_px, **THRESHOLD)
+    for panel in panels:
+        panel.set_yscale("log")
+        panel.set_ylim(0.7 * min(low, error.threshold or low), 1.5 * high)
+        panel.set_xlim(0, end_s)
+        if error.threshold:
+            panel.axhline(error.threshold, **THRESHOLD)
 
 
 def differences(data: Data, width_in: float) -> Figure | None:

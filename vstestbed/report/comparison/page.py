@@ -30,7 +30,7 @@ from vstestbed.report.html.notebook import cell
 from vstestbed.report.html.parts import figure, film
 from vstestbed.report.html.template import PAGE, STYLE
 from vstestbed.report.run import numbers
-from vstestbed.report.run.tracks import Setting
+from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.load import load
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "runs",
         "Error of single runs",
         "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
-        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians. Dotted: the threshold.",
+        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians in the same unit. Dotted: the threshold.",
         2,
         comparison_figures.each_run,
     ),
@@ -216,7 +216,7 @@ def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pa
         return _soft(words) + _figures(Data(comparison, Series(np.zeros(1), ()), all_pairs), (GRID,), place, call)
     shown = comparison if n <= PANELS else comparison.first(PANELS)
     chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
-    data = Data(shown, read_series(folder, shown), chosen, _threshold(folder, shown, plugins))
+    data = Data(shown, read_series(folder, shown, _measured(folder, shown, plugins)), chosen)
     words = _soft(f"The figures show the first {PANELS} of {n} controllers.") if n > PANELS else ""
     return words + _figures(data, range(len(PLOTS)), place, call)
 
@@ -241,12 +241,16 @@ def _sampled(most: int | None) -> str:
     return _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
 
 
-def _threshold(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> float | None:
-    """RMS error that counts as converged [px]; None where the controllers differ in it."""
+def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> list[MeasuredError]:
+    """The error in the image that decides, of each controller; without a threshold where those with the same unit differ in it."""
     # one run per controller suffices: seeds do not change the stop block
     firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
-    found = {Setting.of(load(path, plugins=plugins)).threshold_px for path in firsts if path.is_file()}
-    return found.pop() if len(found) == 1 else None
+    found = [Setting.of(load(path, plugins=plugins)).image_errors[0] if path.is_file() else None for path in firsts]
+    limits: dict[str, set[float | None]] = {}
+    for error in filter(None, found):
+        limits.setdefault(error.unit, set()).add(error.threshold)
+    agreed = {unit: known.pop() if len(known) == 1 else None for unit, known in limits.items()}
+    return [error._replace(threshold=agreed.get(error.unit)) for error in (one or MeasuredError() for one in found)]
 
 
 def _film(path: Path | None) -> str:

@@ -79,7 +79,7 @@ class Cell:
         return float(np.median(counted)) if len(counted) else float("nan")
 
     def spread(self, metric: Metric) -> str:
-        """Median and largest value of a metric over the runs that reached the goal, as text; empty if none has it."""
+        """Median and largest value of a metric over the runs that count (`Metric.every_run`), as text; empty if none has it."""
         counted = self.controller.counted(metric)
         counted = counted[np.isfinite(counted)]
         return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
@@ -122,7 +122,9 @@ def over_all_tasks(table: pl.DataFrame, axes: Sequence[str], metrics: Sequence[s
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
     """Markdown tables, laws by tasks: successes and failures; then median and largest value of each metric but the time."""
     first = _markdown(found, lambda cell: "; ".join(cell.summary_lines()))
-    return "\n".join([first, *(f"{m.label}: median, largest\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))])
+    return "\n".join(
+        [first, *(f"{m.label}: median and largest of {m.over}\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))]
+    )
 
 
 def _tabled(metrics: Sequence[str]) -> list[Metric]:
@@ -166,9 +168,8 @@ def _td(cell: Cell | None) -> str:
 
 def _spreads(found: Sequence[Cell], metrics: Sequence[str]) -> str:
     """A table for each metric but the time."""
-    tables = [f"<h3>{escape(m.label)}</h3>{_html(found, _td_of(m))}" for m in _tabled(metrics)]
-    words = "<p>Median and largest over the runs that reached the goal.</p>"
-    return f"<section><h2>In numbers</h2>{words}{''.join(tables)}</section>" if tables else ""
+    tables = [f"<h3>{escape(m.label)}: median and largest of {m.over}</h3>{_html(found, _td_of(m))}" for m in _tabled(metrics)]
+    return f"<section><h2>In numbers</h2>{''.join(tables)}</section>" if tables else ""
 
 
 def _td_of(metric: Metric) -> Callable[[Cell | None], str]:

@@ -13,7 +13,7 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, marker_colors
 from vstestbed.report.html.chart import Chart, ChartPanel
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import MeasuredError, Tracks
 
 BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
 START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
@@ -105,31 +105,39 @@ def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> 
 
 
 def error(tracks: Tracks) -> Chart:
-    """RMS image error over time, logarithmic, with the threshold and the intervals without target.
+    """RMS image error over time, logarithmic, with the threshold and the intervals without target; a panel for each unit in the log.
 
-    For a tilted craft also the error of the image rotated into its level frame, which decides convergence. Below, of a law with
-    modes, the one that it was in.
+    In pixels over the coordinates of the markers, and of a law that compares pictures in grey levels over their pixels. For a tilted
+    craft also the error of the image rotated into its level frame, which decides convergence. Below, of a law with modes, the one that
+    it was in.
     """
     modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
-    chart = Chart(3.6, 2) if modes else Chart(3.1)
-    panel = chart.panels[0]
+    both = tracks.setting.image_errors
+    shown = [one for one in both if (tracks.column(one.column) > 0).any()] or both[:1]
+    chart = Chart(3.1 + 1.6 * (len(shown) - 1) + 0.5 * modes, len(shown) + modes)
+    for panel, one in zip(chart.panels, shown, strict=False):
+        _draw_error(panel, tracks, one)
+        _mark_views(panel, tracks)
     if modes:
-        _mark_modes(chart.panels[1], tracks)
-    panel.log, panel.labels = True, ("", "RMS error [px]")
-    value, level = tracks.column("error_px"), tracks.column("level_error_px")
-    tilted = bool((level > 0).any())
+        _mark_modes(chart.panels[-1], tracks)
+    over_time(chart, tracks)
+    return chart
+
+
+def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None:
+    """One error in the image over time, with its threshold."""
+    panel.log, panel.labels = True, ("", error.label)
+    value, level = tracks.column(error.column), tracks.column("level_error_px")
+    tilted = error.unit == "px" and bool((level > 0).any())
     if (value > 0).any():
         panel.plot(tracks.t, value, color=LINE_COLORS[0], **({"label": "in the picture", "alpha": 0.4} if tilted else {}))
     if tilted:
         panel.plot(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
     if not panel.curves:
         panel.title = "no frame with a measured error"
-    threshold = tracks.setting.threshold_px
-    if threshold:
-        panel.rule(threshold, color=GOAL, linestyle="--", linewidth=1.2, label=f"threshold {threshold:g} px")
-    _mark_views(panel, tracks)
-    over_time(chart, tracks)
-    return chart
+    if error.threshold:
+        words = f"threshold {error.threshold:g} {error.unit}"
+        panel.rule(error.threshold, color=GOAL, linestyle="--", linewidth=1.2, label=words)
 
 
 def _mark_modes(panel: ChartPanel, tracks: Tracks) -> None:

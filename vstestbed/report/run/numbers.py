@@ -85,7 +85,10 @@ def outcome_text(summary: Summary) -> str:
 def tiles(summary: Summary) -> str:
     """The most important numbers."""
     shown = CONTINUING_TILES if "worst_task_error_m" in summary else TILES
-    items = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
+    found = {key: (summary.get(key), unit) for key, _, unit in shown}
+    if summary.get("judged_by") == "grey levels" and summary.get("final_error_px") is None:  # a law that measures no markers
+        found["final_error_px"] = summary["judged_error"], "grey levels"
+    items = [f"<div><dt>{name}</dt><dd>{_with_unit(*found[key])}</dd></div>" for key, name, _ in shown]
     return f'<dl class="tiles">{"".join(items)}</dl>'
 
 

@@ -63,7 +63,13 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
         angles.on_sphere,
     ),
-    ("error", "Error in the image", "Root mean square over the coordinates, goal minus measured.", figures.error),
+    (
+        "error",
+        "Error in the image",
+        "Root mean square of goal minus measured: over the markers' coordinates [px], or over the picture's pixels, with the law's weights "
+        "[grey levels].",
+        figures.error,
+    ),
     ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),
     (
         "plane",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -22,6 +22,22 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 4000
 """Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once."""
+GREY = "error_grey", "RMS difference [grey levels]", "grey levels"
+"""The error of a law that compares pictures, as in `MeasuredError`."""
+
+
+class MeasuredError(NamedTuple):
+    """An error in the image that a log may have.
+
+    Attributes:
+        column: of the log. label: of its axis, with the unit. unit: as a threshold has it. threshold: under it the goal is reached; None
+            where it decides nothing, or is unknown.
+    """
+
+    column: str = "error_px"
+    label: str = "RMS error [px]"
+    unit: str = "px"
+    threshold: float | None = None
 
 
 @dataclass(frozen=True)
@@ -31,6 +47,7 @@ class Setting:
     Attributes:
         width, height: image size of the servo camera [px].
         threshold_px: RMS error that counts as converged [px].
+        threshold_grey: RMS difference of picture and goal picture that counts as converged [grey levels].
         points: marker centres in the target frame, shape (N, 3) [m].
         T_camera_target: the goal view, shape (4, 4).
         description: the scenario's description.
@@ -61,18 +78,26 @@ class Setting:
     outlined: bool = False
     modes: tuple[str, ...] = ()
     changing: bool = False
+    threshold_grey: float | None = None
+
+    @property
+    def image_errors(self) -> tuple[MeasuredError, ...]:
+        """Of markers, and of whole pictures; first the one that decides, that of markers where neither does."""
+        both = MeasuredError(threshold=self.threshold_px), MeasuredError(*GREY, self.threshold_grey)
+        return both if self.threshold_px is not None or self.threshold_grey is None else both[::-1]
 
     @classmethod
     def of(cls, scenario: Scenario) -> Setting:
-        """The setting of a loaded scenario; goal view and pixel threshold are None for tasks that have none."""
+        """The setting of a loaded scenario; goal view and thresholds are None for tasks that have none."""
         from vstestbed.scenario.changes import changes  # here: the figures themselves need no scenario
 
-        ground_task, goal = GroundTask.of(scenario), scenario.goal
+        ground_task, goal, converged = GroundTask.of(scenario), scenario.goal, scenario.stop.converged
         view = getattr(goal, "T_camera_target", None)
         return cls(
             width=scenario.camera.width,
             height=scenario.camera.height,
-            threshold_px=getattr(scenario.stop.converged, "error_px", None) if not goal.continuing else None,
+            threshold_px=None if goal.continuing else converged.error_px,
+            threshold_grey=None if goal.continuing else converged.error_grey,
             points=scenario.target.places if len(scenario.target.places) else None,
             names=scenario.target.names,
             T_camera_target=getattr(view, "T", view),

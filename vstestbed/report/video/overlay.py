@@ -123,8 +123,8 @@ class Overlay:
         """
         if image.shape != (self.size[1], self.size[0], 3) or len(uv) != len(self._colors):
             raise ParameterError("image", f"must be {self.size} with {len(self._colors)} markers", (image.shape, uv.shape))
-        draw_caption(image, self.title, t=t, error=error)
         self.marks(image, uv, goal_uv)
+        draw_caption(image, self.title, t=t, error=error)  # over marks, which shine through: its numbers stay legible
         if lost:
             draw_banner(image, "TARGET LOST")
 

@@ -1,0 +1,65 @@
+"""Figures over all runs: errors of different units share no axis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from tests.report.comparison.comparisons import build
+from vstestbed.report.comparison.columns import ComparisonResults
+from vstestbed.report.comparison.figures import Data, each_run, medians
+from vstestbed.report.comparison.page import _measured
+from vstestbed.report.comparison.series import read_series
+from vstestbed.report.html.canvas import style
+
+PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"
+GREY = {
+    "target: {kind: square, side: 0.4, pose: {xyz: [0, 0, 1.2]}}": PICTURE,
+    "detector: oracle": "detector: none",
+    "law: {kind: ibvs, gain: 1}": "law: photometric",
+}
+
+
+def of_pictures(folder: Path, name: str, limit: float) -> None:
+    """Turn the runs of a scenario into those of a law that compares pictures: 10 grey levels for each pixel."""
+    for run in (folder / "runs" / name / "base").iterdir():
+        text = (run / "scenario.yaml").read_text()
+        for old, new in GREY.items():
+            assert old in text
+            text = text.replace(old, new)
+        (run / "scenario.yaml").write_text(f"{text}stop: {{converged: {{error_grey: {limit}}}}}\n")
+        log = pl.read_parquet(run / "log.parquet")
+        log.with_columns(error_grey=10 * pl.col("error_px"), error_px=pl.lit(np.nan)).write_parquet(run / "log.parquet")
+
+
+def read(folder: Path, frame: pl.DataFrame) -> Data:
+    comparison = ComparisonResults(frame)
+    return Data(comparison, read_series(folder, comparison, _measured(folder, comparison, ())), [])
+
+
+def test_pixels_and_grey_levels_have_panels_of_their_own(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"a": 0.8, "grey": 1.6, "b": 1.0}, 2)
+    of_pictures(tmp_path, "grey", 0.4)
+    data = read(tmp_path, frame)
+    upper, lower = medians(data, 6.0).axes
+    assert [axes.get_ylabel() for axes in (upper, lower)] == ["RMS error [px]", "RMS difference\n[grey levels]"]
+    assert [[words.get_text() for words in axes.texts] for axes in (upper, lower)] == [["0.2 px"], ["0.4 grey levels"]]
+    assert upper.get_ylim()[1] < 300 < lower.get_ylim()[1]
+    with style():
+        a, grey, b = each_run(data, 7.0).axes[:3]
+    assert a.get_ylim() == b.get_ylim() != grey.get_ylim()
+    assert [axes.get_ylabel() for axes in (a, grey)] == ["RMS error [px]", "RMS difference\n[grey levels]"]
+    assert len(grey.lines) == len(a.lines) - 1  # the median of b is in the panel of a, and none in that of the grey levels
+
+
+def test_laws_of_pictures_alone_share_the_axis_of_grey_levels(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"one": 0.8, "two": 1.6}, 2)
+    of_pictures(tmp_path, "one", 0.4)
+    of_pictures(tmp_path, "two", 0.5)
+    data = read(tmp_path, frame)
+    (axes,) = medians(data, 6.0).axes
+    assert axes.get_ylabel() == "RMS difference\n[grey levels]"
+    assert not axes.texts  # they differ in their limits
+    assert np.isfinite(data.series.errors[0]).all()
