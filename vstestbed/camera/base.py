@@ -102,7 +102,8 @@ class Camera(ABC):
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
-            structure is as blurred along both axes as along the longer one. Graphics cards usually have 8 or 16.
+            structure is as blurred along both axes as along the longer one. Graphics cards usually have 8 or 16. Textures that are
+            repeated, as the floor's, are sampled once.
         shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).

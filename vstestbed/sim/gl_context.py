@@ -12,6 +12,7 @@ import numpy as np
 from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 from dm_control.mujoco.engine import Contexts
+from numpy.typing import NDArray
 
 from vstestbed.sim import gl_thread
 
@@ -92,7 +93,7 @@ def _rendering_context(model: wrapper.MjModel, gl: object, anisotropy: int) -> w
         _target[0] = _kept[key]  # MuJoCo makes the buffer of a new context current
         _plain_sky(_kept[key].ptr)
         if anisotropy > 1:
-            _sample_aslant(_kept[key].ptr, anisotropy)
+            _sample_aslant(_kept[key].ptr, model.ptr, anisotropy)
     _kept.move_to_end(key)
     return _kept[key]
 
@@ -123,15 +124,25 @@ def _add_highlights(over: bool) -> None:
     _glossy[0] = over
 
 
-def _sample_aslant(context: mujoco.MjrContext, samples: int) -> None:
-    """Let flat textures be sampled several times along the longer side of what a pixel covers, as often as the driver can."""
+def _sample_aslant(context: mujoco.MjrContext, model: mujoco.MjModel, samples: int) -> None:
+    """Let flat textures that are not repeated be sampled several times along the longer side of what a pixel covers.
+
+    Mesa's software OpenGL visits each repeat within a pixel, and for what lies beyond a face's border, where a plane is seen from nearly
+    within, extrapolates to any number of them: with a floor up to the horizon a picture would never end.
+    """
     from OpenGL.raw.GL.EXT import texture_filter_anisotropic as aslant
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1
 
-    for kind, texture in zip(context.textureType, context.texture, strict=True):
-        if kind == mujoco.mjtTexture.mjTEXTURE_2D:
-            GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, texture)
+    tiles = model.mat_texid[repeated(model)]
+    for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D):
+        if texture not in tiles:
+            GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, context.texture[texture])
             GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
+
+
+def repeated(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Whether each material (M,) lays its texture in tiles, as the floor's does."""
+    return np.array((model.mat_texrepeat > 1).any(axis=1) | (model.mat_texuniform > 0))
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:

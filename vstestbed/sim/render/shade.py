@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
+from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.render.texture import Mipmap
 from vstestbed.sim.scene.groups import TARGET_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
@@ -31,7 +32,7 @@ class Paint:
 
     Args:
         model, data: the scene; lights are where `data` has them.
-        anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`.
+        anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see `Camera`.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
@@ -43,7 +44,7 @@ class Paint:
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
         self._printed, self.averaged = _by_texture(model, texture)
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
-        self._texture = texture
+        self._texture, self._repeated = texture, repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
         shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
         self._glossy = {g for g in self._printed if shows[g] and model.mat_specular[material[g]] > 0}
@@ -119,7 +120,7 @@ class Paint:
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
         mipmap = self._mipmaps[self._texture[geom]]
         cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays, normal)), 1e-6)
-        if self._anisotropy == 1:
+        if self._anisotropy == 1 or self._repeated[model.geom_matid[geom]]:
             texels = across / cosine * (times * mipmap.size / edges).max(axis=1)
             return mipmap.at(place - np.floor(place), texels)
         # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a right angle to it.
