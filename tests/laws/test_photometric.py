@@ -20,6 +20,7 @@ from vstestbed.laws.base import Command, ConstantGain
 from vstestbed.laws.luminance import GoalLevel, LevelPixels, Which, coarser, gradient, luminance, motion_px
 from vstestbed.laws.photometric import BLANK, NO_DEPTH, NO_PICTURE, NO_STRUCTURE, LevenbergMarquardt, Photometric
 from vstestbed.laws.robust import LEAST_SIGMA, Robust, scale, weights
+from vstestbed.report.comparison.columns import Metric
 from vstestbed.scenario.load import parse
 from vstestbed.sim.retake import Retake
 
@@ -245,7 +246,8 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
     summary = r.summary()
     assert (summary["outcome"], summary["judged_unit"], summary["judged_limit"]) == ("converged", "grey levels", 0.5)
     assert summary["final_error_px"] is None
-    assert r["error_grey"][-1] < 0.5
+    assert summary["final_error_grey"] == r["error_grey"][-1] < 0.5
+    assert Metric.of("final_error_grey").label == "Measured image error [grey levels]"
     assert r["position_error_m"][-1] < 1e-2
     assert not r["lost"].any()
     assert "u_0" not in r.columns

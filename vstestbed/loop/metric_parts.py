@@ -35,11 +35,11 @@ class Counts:
         self._frames += len(log["t"])
         self._lost += int(log["lost"].sum())
         self._saturated += int((log["scale"] < SATURATED).sum())
-        self._last = {name: float(log[name][-1]) for name in self._last}
+        self._last |= {name: float(log[name][-1]) for name in (*self._last, "error_grey") if name in log}
 
     def figures(self) -> Figures:
         """See `Part`."""
-        return {
+        found: Figures = {
             "sim_time_s": self._last["t"],
             "frames": self._frames,
             "frames_lost": self._lost,
@@ -48,6 +48,7 @@ class Counts:
             "final_rotation_error_deg": math.degrees(self._last["rotation_error_rad"]),
             "saturated_fraction": self._saturated / self._frames if self._frames else None,
         }
+        return found | ({"final_error_grey": self._last["error_grey"]} if "error_grey" in self._last else {})
 
 
 class Convergence:

@@ -71,6 +71,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         the shortest time between two such changes (None with fewer than two), and the share of the frames in each mode.
     pictures_lost, pictures_refused, commands_lost: only with `timing.link`, `out_of_order` or `camera_clock`: pictures up to the last
         one used that never arrived, or arrived after a later one (by its stamp); commands that the link lost.
+    final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
     Args:

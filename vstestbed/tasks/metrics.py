@@ -46,7 +46,9 @@ MODE_FIGURES = ("law_switches", "law_shortest_stay_s")
 """Those of a law with modes besides."""
 LINK_FIGURES = ("pictures_lost", "pictures_refused", "commands_lost")
 """Those of a run with wrong time stamps, pictures out of order or a link that loses."""
-SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES)
+GREY_FIGURES = ("final_error_grey",)
+"""That of a law that works on grey levels."""
+SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES)
 """Those that only some runs have."""
 TAKEN = frozenset(
     (

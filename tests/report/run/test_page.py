@@ -187,8 +187,7 @@ def test_failure_is_told_and_coloured_as_such() -> None:
 
 
 def test_a_law_that_measures_no_markers_has_its_error_in_grey_levels() -> None:
-    judged = {"judged_error": 0.39, "judged_unit": "grey levels", "judged_by": "grey levels"}
-    text = checked(render_page(log(10), summary(final_error_px=None, **judged), SCENARIO, {})).text
+    text = checked(render_page(log(10), summary(final_error_px=None, final_error_grey=0.39), SCENARIO, {})).text
     assert "Measured image error 0.390 grey levels" in text
 
 

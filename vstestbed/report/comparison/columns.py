@@ -32,9 +32,10 @@ DEFAULT_METRICS: Final = (
 
 _SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS, *numbers.LINK_ROWS)
 # Titles and units are those of the single-run report, so that a number is called the same on both pages.
-_TITLES: Final = {name: (title, unit) for name, title, unit in (*numbers.CONTINUING_TILES, *numbers.TILES, *numbers.ROWS, *_SOMETIMES)}
+_TILES: Final = (*numbers.CONTINUING_TILES, *numbers.TILES, numbers.GREY_TILE)
+_TITLES: Final = {name: (title, unit) for name, title, unit in (*_TILES, *numbers.ROWS, *_SOMETIMES)}
 _SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
-_FINAL: Final = ("final_error_px", "final_position_error_m", "final_rotation_error_deg")
+_FINAL: Final = ("final_error_px", "final_error_grey", "final_position_error_m", "final_rotation_error_deg")
 _ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *(name for name, _, _ in _SOMETIMES))
 _HIGHER: Final = ("min_border_margin_px",)
 

@@ -22,6 +22,8 @@ TILES: Final = (
     ("path_length_m", "Path length", "m"),
     ("real_time_factor", "Real-time factor, films included", "×"),
 )
+GREY_TILE: Final = ("final_error_grey", "Measured image error", "grey levels")
+"""In place of the second tile, of a law that works on grey levels and measures no markers."""
 CONTINUING_TILES: Final = (("worst_task_error_m", "Largest error once settled", "m"), *TILES[4:])
 """Tiles of a continuing task, which has no goal pose to measure an error from."""
 ROWS: Final = (
@@ -85,10 +87,9 @@ def outcome_text(summary: Summary) -> str:
 def tiles(summary: Summary) -> str:
     """The most important numbers."""
     shown = CONTINUING_TILES if "worst_task_error_m" in summary else TILES
-    found = {key: (summary.get(key), unit) for key, _, unit in shown}
-    if summary.get("judged_by") == "grey levels" and summary.get("final_error_px") is None:  # a law that measures no markers
-        found["final_error_px"] = summary["judged_error"], "grey levels"
-    items = [f"<div><dt>{name}</dt><dd>{_with_unit(*found[key])}</dd></div>" for key, name, _ in shown]
+    if "final_error_grey" in summary and summary.get("final_error_px") is None:
+        shown = tuple(GREY_TILE if tile[0] == "final_error_px" else tile for tile in shown)
+    items = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
     return f'<dl class="tiles">{"".join(items)}</dl>'
 
 
