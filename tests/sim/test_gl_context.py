@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+import mujoco
 import numpy as np
 import pytest
 
 import vstestbed as vs
 from vstestbed.sim import gl_context as contexts
+from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -75,3 +77,13 @@ def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Sc
         stage.close()
     assert len(contexts._kept) <= contexts.MOST_KEPT
     np.testing.assert_array_equal(used[0][1](), before)
+
+
+def test_a_texture_is_tiled_if_any_material_repeats_it():
+    texture = '<texture name="{0}" type="2d" builtin="checker" width="8" height="8"/>'.format
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><asset>{texture("plain")}{texture("shared")}{texture("uniform")}
+        <material name="a" texture="plain" texrepeat=".5 1"/><material name="b" texture="shared"/>
+        <material name="c" texture="shared" texrepeat="1 9"/><material name="d" texture="uniform" texuniform="true"/></asset></mujoco>"""
+    )
+    assert repeated(model).tolist() == [False, True, True]

@@ -63,6 +63,5 @@ def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.Mon
     )
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5
-    assert any(command[0].any() for command in honest.kept)
     for told, lied in zip(honest.kept, lied_to.kept, strict=True):
         assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(told, lied, strict=True))

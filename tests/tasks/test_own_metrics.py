@@ -68,6 +68,10 @@ def test_runs_of_one_batch_have_them_too(quick):
             assert batch[name] == pytest.approx(alone[name], rel=1e-6), name
     assert Metric.of("ise_px2_s").label == "Integral of the squared error [px² s]"
     assert shown_by_default(pl.DataFrame({"iae_px_s": [1.0]})) == (*DEFAULT_METRICS, "iae_px_s")
+    grey = pl.DataFrame({"final_error_px": [None, None], "final_error_grey": [0.3, 0.4]})
+    assert shown_by_default(grey) == (*(name for name in DEFAULT_METRICS if name != "final_error_px"), "final_error_grey")
+    both = pl.DataFrame({"final_error_px": [None, 0.1], "final_error_grey": [0.3, None]})
+    assert shown_by_default(both) == (*DEFAULT_METRICS, "final_error_grey")
     assert Comparison(base=("quick",), metrics=("iae_px_s",)).metrics == ("iae_px_s",)
     with pytest.raises(ParameterError, match=r"must be figures of summary.json: .*iae_px_s"):
         Comparison(base=("quick",), metrics=("iae",))

@@ -35,7 +35,8 @@ class Counts:
         self._frames += len(log["t"])
         self._lost += int(log["lost"].sum())
         self._saturated += int((log["scale"] < SATURATED).sum())
-        self._last |= {name: float(log[name][-1]) for name in (*self._last, "error_grey") if name in log}
+        names = (*self._last, "error_grey") if "error_grey" in log else tuple(self._last)
+        self._last |= {name: float(log[name][-1]) for name in names}
 
     def figures(self) -> Figures:
         """See `Part`."""

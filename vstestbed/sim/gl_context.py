@@ -133,16 +133,15 @@ def _sample_aslant(context: mujoco.MjrContext, model: mujoco.MjModel, samples: i
     from OpenGL.raw.GL.EXT import texture_filter_anisotropic as aslant
     from OpenGL.raw.GL.VERSION import GL_1_0, GL_1_1
 
-    tiles = model.mat_texid[repeated(model)]
-    for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D):
-        if texture not in tiles:
-            GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, context.texture[texture])
-            GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
+    for texture in np.flatnonzero((model.tex_type == mujoco.mjtTexture.mjTEXTURE_2D) & ~repeated(model)):
+        GL_1_1.glBindTexture(GL_1_0.GL_TEXTURE_2D, context.texture[texture])
+        GL_1_0.glTexParameterf(GL_1_0.GL_TEXTURE_2D, aslant.GL_TEXTURE_MAX_ANISOTROPY_EXT, samples)
 
 
 def repeated(model: mujoco.MjModel) -> NDArray[np.bool_]:
-    """Whether each material (M,) lays its texture in tiles, as the floor's does."""
-    return np.array((model.mat_texrepeat > 1).any(axis=1) | (model.mat_texuniform > 0))
+    """Which textures (N,) a material lays in tiles, as the floor's does."""
+    tiles = (model.mat_texrepeat > 1).any(axis=1) | (model.mat_texuniform > 0)
+    return np.isin(np.arange(model.ntex), model.mat_texid[tiles])
 
 
 def _looks(model: mujoco.MjModel) -> tuple[object, ...]:

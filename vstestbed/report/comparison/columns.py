@@ -42,7 +42,13 @@ _HIGHER: Final = ("min_border_margin_px",)
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
     """Names of the numbers shown of a comparison that names none: the usual ones, those of some runs, the scenarios' own."""
-    return (*DEFAULT_METRICS, *(name for name in (*SOME_FIGURES, *own_titles()) if name in table.columns))
+    usual = [name for name in DEFAULT_METRICS if name != "final_error_px" or not _in_grey_alone(table)]
+    return (*usual, *(name for name in (*SOME_FIGURES, *own_titles()) if name in table.columns))
+
+
+def _in_grey_alone(table: pl.DataFrame) -> bool:
+    """Whether no run measured markers, since all of their laws work on grey levels."""
+    return "final_error_grey" in table.columns and "final_error_px" in table.columns and table["final_error_px"].is_null().all()
 
 
 @dataclass(frozen=True)

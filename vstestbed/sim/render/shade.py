@@ -120,7 +120,7 @@ class Paint:
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
         mipmap = self._mipmaps[self._texture[geom]]
         cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays, normal)), 1e-6)
-        if self._anisotropy == 1 or self._repeated[model.geom_matid[geom]]:
+        if self._anisotropy == 1 or self._repeated[self._texture[geom]]:
             texels = across / cosine * (times * mipmap.size / edges).max(axis=1)
             return mipmap.at(place - np.floor(place), texels)
         # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a right angle to it.
