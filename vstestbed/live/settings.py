@@ -63,7 +63,7 @@ class Settings:
         Raises:
             ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text in it that may name a file.
         """
-        self._refuse_new_texts(path, absolute_files({path: value}, Path.cwd())[path])
+        self._refuse_new_texts(path, value)
         overrides, seed = self._overrides, self.seed
         if path == SEED:
             seed = None if value is None else self._whole(value)
@@ -86,13 +86,15 @@ class Settings:
         """
         if path.split(".")[0] == "plugins":
             raise ScenarioError([Mistake("page", path, "can be given on the command line alone (--plugin)")])
-        for key, text in _texts(value, path.rpartition(".")[2]):
+        found = absolute_files({path: value}, Path.cwd())[path]  # as the scenario has the names of files
+        block = path.rpartition(".")[2]
+        for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
             known = self._given | (_textures() if key in FILE_FIELDS else _words())
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if not hint.startswith("did you mean"):
                     hint = f"files and new names are given on the command line alone (--set {path}=...)"
-                raise ScenarioError([Mistake("page", path, f"{short(text)} is no word of this scenario; {hint}")])
+                raise ScenarioError([Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")])
 
     def _whole(self, value: object) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
