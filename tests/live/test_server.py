@@ -71,7 +71,13 @@ CAMERA = message(
     image_width=100,
 )
 """With its first one a page is there for viser."""
-SOCKET = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version": "13"}
+SOCKET = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+}
 
 
 def asked(server: LocalServer, path: str | None = None, **headers: str) -> tuple[int, str, dict[str, str]]:
@@ -142,6 +148,12 @@ class TestWhoIsLetIn:
 
     def test_no_socket_without_an_origin(self, server: LocalServer):
         assert asked(server, **SOCKET)[0] == 403 and asked(server, Origin=own_origin(server), **SOCKET)[0] == 101
+
+    def test_no_page_of_another_version(self, server: LocalServer, capfd: pytest.CaptureFixture[str]):
+        for protocol in ("viser-v0.0.1", "x"):
+            status, text, _ = asked(server, Origin=own_origin(server), **SOCKET | {"Sec-WebSocket-Protocol": protocol})
+            assert status == 403 and f"pages of viser {viser.__version__} only" in text
+        assert capfd.readouterr().out == ""
 
     def test_nobody_on_another_machine(self, server: LocalServer):
         assert server.get_host() == "127.0.0.1" and server.request_share_url() is None

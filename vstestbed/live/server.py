@@ -58,6 +58,8 @@ class Gate:
             return "Open the whole address that `vstestbed live` has printed: it holds a secret, which is another one after each start."
         if origins != [f"http://{hosts[0]}"] and (origins or "Upgrade" in request.headers):
             return "This server serves its own pages only."
+        if "Upgrade" in request.headers and f"viser-v{viser.__version__}" not in request.headers.get_all("Sec-WebSocket-Protocol"):
+            return f"This server speaks to pages of viser {viser.__version__} only."  # of others viser writes to standard output
         return None
 
     @contextlib.contextmanager
