@@ -302,9 +302,7 @@ def test_a_replay_begins_when_its_page_is_there_and_its_words_are_of_its_picture
         seen.append(tab.js(SHOWN))
     tab.wait(f"{FRAME} === {len(app.recorded) - 1} && {SHOWN}[1] === {len(app.recorded) - 1}")
     behind = [words - drawn for words, drawn in filter(None, seen)]
-    print(
-        f"\nwords before picture: {np.median(behind):.0f} frames in the median, {max(behind)} at most ({len(behind)} looks)"
-    )
+    print(f"\nwords before picture: {np.median(behind):.0f} frames in the median, {max(behind)} at most ({len(behind)} looks)")
     app.ask(lambda: app.transport.play(False))
     app.ask(lambda: app.go_to(37))
     tab.wait(f"{FRAME} === 37 && {SHOWN}[1] === 37 && {labelled('t [s]')}.querySelector('[role=slider]').ariaValueNow === '1.48'")
