@@ -138,7 +138,7 @@ class Rollout:
         outcome, before = frame.outcome, self._phi
         self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
         error, self._phi = self._judged(frame)
-        truncated = outcome is Outcome.timed_out
+        truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
         reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success)
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.monitors import Collision, safety_monitors
+from vstestbed.loop.stability import Stability
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.monitors import Monitor
+from vstestbed.tasks.reached import timed_out_words
 from vstestbed.tasks.stop import Stop
 
 
@@ -24,10 +26,20 @@ class Judge:
     Args:
         task: the task's monitor, which has already measured the frame. stop: time limits.
         target: the scenario's. supervisor: the robot's. own: the scenario's monitors.
+        stability: tells a run that would end as `timed_out`, and is unstable; None: no run is looked at so.
     """
 
-    def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor, own: Sequence[Monitor] = ()):
+    def __init__(
+        self,
+        task: TaskMonitor,
+        stop: Stop,
+        target: Target,
+        supervisor: Supervisor,
+        own: Sequence[Monitor] = (),
+        stability: Stability | None = None,
+    ):
         self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
+        self.stability = stability
         self._collision = Collision(supervisor)
         self._monitors = (*safety_monitors(target, self._collision), *own)
 
@@ -39,7 +51,17 @@ class Judge:
         found = [monitor.update(frame) for monitor in self._monitors]
         if self._supervisor.aborted and not self._collision.touches(frame.truth):
             return self._after_abort(frame.t, self._supervisor.aborted)
-        return reached or next(filter(None, found), None) or missed
+        verdict = reached or next(filter(None, found), None) or missed
+        if self.stability is None:
+            return verdict
+        self.stability.add(frame)
+        return self._told_apart(verdict) if verdict and verdict[0] is Outcome.timed_out else verdict
+
+    def _told_apart(self, verdict: Verdict) -> Verdict:
+        """Unstable, of a run that has timed out because its loop swings or grows."""
+        how = self.stability.unstable() if self.stability else ""
+        reason = "" if verdict[1] == timed_out_words(self._duration_s) else f"{verdict[1]}; "
+        return (Outcome.unstable, reason + how) if how else verdict
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
         """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the end of the duration."""
@@ -47,7 +69,7 @@ class Judge:
             return verdict
         if self._supervisor.aborted:
             return self._after_abort(t, self._supervisor.aborted)
-        return (Outcome.timed_out, f"{self._duration_s:g} s were not enough") if t >= self._duration_s - 1e-9 else None
+        return (Outcome.timed_out, timed_out_words(self._duration_s)) if t >= self._duration_s - 1e-9 else None
 
     def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
         """The abort's verdict, once the robot is at rest, or down, or the duration is over."""

@@ -213,6 +213,8 @@ def _reason(scenario: Scenario, flight: Batch, i: int) -> str:
             return FAR_WORDS
         case Outcome.target_lost:  # of a law that measures all markers
             return CROSSED_WORDS
+        case Outcome.unstable:
+            return str(flight.unstable[i])
         case _:
             return timed_out_words(stop.duration_s)
 
