@@ -18,6 +18,7 @@ from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
+from vstestbed.loop.lost_markers import LostMarkers
 from vstestbed.loop.plant_of import plant_of, shown_clean
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
@@ -68,7 +69,8 @@ class Episode:
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
         own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
-        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own, Stability(scenario))
+        lost = LostMarkers(scenario, self.plant.names_before)
+        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own, Stability(scenario), lost)
         self._led = scenario.timing.interpolated(*scenario.clock)
         self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()

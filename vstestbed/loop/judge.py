@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.loop.lost_markers import LostMarkers
 from vstestbed.loop.monitors import Collision, safety_monitors
 from vstestbed.loop.stability import Stability
 from vstestbed.robots.supervisor import Supervisor
@@ -27,6 +28,7 @@ class Judge:
         task: the task's monitor, which has already measured the frame. stop: time limits.
         target: the scenario's. supervisor: the robot's. own: the scenario's monitors.
         stability: tells a run that would end as `timed_out`, and is unstable; None: no run is looked at so.
+        markers: tells where those are lost that are not seen; None: it is not said.
     """
 
     def __init__(
@@ -37,9 +39,10 @@ class Judge:
         supervisor: Supervisor,
         own: Sequence[Monitor] = (),
         stability: Stability | None = None,
+        markers: LostMarkers | None = None,
     ):
         self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
-        self.stability = stability
+        self.stability, self._markers = stability, markers
         self._collision = Collision(supervisor)
         self._monitors = (*safety_monitors(target, self._collision), *own)
 
@@ -49,6 +52,8 @@ class Judge:
         # was aborted stays violated when the supervisor resumes it.
         reached, missed = self._task.reached(frame), self._task.missed(frame)
         found = [monitor.update(frame) for monitor in self._monitors]
+        if self._markers is not None:
+            self._markers.add(frame)
         if self._supervisor.aborted and not self._collision.touches(frame.truth):
             return self._after_abort(frame.t, self._supervisor.aborted)
         verdict = reached or next(filter(None, found), None) or missed
@@ -77,4 +82,5 @@ class Judge:
         if not (down or t >= self._duration_s - 1e-9):
             return None
         outcome, reason = aborted
-        return outcome, f"{reason}; {self._supervisor.DOWN[0 if down else 1]}"
+        where = self._markers.sentence() if self._markers is not None and outcome is Outcome.target_lost else ""
+        return outcome, "; ".join(filter(None, (reason, where, self._supervisor.DOWN[0 if down else 1])))

@@ -125,7 +125,7 @@ def sentence(scenario: Scenario, part: Part, first_error: float) -> str:
     over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
     if frames:
         how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
-        return f"{over} the command {_reversed(frames, scenario.camera.period)}, and the error {how}; {_cause(scenario)}"
+        return f"{over} the command {reversal(frames, scenario.camera.period)}, and the error {how}; {_cause(scenario)}"
     if late > first_error and grows(part, least):
         return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
     return ""
@@ -137,9 +137,10 @@ def _least(scenario: Scenario) -> tuple[float, str]:
     return (LEAST_PX, "px") if limit is None else (LEAST_LIMITS * limit, "grey levels")
 
 
-def _reversed(frames: float, period_s: float) -> str:
-    """A swing in words, by its period in frames."""
-    return "reversed in every frame" if frames == 2 else f"reversed every {frames / 2:.3g} frames ({frames / 2 * period_s:.2g} s)"
+def reversal(frames: float, period_s: float | None = None) -> str:
+    """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be told."""
+    half = frames / 2
+    return "reversed in every frame" if half == 1 else f"reversed every {half:.3g} frames" + (f" ({half * period_s:.2g} s)" if period_s else "")
 
 
 def _gain(law: Law[Any]) -> tuple[float | None, bool]:
