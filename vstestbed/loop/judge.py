@@ -17,6 +17,9 @@ from vstestbed.tasks.monitors import Monitor
 from vstestbed.tasks.reached import timed_out_words
 from vstestbed.tasks.stop import Stop
 
+DRIVEN_TO = (Outcome.target_lost, Outcome.diverged, Outcome.collided)
+"""Ends to which a loop that swings or grows may drive a robot before its time is over."""
+
 
 class Judge:
     """Decides by truth, measurements and commands; nothing of it comes back to the law.
@@ -54,19 +57,24 @@ class Judge:
         found = [monitor.update(frame) for monitor in self._monitors]
         if self._markers is not None:
             self._markers.add(frame)
+        if self.stability is not None:
+            self.stability.add(frame)
         if self._supervisor.aborted and not self._collision.touches(frame.truth):
             return self._after_abort(frame.t, self._supervisor.aborted)
         verdict = reached or next(filter(None, found), None) or missed
-        if self.stability is None:
-            return verdict
-        self.stability.add(frame)
-        return self._told_apart(verdict) if verdict and verdict[0] is Outcome.timed_out else verdict
+        return verdict and self._told_apart(verdict)
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
-        """Unstable, of a run that has timed out because its loop swings or grows."""
-        how = self.stability.unstable() if self.stability else ""
-        reason = "" if verdict[1] == timed_out_words(self._duration_s) else f"{verdict[1]}; "
-        return (Outcome.unstable, reason + how) if how else verdict
+        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so."""
+        outcome, reason = verdict
+        if self.stability is None or outcome not in (Outcome.timed_out, *DRIVEN_TO):
+            return verdict
+        how = self.stability.unstable(seen=outcome in DRIVEN_TO)
+        if not how:
+            return verdict
+        if outcome in DRIVEN_TO:
+            return outcome, f"{reason}; before, the loop was unstable: {how}"
+        return Outcome.unstable, how if reason == timed_out_words(self._duration_s) else f"{reason}; {how}"
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
         """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the end of the duration."""
@@ -83,4 +91,4 @@ class Judge:
             return None
         outcome, reason = aborted
         where = self._markers.sentence() if self._markers is not None and outcome is Outcome.target_lost else ""
-        return outcome, "; ".join(filter(None, (reason, where, self._supervisor.DOWN[0 if down else 1])))
+        return self._told_apart((outcome, "; ".join(filter(None, (reason, where, self._supervisor.DOWN[0 if down else 1])))))

@@ -119,7 +119,8 @@ class LostMarkers:
         """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its plane, of a ball across the ray."""
         target = self._scenario.target
         facing = p_camera if target.marker.kind == "sphere" else T_target_camera[:3, :3].T @ target.normals[i]
-        a, b = self._scenario.camera.across(facing[None])
+        a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
+        a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
         angles = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
         return p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b)
 

@@ -83,6 +83,10 @@ class Part(NamedTuple):
     reference: Array
     away: Array
 
+    def last_half(self) -> Part:
+        """The last half of it; `away` stays that of the whole."""
+        return Part(*(values[len(values) // 2 :] for values in self[:-1]), self.away)
+
 
 def swings(part: Part, least: float) -> float:
     """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
@@ -114,9 +118,15 @@ def grows(part: Part, least: float) -> bool:
 def sentence(scenario: Scenario, part: Part, first_error: float) -> str:
     """How the loop is unstable, by what numbers, and what would help; "" for one that is not.
 
+    Where the last half of the run does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
+
     Args:
         scenario: the experiment. part: its last half. first_error: at the start of the run, in the unit of the part's.
     """
+    return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
+
+
+def _how(scenario: Scenario, part: Part, first_error: float) -> str:
     least, unit = _least(scenario)
     if len(part.t) < FEWEST or math.isnan(part.error[-1]):
         return ""
@@ -205,9 +215,11 @@ class Stability:
         if math.isnan(self._first):
             self._first = error
 
-    def unstable(self) -> str:
-        """How the loop is unstable, in words; "" where it is not."""
+    def unstable(self, seen: bool = False) -> str:
+        """How the loop is unstable, in words; "" where it is not. seen: how it was until the last frame with a measurement."""
         last = list(islice(self._last, max(0, len(self._last) - self._frames // 2), None))
+        while seen and last and math.isnan(last[-1][1]):
+            last.pop()
         if len(last) < FEWEST:
             return ""
         t, error, twist, scale, goal, target, camera = map(np.array, zip(*last, strict=True))
