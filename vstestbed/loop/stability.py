@@ -45,6 +45,8 @@ KEPT, KEPT_LIMITED = 0.9, 0.5
 limits of law and robot hold: its size changes from one period to the next (measured: by 0.7 to 1.4)."""
 LIMITED, LIMITED_SHARE = 0.999, 0.05
 """A command scaled under this is limited; a swing of whose commands so many are is held by the limits."""
+SAME_PERIOD = 0.2
+"""Difference from the period of the goal's own motion up to which a swing is that motion [1]."""
 GREW = 2.0
 """Growth of an error that does not swing, over the frames, so that it counts as one."""
 
@@ -52,11 +54,10 @@ GREW = 2.0
 def period(x: Array) -> float:
     """Frames after which x (n, m) comes back, in between being opposite; 0 where it does not.
 
-    With r(k) = sum_j x_j . x_(j+k) / sqrt(sum |x_j|^2 sum |x_(j+k)|^2) about the mean, it is the first peak of r over ALIKE with an r
+    With r(k) = sum_j x_j . x_(j+k) / sqrt(sum |x_j|^2 sum |x_(j+k)|^2) it is the first peak of r over ALIKE with an r
     under OPPOSITE before it. Normalised so, swings that grow or decay have r = 1 after a period, too. A period that is no whole number
     of frames may have its peak after several: it is divided by the number of valleys before it.
     """
-    x = x - x.mean(axis=0)
     r = [1.0]
     for k in range(1, len(x) // PERIODS + 2):
         a, b = x[:-k], x[k:]
@@ -90,19 +91,19 @@ class Part(NamedTuple):
 
 def swings(part: Part, least: float) -> float:
     """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
-    third = len(part.t) // 3
+    third, x = len(part.t) // 3, part.twist
     if not np.nanmedian(part.error[-third:]) >= least:
         return 0.0
-    middle = part.twist.mean(axis=0)
-    early, late = (float(np.linalg.norm(x - middle)) for x in (part.twist[:third], part.twist[-third:]))
+    moves = bool(np.ptp(part.reference, axis=0).any())
+    if moves:  # the swing is about the motion that the target, or the way, asks for
+        x = x - x.mean(axis=0)
+    early, late = float(np.linalg.norm(x[:third])), float(np.linalg.norm(x[-third:]))
     held = float(np.mean(part.limited[-third:])) > LIMITED_SHARE
     if late < (KEPT_LIMITED if held else KEPT) * early:
         return 0.0
-    found = period(part.twist)
-    if not found or not np.ptp(part.reference, axis=0).any():
-        return found
-    of_goal = period(part.reference)
-    return 0.0 if of_goal and abs(of_goal - found) <= 0.2 * found else found
+    found = period(x)
+    of_goal = period(part.reference - part.reference.mean(axis=0)) if moves else 0.0
+    return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
 
 
 def grows(part: Part, least: float) -> bool:
