@@ -133,7 +133,13 @@ class TestPeriod:
 
     def test_of_what_is_none(self):
         walk = np.cumsum(RNG.normal(size=(200, 6)), axis=0)
-        for x in (RNG.normal(size=(200, 6)), walk, np.diff(RNG.normal(size=(201, 6)), axis=0), 0.98 ** self.K[:, None], self.K[:, None] % 50):
+        for x in (
+            RNG.normal(size=(200, 6)),
+            walk,
+            np.diff(RNG.normal(size=(201, 6)), axis=0),
+            0.98 ** self.K[:, None],
+            self.K[:, None] % 50,
+        ):
             assert period(np.asarray(x, dtype=float)) == 0
 
     def test_it_must_come_back_four_times(self):
@@ -144,7 +150,9 @@ class TestSwings:
     K = np.arange(240)
     X = np.cos(np.pi * K / 3)
 
-    @pytest.mark.parametrize(("decay", "limited", "found"), [(1.0, False, 6), (1.01, False, 6), (0.995, False, 0), (0.998, True, 6), (0.99, True, 0)])
+    @pytest.mark.parametrize(
+        ("decay", "limited", "found"), [(1.0, False, 6), (1.01, False, 6), (0.995, False, 0), (0.998, True, 6), (0.99, True, 0)]
+    )
     def test_a_swing_that_decays_is_none(self, decay: float, limited: bool, found: int):
         assert swings(part(self.X * decay**self.K, limited=limited), 1.0) == found
 

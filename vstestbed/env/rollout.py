@@ -13,7 +13,6 @@ import numpy as np
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
-from vstestbed.core.outcome import Outcome
 from vstestbed.env.overview import Overview
 from vstestbed.env.reward import Reward, RewardKind, potential
 from vstestbed.laws.policy_io import MOST_PX, ActionScale, observed

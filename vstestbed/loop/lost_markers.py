@@ -26,7 +26,7 @@ BACK, LENS, BORDER, HIDDEN, TINY, UNKNOWN = range(6)
 REMEDIES = {
     BACK: "start in front of the target, or turn target.pose",
     LENS: "a start that looks at the target, or a wider camera, would show it",
-    BORDER: "a wider camera, a start nearer to the goal view, or a law that minds the border (law.visibility.margin_px, law: qp) would help",
+    BORDER: "a wider camera, a start nearer to the goal view, or a law that minds the border (law.visibility, law: qp) would help",
     HIDDEN: "move what hides them, the start or the goal",
     TINY: "larger markers (target.marker.radius), a nearer start or a longer focal length would help",
     UNKNOWN: "why is not known: noise, light, or another object of their colour may be it; the film shows the picture",
@@ -87,7 +87,9 @@ class LostMarkers:
         said = []
         for (_, words), members in groups.items():
             called = [self._scenario.target.called(i) for i in members]
-            first, last = (f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i].t for i in members) for f in (min, max)))
+            first, last = (
+                f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i].t for i in members) for f in (min, max))
+            )
             head = f"marker {called[0]} was" if len(called) == 1 else f"markers {', '.join(called)} were"
             sizes = sorted({f"{self._lost[i].px:.2g}" for i in members}, key=float)
             words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
@@ -121,8 +123,8 @@ class LostMarkers:
         facing = p_camera if target.marker.kind == "sphere" else T_target_camera[:3, :3].T @ target.normals[i]
         a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
         a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
-        angles = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
-        return p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b)
+        angles: Array = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
+        return np.asarray(p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b), dtype=float)
 
     def _out_of_view(self, rim: Array, p_camera: Array) -> tuple[int, str] | None:
         """How a marker with a rim (POINTS, 2) [px] is outside of the picture; None where it is whole in it."""

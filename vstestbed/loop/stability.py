@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,9 +27,9 @@ from vstestbed.laws import Law
 from vstestbed.laws.base import AdaptiveGain, ConstantGain
 from vstestbed.loop.theory import gain_limit, loop_shares, swing_frames
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.base import Log as Columns
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST, Figures
-from vstestbed.tasks.base import Log as Columns
 
 FEWEST, MOST = 24, 2048
 """Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not be kept in constant memory."""
@@ -86,7 +85,8 @@ class Part(NamedTuple):
 
     def last_half(self) -> Part:
         """The last half of it; `away` stays that of the whole."""
-        return Part(*(values[len(values) // 2 :] for values in self[:-1]), self.away)
+        n = len(self.t) // 2
+        return Part(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
 
 
 def swings(part: Part, least: float) -> float:
@@ -112,7 +112,7 @@ def grows(part: Part, least: float) -> bool:
         return False
     quarters = [float(np.median(each)) for each in np.array_split(part.error, 4)]
     ordered = [float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in np.array_split(part.twist, 4)]
-    rises = all(b > a for a, b in zip(quarters, quarters[1:], strict=False))
+    rises = all(b > a for a, b in pairwise(quarters))
     return rises and quarters[-1] > max(least, GREW * quarters[0]) and ordered[-1] > LIMITED * ordered[0]
 
 
@@ -151,7 +151,11 @@ def _least(scenario: Scenario) -> tuple[float, str]:
 def reversal(frames: float, period_s: float | None = None) -> str:
     """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be told."""
     half = frames / 2
-    return "reversed in every frame" if half == 1 else f"reversed every {half:.3g} frames" + (f" ({half * period_s:.2g} s)" if period_s else "")
+    return (
+        "reversed in every frame"
+        if half == 1
+        else f"reversed every {half:.3g} frames" + (f" ({half * period_s:.2g} s)" if period_s else "")
+    )
 
 
 def _gain(law: Law[Any]) -> tuple[float | None, bool]:

@@ -187,13 +187,13 @@ class _LastHalf:
         rows = [np.searchsorted(index, now.index) for index, _, _ in self._kept]  # a run of the last frame is in all of them
         twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
         error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
-        t, still = (self._from + np.arange(len(rows))) * period_s, np.zeros((len(rows), 1))
+        t, still = np.arange(self._from, self._from + len(rows)) * float(period_s), np.zeros((len(rows), 1))
         out = np.full(len(now.index), "", dtype=object)
         for i in np.flatnonzero(now.code == _CODE[Outcome.timed_out]):
             ends = self._T[rows[0][i]], now.T[i]
             away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
             part = Part(t, error[:, i], twist[:, i], s.law.limits.reached(twist[:, i]), still, away)
-            out[i] = sentence(s, part, self._first[now.index[i]])
+            out[i] = sentence(s, part, float(self._first[now.index[i]]))
         return out
 
 

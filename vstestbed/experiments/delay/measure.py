@@ -14,11 +14,11 @@ from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
-from vstestbed.loop.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
+from vstestbed.loop.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import linear_arm

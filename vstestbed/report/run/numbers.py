@@ -80,7 +80,7 @@ def swing_text(summary: Summary) -> str:
     swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
     if not (_is_number(swung_s) and _is_number(frames)) or summary.get("outcome") == "unstable":
         return ""
-    return f"On the way its command {reversal(frames)}, for {plain(swung_s)} s without a break: it is near the limit of its stability."
+    return f"On the way its command {reversal(float(frames or 0))}, for {plain(swung_s)} s without a break: it is badly damped."
 
 
 def judged_text(summary: Summary) -> str:
@@ -111,7 +111,9 @@ def table(summary: Summary) -> str:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
     items = []
     own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
-    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS + SWING_ROWS if summary.get(row[0]) is not None) + own:
+    for key, name, unit in (
+        ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS + SWING_ROWS if summary.get(row[0]) is not None) + own
+    ):
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
