@@ -183,16 +183,19 @@ class _LastHalf:
 
     def unstable(self, now: Instant) -> NDArray[np.object_]:
         """The words of each run of the last frame (m,); "" of those that have not timed out."""
-        s, period_s = self._scenario, self._scenario.camera.period
-        rows = [np.searchsorted(index, now.index) for index, _, _ in self._kept]  # a run of the last frame is in all of them
+        s, out = self._scenario, np.full(len(now.index), "", dtype=object)
+        over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
+        if not len(over) or not self._kept:
+            return out
+        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]  # a run of the last frame is in all of them
         twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
         error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
-        t, still = np.arange(self._from, self._from + len(rows)) * float(period_s), np.zeros((len(rows), 1))
-        out = np.full(len(now.index), "", dtype=object)
-        for i in np.flatnonzero(now.code == _CODE[Outcome.timed_out]):
-            ends = self._T[rows[0][i]], now.T[i]
+        frames = np.arange(self._from, self._from + len(rows), dtype=float)
+        for k, i in enumerate(over):
+            ends = self._T[rows[0][k]], now.T[i]
             away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
-            part = Part(t, error[:, i], twist[:, i], s.law.limits.reached(twist[:, i]), still, away)
+            limited, still = s.law.limits.reached(twist[:, k]), np.zeros((len(rows), 1))
+            part = Part(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
             out[i] = sentence(s, part, float(self._first[now.index[i]]))
         return out
 
