@@ -7,7 +7,7 @@ import vstestbed as vs
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import fly
 from vstestbed.experiments.basin.setup import start_of
-from vstestbed.loop.stability import FEWEST, Part, Swinging, grows, period, reversal, swings
+from vstestbed.loop.stability import FEWEST, LastPart, Swinging, grows, period, reversal, swings
 from vstestbed.loop.theory import closed_form, swing_frames
 from vstestbed.report.run.numbers import headline
 from vstestbed.tasks.metrics import TWIST
@@ -30,11 +30,11 @@ def flown(share: float, d: int, **changes: object) -> vs.Recording:
     return vs.run(vs.load("ibvs_book", NEAR | {"camera.latency_s": d * PERIOD_S, "law.gain": share * closed_form(d) / PERIOD_S} | changes))
 
 
-def part(x: np.ndarray, error: float | np.ndarray = 5.0, limited: bool = False, reference: np.ndarray | None = None) -> Part:
+def part(x: np.ndarray, error: float | np.ndarray = 5.0, limited: bool = False, reference: np.ndarray | None = None) -> LastPart:
     """Commands x (n,) along one axis."""
     n = len(x)
     still = np.zeros((n, 1)) if reference is None else reference
-    return Part(
+    return LastPart(
         np.arange(n) * PERIOD_S, np.full(n, error), np.outer(x, np.eye(6)[3]), np.full(n, limited), still, np.array([[1, 0.1], [2, 0.1]])
     )
 

@@ -120,7 +120,8 @@ class LostMarkers:
     def _rim(self, p_camera: Array, T_target_camera: Array, i: int) -> Array:
         """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its plane, of a ball across the ray."""
         target = self._scenario.target
-        facing = p_camera if target.marker.kind == "sphere" else T_target_camera[:3, :3].T @ target.normals[i]
+        is_ball = target.marker.height_m >= target.marker.radius  # as high as wide
+        facing = p_camera if is_ball else T_target_camera[:3, :3].T @ target.normals[i]
         a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
         a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
         angles: Array = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]

@@ -67,7 +67,7 @@ def period(x: Array) -> float:
     return 0.0
 
 
-class Part(NamedTuple):
+class LastPart(NamedTuple):
     """The last half of a run, n frames.
 
     Attributes:
@@ -83,13 +83,13 @@ class Part(NamedTuple):
     reference: Array
     away: Array
 
-    def last_half(self) -> Part:
+    def last_half(self) -> LastPart:
         """The last half of it; `away` stays that of the whole."""
         n = len(self.t) // 2
-        return Part(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
+        return LastPart(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
 
 
-def swings(part: Part, least: float) -> float:
+def swings(part: LastPart, least: float) -> float:
     """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
     third, x = len(part.t) // 3, part.twist
     if not np.nanmedian(part.error[-third:]) >= least:
@@ -106,7 +106,7 @@ def swings(part: Part, least: float) -> float:
     return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
 
 
-def grows(part: Part, least: float) -> bool:
+def grows(part: LastPart, least: float) -> bool:
     """Whether error and command grow all the time, and the camera truly leaves its goal, which stands still."""
     if np.ptp(part.reference, axis=0).any() or not (part.away[1] > part.away[0]).any() or not np.isfinite(part.error).all():
         return False
@@ -116,7 +116,7 @@ def grows(part: Part, least: float) -> bool:
     return rises and quarters[-1] > max(least, GREW * quarters[0]) and ordered[-1] > LIMITED * ordered[0]
 
 
-def sentence(scenario: Scenario, part: Part, first_error: float) -> str:
+def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
     """How the loop is unstable, by what numbers, and what would help; "" for one that is not.
 
     Where the last half of the run does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
@@ -127,7 +127,7 @@ def sentence(scenario: Scenario, part: Part, first_error: float) -> str:
     return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
 
 
-def _how(scenario: Scenario, part: Part, first_error: float) -> str:
+def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     least, unit = _least(scenario)
     if len(part.t) < FEWEST or math.isnan(part.error[-1]):
         return ""
@@ -232,7 +232,7 @@ class Stability:
         away = np.array([rigid_error(T, T_goal) for T, T_goal in zip(camera[[0, -1]], at_goal, strict=True)])
         # A target in the gripper moves with the robot.
         moved = goal if self._scenario.target.on_gripper else np.concatenate([goal, target], axis=1)
-        return sentence(self._scenario, Part(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away), self._first)
+        return sentence(self._scenario, LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away), self._first)
 
 
 class Swinging:

@@ -19,7 +19,7 @@ from vstestbed.experiments.basin.setup import BatchSetup
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import Views
 from vstestbed.loop.monitors import FAR_M
-from vstestbed.loop.stability import Part, sentence, window
+from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.reached import REST, REST_S
 from vstestbed.tasks.visible import PLANE_INPUTS
@@ -195,7 +195,7 @@ class _LastHalf:
             ends = self._T[rows[0][k]], now.T[i]
             away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
             limited, still = s.law.limits.reached(twist[:, k]), np.zeros((len(rows), 1))
-            part = Part(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
+            part = LastPart(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
             out[i] = sentence(s, part, float(self._first[now.index[i]]))
         return out
 
