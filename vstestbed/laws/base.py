@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
@@ -240,6 +241,12 @@ class TwistLimits:
                 size = np.linalg.norm(part, axis=1, keepdims=True)
                 factor = np.minimum(factor, limit / np.maximum(size, limit))
         return twist * factor
+
+    def reached(self, twist: Array) -> NDArray[np.bool_]:
+        """Which twists (M, 6) are at a limit, as those are that were shortened."""
+        sizes = np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)
+        limits = self.speed_mps or math.inf, self.rate_radps or math.inf
+        return (sizes[0] > limits[0] * (1 - 1e-9)) | (sizes[1] > limits[1] * (1 - 1e-9))
 
     def command(self, u: Array, basis: Array) -> Command:
         """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to within the limits."""

@@ -18,9 +18,11 @@ from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
+from vstestbed.loop.lost_markers import LostMarkers
 from vstestbed.loop.plant_of import plant_of, shown_clean
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
+from vstestbed.loop.stability import Stability
 from vstestbed.loop.witness import Witness
 from vstestbed.robots import Allocation
 from vstestbed.scenario.randomise import drawn
@@ -67,7 +69,8 @@ class Episode:
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
         own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
-        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own)
+        lost = LostMarkers(scenario, self.plant.names_before)
+        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own, Stability(scenario), lost)
         self._led = scenario.timing.interpolated(*scenario.clock)
         self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
@@ -148,6 +151,7 @@ class Episode:
         """Go on with other parameters of the law."""
         self.controller.retune(law)
         self.scenario = self.controller.scenario
+        self._judge.stability = Stability(self.scenario)
         self.changed_by_hand("law")
 
     def _send(self, command: Array | None) -> None:
@@ -155,6 +159,7 @@ class Episode:
         assert self.frame is not None
         self._commanded = command is not None
         if command is not None:
+            self._judge.stability = None  # of commands from outside neither gain nor delay is known
             wanted, allocation = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation)
         if self._to_robot is None or not self._to_robot.loses(self._step // self.plant.steps_per_frame):

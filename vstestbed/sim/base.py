@@ -119,6 +119,10 @@ class Plant(Protocol):
         """The truth, now."""
         ...
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by the name of its body; "" for nothing."""
+        ...
+
     def reading(self) -> Reading:
         """The robot's sensor reading, now."""
         ...

@@ -92,6 +92,10 @@ class IdealPlant:
             T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact="", feet="", act=NONE, wind=STILL_AIR
         )
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points (N, 3); nothing where there is no scene."""
+        return self._stage.names_before(T_world_camera, p_camera) if self._stage else ("",) * len(p_camera)
+
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture

@@ -176,6 +176,10 @@ class MujocoPlant:
         act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points (N, 3)."""
+        return self._stage.names_before(T_world_camera, p_camera)
+
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture

@@ -15,7 +15,7 @@ from vstestbed.cli import app as cli
 from vstestbed.core.errors import ParameterError
 from vstestbed.experiments.delay.lag import measure_lags
 from vstestbed.experiments.delay.measure import OFF, OFF_WITH_FRICTION, displaced, find_limit, find_limits, growth, prepared
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form
+from vstestbed.loop.theory import closed_form, gain_limit, led_form
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.time_stamps import CameraStamps
 

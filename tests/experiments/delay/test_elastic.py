@@ -11,7 +11,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.experiments.delay.elastic import elastic_gain_limit, sampled
 from vstestbed.experiments.delay.measure import displaced, find_limits, growth, prepared
-from vstestbed.experiments.delay.theory import closed_form
+from vstestbed.loop.theory import closed_form
 from vstestbed.robots.joint_effects import Gears
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import LinearArm, linear_arm

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, roots
+from vstestbed.loop.theory import closed_form, gain_limit, roots
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant

@@ -14,11 +14,11 @@ from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
-from vstestbed.experiments.delay.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
 from vstestbed.loop.run import run
+from vstestbed.loop.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import linear_arm
@@ -180,7 +180,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
         )
     )
     size = recording["error_px"]
-    if not recording.outcome.success and recording.outcome is not Outcome.timed_out:
+    if not recording.outcome.success and not recording.outcome.out_of_time:
         return 0.0 if recording.outcome in CALM else math.inf
     half = len(size) // 2
     if np.nanmax(size) > GROWN * size[0] or (recording["scale"][half:] < UNSATURATED).any():

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LETTERS: Final = {"target_lost": "L", "local_minimum": "M", "diverged": "D", "timed_out": "T"}
+LETTERS: Final = {"target_lost": "L", "local_minimum": "M", "diverged": "D", "timed_out": "T", "unstable": "U"}
 """Letter of the most frequent outcome of a cell's failures."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
 """Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
