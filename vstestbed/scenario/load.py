@@ -178,14 +178,13 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with a start drawn from a seed, and its noise with it; without a random block the noise alone.
+    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone.
 
     Raises:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
-    # A fixed start with noise is a fair experiment for many seeds, as in other scenes; without either, every seed would give the same run.
-    drawn = scenario.noise.draws() or scenario.draws_noise or scenario.draws_scene or scenario.timing.draws
-    if scenario.robot.start.random is None and drawn:
+    # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
+    if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
 
