@@ -117,7 +117,7 @@ def test_a_report_names_the_level_and_not_what_it_fills() -> None:
     ],
 )
 def test_another_kind_over_the_fields_of_a_block_is_one_mistake(settings: dict[str, Any], told: list[str]) -> None:
-    with pytest.raises(vs.ScenarioError) as refused:
+    with pytest.raises(vs.errors.ScenarioError) as refused:
         vs.load("arm_ibvs", settings)
     found = [f"{m.field}: {m.sentence}" for m in refused.value.mistakes]
     assert len(found) == len(told) and all(re.fullmatch(words, line) for words, line in zip(told, found, strict=True)), found

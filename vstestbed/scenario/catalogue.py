@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import typing
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
