@@ -16,7 +16,7 @@ THAT_HIDE = "plates", "scenery"
 
 
 def left_out(scenario: Scenario) -> list[str]:
-    """The dotted paths of what `ideal` takes out of a scenario that has it: a robot's body, points of a detector's own, and effects on pictures and timing."""
+    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
     found = [] if scenario.robot.model is None else [*_of_robot(scenario.robot)]
     if scenario.detector.rows is not None:
         found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
