@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.live.app import IDLE_S
 from vstestbed.live.inbox import Served
 from vstestbed.live.page import LiveView
@@ -42,7 +42,7 @@ class Recorded:
         self.scenario = load(folder / "scenario.yaml", plugins=plugins)
         log = open_log(folder, self.scenario)
         if not len(log):
-            raise RunFolderError(folder, "has a log without frames")
+            raise RunFolderError(folder, "has a log without frames; there is nothing to show", NOTHING_RAN)
         self._columns, self._table = log.columns, log.table()
         self._ending = ending_of(folder)
         self.t = self._table[:, self._columns.index("t")]

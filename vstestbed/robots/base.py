@@ -133,7 +133,12 @@ class Robot(Protocol):
 
     @property
     def draws(self) -> bool:
-        """Whether the scenario's seed makes a difference to its body or its sensors, besides the start."""
+        """Whether the scenario's seed makes a difference to its body or its sensors, besides the start and its heading."""
+        ...
+
+    @property
+    def draws_heading(self) -> bool:
+        """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
         ...
 
     @property

@@ -201,6 +201,11 @@ class Car(WornVehicle):
         """(v, w), with the tightest circle."""
         return dataclasses.replace(super().own_model(reading, mount), turning_radius_m=self.turning_radius_m)
 
+    @property
+    def draws_heading(self) -> bool:
+        """The noise of its compass."""
+        return self.compass.sigma_deg > 0
+
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: np.random.Generator) -> Reading:
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""
         x, y = sensors["heading"][:2]

@@ -117,6 +117,11 @@ class RobotBase:
         return False
 
     @property
+    def draws_heading(self) -> bool:
+        """No."""
+        return False
+
+    @property
     def ends_m(self) -> tuple[float, float]:
         """Its origin."""
         return 0.0, 0.0

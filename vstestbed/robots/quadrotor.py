@@ -203,6 +203,12 @@ class Quadrotor(FlightRealism):
         """(vx, vy, vz, wz), with its tilt; a lag of first order would not describe its flight loops."""
         return replace(super().own_model(reading, mount), tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg))
 
+    @property
+    def draws(self) -> bool:
+        """Its imperfections, and the noise of its instruments."""
+        sigmas = (self.imu.gyro_sigma_radps, self.imu.accel_sigma_mps2, self.velocity.sigma_mps, self.range_sigma_m)
+        return super().draws or any(sigmas)
+
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
         return drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng)

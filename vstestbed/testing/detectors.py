@@ -51,13 +51,18 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
     with closing(plant):
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
-    true, memory = s.camera.project(truth.p_camera), detector.init()
+    true, memory, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
+    undrawn = rng.bit_generator.state
     shown = _shown(s, truth)
     for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
-        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, np.random.default_rng(0))
+        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, rng)
         assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
         error = np.linalg.norm(detection.uv - true, axis=1)[shown]
         assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
+    drew = rng.bit_generator.state != undrawn
+    assert drew is detector.draws, (
+        f"{detector.kind}: `draws` is {detector.draws}, and detect() {'draws' if drew else 'does not draw'} from rng"
+    )
     if detector.needs_image and picture is not None:
         _check_nothing(detector, s, picture)
 

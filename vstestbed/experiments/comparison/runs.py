@@ -197,7 +197,7 @@ def _controller(
     if task.file is None:  # written by hand: mistakes are told before anything runs
         for _ in starts:
             pass
-    return Variant(scenario, values, folder, draws(scenario), starts, task.labels(), task.runs)
+    return Variant(scenario, values, folder, scenario.draws, starts, task.labels(), task.runs)
 
 
 def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Placed], task_name: str, i: int) -> tuple[Scenario, str]:
@@ -222,21 +222,12 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
     return load(name, values, places={path: setting.marks for path, setting in settings.items()}, plugins=c.plugins)
 
 
-def draws(scenario: Scenario) -> bool:
-    """Whether anything of a scenario is random: its start, fields of `randomise`, clutter, pixel or image noise, delays, or the
-    calibration of depth.
-    """
-    noise = scenario.draws_noise or scenario.draws_scene
-    return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
-
-
 def _seeds_draw(scenario: Scenario, runs: int) -> bool:
-    """As `draws`, but an error where several runs would all be the same."""
-    drawn = draws(scenario)
-    if runs > 1 and not drawn:
-        problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
+    """Whether a seed draws anything, but an error where several runs would all be the same."""
+    if runs > 1 and not scenario.draws:
+        problem = "is missing, and nothing else is random: every seed would give the same run; add it, or noise, or leave --seeds out"
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
-    return drawn
+    return scenario.draws
 
 
 class Jobs(Lazy[Job]):
