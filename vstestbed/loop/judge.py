@@ -29,7 +29,7 @@ class Judge:
     def __init__(self, task: TaskMonitor, stop: Stop, target: Target, supervisor: Supervisor, own: Sequence[Monitor] = ()):
         self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
         self._collision = Collision(supervisor)
-        self._monitors = (*safety_monitors(target, self._collision), *own)
+        self._monitors = (*safety_monitors(target, self._collision, stop), *own)
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
