@@ -9,6 +9,7 @@ for it: a new command, scenario or kind is covered without a word here. Folders 
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import re
 import signal
@@ -27,6 +28,7 @@ import typer
 
 from tests.conftest import Ended
 from tests.laws.onnx_file import linear
+from tests.laws.test_policy import HOMES
 from tests.robots.arms import where_installed
 from vstestbed.cli.app import app
 from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
@@ -52,7 +54,7 @@ SMALLEST = {
 }
 """Options of the smallest form, wherever a command has them."""
 VARIED = "stop.lost_after_s=1,2", "stop.lost_after_m=1,2"
-"""Fields of every scenario: for the options `--vary`; a comparison varies fields of its own."""
+"""Fields of every scenario, for the options `--vary`."""
 GIVEN = {"name": "mine"}
 """Values of required arguments for which a shell offers none."""
 UNTIL_STOPPED = "Ctrl-C ends it"
@@ -60,7 +62,7 @@ UNTIL_STOPPED = "Ctrl-C ends it"
 KNOWN_CACHES = re.compile(r"/mesa_shader_cache[^/]*/|/\.nv/|/matplotlib/fontlist-[^/]*\.json$")
 """What libraries keep in the user's cache, so that the next process starts sooner: a driver's shaders, Matplotlib's list of fonts."""
 CODES = {0, 2, 3, 4}
-LONGEST_S = 300.0
+LONGEST_S = 1800.0
 SHOWN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 """Warnings that Python does not show a user."""
 EXPERIMENTS = [*bundled_scenarios(), *bundled_comparisons()]
@@ -87,8 +89,10 @@ def forms(experiment: str | None) -> Iterator[Form]:
         folder = any("DIR" in (p.metavar or "") for p in arguments)
         takes = any(bundled_scenarios().keys() <= set(offered[p]) for p in arguments)
         ends = {"until_stopped": UNTIL_STOPPED in (command.help or "")}
-        required = [[(p.opts[0], value) for value in offered[p]] for p in command.params if p.required and p not in arguments and offered[p]]
-        for options in itertools.product(*required):
+        choices = [p for p in command.params if p.required and p not in arguments and offered[p]]
+        required = [[(p.opts[0], value) for value in offered[p]] for p in choices]
+        every = [*itertools.product(*required)]
+        for options in every[-1:] if experiment in bundled_comparisons() else every:  # of many runs one export
             said = (name, *itertools.chain(*options), *_options(command, experiment))
             of_folder = (name, *itertools.chain(*options), *_options(command, None))
             if experiment is None and not (takes or folder):
@@ -102,14 +106,18 @@ def forms(experiment: str | None) -> Iterator[Form]:
 
 def _options(command: Any, experiment: str | None) -> list[str]:
     """The options of the smallest form that a command has."""
+    wanted, varied = dict(SMALLEST), VARIED
     if experiment is None:  # what a folder holds has run already
-        wanted = {option: value for option, value in SMALLEST.items() if not value}
-    else:
-        own = bundled_comparisons().get(experiment)
-        wanted = SMALLEST | ({"--limit": "1"} if own is not None and read_comparison(own).tasks else {})
+        wanted, varied = {option: value for option, value in SMALLEST.items() if not value}, ()
+    elif experiment in bundled_comparisons():
+        plan = read_comparison(bundled_comparisons()[experiment])
+        varied = tuple(f"{path}={json.dumps(values[0])}" for path, values in plan.axes.items())  # of each axis one value
+        if plan.tasks:  # in place of seeds
+            del wanted["--seeds"]
+            wanted["--limit"] = "1"
     has = {option for p in command.params if p.param_type_name == "option" for option in (*p.opts, *p.secondary_opts)}
-    varied = [("--vary", axis) for axis in VARIED] if experiment in bundled_scenarios() else []
-    return [word for option, value in (*wanted.items(), *varied) if option in has for word in (option, value) if word]
+    given = (*wanted.items(), *(("--vary", axis) for axis in varied))
+    return [word for option, value in given if option in has for word in (option, value) if word]
 
 
 @contextmanager
@@ -138,7 +146,7 @@ def _interrupted_at_last() -> Iterator[None]:
 
 def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[int, str]:
     """The exit code of a command, and what is wrong with its end; "" where nothing is."""
-    began = time.monotonic()
+    began = time.process_time()
     with warnings.catch_warnings(record=True) as raised, _interrupted_at_last():
         warnings.simplefilter("always")
         ended = command(*words)
@@ -150,12 +158,12 @@ def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[int, st
         "no sentence" if ended.code and not ended.err.strip() else "",
         f"warnings {shown}" if shown else "",
     ]
-    sentence = ended.err.strip().splitlines()[-1:] if ended.code in (0, 3) else ended.err.strip().splitlines()
-    line = f"{time.monotonic() - began:6.1f} s {ended.code} {' '.join(words)}: {' / '.join(sentence)[:300]}"
+    said = ", ".join(filter(None, found))
+    sentence = ended.err.strip().splitlines()[-1 if ended.code in (0, 3) else 0 :]
+    line = f"{time.process_time() - began:6.1f} s {ended.code} {' '.join(words)}: {' / '.join(sentence)[:300]} {said and 'FAULT ' + said}"
     if file := os.environ.get("VSTESTBED_CODES"):
         with Path(file).open("a", encoding="utf-8") as codes_file:
-            codes_file.write(line + "\n")
-    said = ", ".join(filter(None, found))
+            codes_file.write(line.rstrip() + "\n")
     return ended.code, f"{' '.join(words)}: {said}: {ended.err[-2000:]}" if said else ""
 
 
@@ -194,7 +202,7 @@ def test_commands_without_an_experiment_end_with_a_sentence(command: Command) ->
 def test_a_command_leaves_nothing_elsewhere(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """Each command in a process of its own, with a home of its own: what it writes is in the current folder, but for known caches."""
     elsewhere, here = tmp_path / "home", tmp_path / "here"
-    homes = {name: str(elsewhere / name) for name in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "TMPDIR")}
+    homes = {name: str(elsewhere / name) for name in HOMES}
     for folder in (*homes.values(), here):
         Path(folder).mkdir(parents=True)
     (here / "net.onnx").write_bytes(linear(np.zeros((8, 6))))
