@@ -283,6 +283,39 @@ class TestEnds:
         assert unseen.any() and not shown["markers"][unseen].any()
         assert rewards[-1] == 0.0 and sum(0.99**k * r for k, r in enumerate(rewards)) == pytest.approx(-nearness)
 
+    def test_a_learner_may_lose_the_target_and_find_it_again(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        """Turned away for far longer than `lost_after_s`, and back: the robot still obeys, and the law then reaches the goal."""
+        env = quick_env(overrides={"stop.lost_after_s": 0.2, "stop.lost_after_m": 0.01}, end_on_loss=False, end_on_rest=False)
+        env.reset(seed=0)
+        away = np.array([0.1, 0, 0, 0, 1, 0])
+        for action in (*[away] * 30, *[-away] * 30):
+            shown, _, terminated, truncated, info = env.step(action)
+            assert not (terminated or truncated)
+            if not shown["seen"].any():
+                assert np.isnan(info["error"])
+        assert shown["seen"].all()
+        servo, over = env.unwrapped, [False, False]
+        assert isinstance(servo, GymServo)
+        while not any(over):
+            _, _, *over, info = env.step(servo.expert())
+        assert info["outcome"] == "converged"
+
+    def test_a_learner_may_rest_and_cross_the_plane(self, quick_env: Callable[..., gymnasium.Env[Any, Any]]) -> None:
+        ends = {}
+        for off in (False, True):
+            for name, action in (("rest", np.zeros(6)), ("behind", np.array([0, 0, 1.0, 0, 0, 0]))):
+                env, over = quick_env(overrides={"stop.duration_s": 3}, end_on_rest=not off, end_on_loss=not off), [False, False]
+                env.reset(seed=0)
+                while not any(over):
+                    _, _, *over, info = env.step(action)
+                ends[name, off] = info["outcome"], bool(info["truth"]["T_world_camera"][2, 3] > 2)
+        assert ends == {
+            ("rest", False): ("local_minimum", False),
+            ("behind", False): ("target_lost", False),
+            ("rest", True): ("timed_out", False),
+            ("behind", True): ("timed_out", True),
+        }
+
     def test_a_run_that_ends_with_its_first_picture_is_told_by_the_first_step(
         self, quick_env: Callable[..., gymnasium.Env[Any, Any]], monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -17,6 +17,7 @@ from vstestbed.loop.monitors import (
 )
 from vstestbed.robots.failsafe import Failsafe
 from vstestbed.robots.supervisor import Supervisor
+from vstestbed.tasks.stop import Stop
 
 
 def verdicts(monitor, seconds, from_s=0.0, **given):
@@ -106,6 +107,12 @@ class TestLimitReached:
 @pytest.mark.parametrize(("name", "left_out"), [("arm_ibvs", set()), ("car_pbvs", {PlaneCrossed})])  # landmarks have no front
 def test_each_run_has_the_monitors_that_apply(name, left_out):
     collision = Collision(Supervisor())
-    monitors = safety_monitors(vs.load(name).target, collision)
+    monitors = safety_monitors(vs.load(name).target, collision, Stop())
     assert monitors[0] is collision
     assert [type(m) for m in monitors] == [c for c in (Collision, Divergence, PlaneCrossed, LimitReached) if c not in left_out]
+
+
+@pytest.mark.parametrize(("stop", "crossed"), [(Stop(lost_after_s=None), True), (Stop(lost_after_s=None, lost_after_m=None), False)])
+def test_where_no_loss_ends_a_run_the_plane_may_be_crossed(stop, crossed):
+    monitors = safety_monitors(vs.load("arm_ibvs").target, Collision(Supervisor()), stop)
+    assert any(isinstance(monitor, PlaneCrossed) for monitor in monitors) is crossed

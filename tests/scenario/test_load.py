@@ -381,6 +381,7 @@ class TestBundled:
             "converged": {"error_px": 0.2, "position_m": None, "rotation_deg": None, "error_grey": None, "hold_s": 0.5},
             "lost_after_s": 1.0,
             "lost_after_m": 2.0,
+            "rest_after_s": 2.0,
         }
         assert written["camera"]["width"] == 640
         assert written["detector"]["kind"] == "blobs"

@@ -23,7 +23,13 @@ DEFAULTS: dict[type, dict[str, Any]] = {
     GoalViews: {"threshold_px": 10.0, "speed_mps": None, "turn_degps": 45.0},
     GoalView: {"markers": None, "picture": GoalPicture()},
     Converged: {"error_px": None, "position_m": None, "rotation_deg": None, "error_grey": None, "hold_s": 0.5},
-    Stop: {"duration_s": 30.0, "converged": Converged(error_px=0.2, hold_s=0.5), "lost_after_s": 1.0, "lost_after_m": 2.0},
+    Stop: {
+        "duration_s": 30.0,
+        "converged": Converged(error_px=0.2, hold_s=0.5),
+        "lost_after_s": 1.0,
+        "lost_after_m": 2.0,
+        "rest_after_s": 2.0,
+    },
 }
 VIEWS = (GoalView(T_camera_target=Pose(xyz=(0, 0, 1))), GoalView(T_camera_target=Pose(xyz=(0, 0, 2))))
 GIVEN: dict[type, dict[str, Any]] = {
@@ -45,7 +51,7 @@ ABOVE_ZERO = [
     *((Stop, name) for name in ("duration_s", "lost_after_m")),
 ]
 FROM_ZERO = [(GoalPath, "lead_s"), *((kind, "settle_s") for kind in (GoalPath, GoalGap, GoalLine, GoalTrack))]
-FROM_ZERO += [(Converged, "hold_s"), (Stop, "lost_after_s")]
+FROM_ZERO += [(Converged, "hold_s"), *((Stop, name) for name in ("lost_after_s", "rest_after_s"))]
 
 
 @pytest.mark.parametrize("kind", DEFAULTS, ids=lambda kind: kind.__name__)

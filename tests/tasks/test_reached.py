@@ -87,5 +87,12 @@ def test_rest_at_the_goal_or_for_want_of_markers_is_no_local_minimum(given):
     assert first(monitor_of(), (frame(t, **given) for t in times(4.0)), "missed") is None
 
 
+@pytest.mark.parametrize(("rest_after_s", "said"), [(0.5, (Outcome.local_minimum, 0.52)), (None, (Outcome.timed_out, 10.0))])
+def test_how_long_a_rest_must_last(rest_after_s, said):
+    monitor = monitor_of(replace(STOP, rest_after_s=rest_after_s))
+    (outcome, _), t = first(monitor, (frame(t, speed_mps=0.0) for t in times(11.0)), "missed")
+    assert (outcome, t) == (said[0], pytest.approx(said[1], abs=0.021))
+
+
 def test_missed_when_time_is_out():
     assert first(monitor_of(), (frame(t) for t in times(11.0)), "missed") == ((Outcome.timed_out, "10 s were not enough"), 10.0)

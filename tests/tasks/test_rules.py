@@ -5,10 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import vstestbed as vs
 from tests.tasks.frames import PERIOD_S, frame
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
@@ -16,6 +18,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.rules import EARLY_PICTURES, AfterPictures, Settles
 from vstestbed.tasks.start_shares import StartShares
+from vstestbed.tasks.stop import Stop
 
 
 def frames(distances: Iterable[float], speeds: Iterable[float] | None = None, turn: float = 1.0) -> list[Frame]:
@@ -28,9 +31,12 @@ def frames(distances: Iterable[float], speeds: Iterable[float] | None = None, tu
     ]
 
 
-def ended(rule: Settles | AfterPictures, run: Iterable[Frame]) -> tuple[Outcome, int]:
+SETUP = vs.load("arm_ibvs").setup
+
+
+def ended(rule: Settles | AfterPictures, run: Iterable[Frame], rest_after_s: float | None = 2.0) -> tuple[Outcome, int]:
     """The outcome, and after how many pictures."""
-    monitor = rule.monitor(None)  # pyright: ignore[reportArgumentType] - neither needs the experiment's parts
+    monitor = rule.monitor(replace(SETUP, stop=Stop(rest_after_s=rest_after_s)))
     for n, one in enumerate(run, 1):
         if found := monitor.update(one):
             assert found[1]
@@ -48,7 +54,10 @@ class TestSettles:
     def test_ends_when_the_speed_no_longer_falls(self, end_m: float, outcome: Outcome):
         """The windows of 3: the first has a mean under 1 mm/s from picture 9 on, and the second is no smaller from picture 11 on."""
         speeds = [0.5, 0.1, 0.02, 0.0015, 0.0008, 0.0006, 0.0004, 0.0003, 0.0002, *[0.001] * 11]
-        assert ended(QUICK, frames([0.5, *[end_m] * 19], speeds)) == (outcome, 11)
+        run = frames([0.5, *[end_m] * 19], speeds)
+        assert ended(QUICK, run) == (outcome, 11)
+        if outcome is Outcome.local_minimum:  # a rest that is no end
+            assert ended(QUICK, run, rest_after_s=None) == (Outcome.timed_out, 20)
 
     def test_is_judged_at_the_latest_after_most_pictures(self):
         fast = [1.0] * 20
@@ -74,6 +83,7 @@ class TestSettles:
         """The smallest distance in picture 3; one that is no more than 2 % smaller counts as none."""
         run = frames([0.5, 0.4, 0.2, 0.3, *[0.197] * 20], [1.0] * 24)
         assert ended(Settles(stuck=6), run) == (Outcome.timed_out, 3 + 6)
+        assert ended(Settles(stuck=6, least=3, most=20), run, rest_after_s=None) == (Outcome.timed_out, 20)
 
     def test_what_is_refused(self):
         with pytest.raises(ParameterError, match="goes with or_rotation_deg"):

@@ -64,7 +64,7 @@ def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: 
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
-        settings: observation, reward, discount, success_bonus, overrides, as `rollout.rollout_of` has them.
+        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `rollout.rollout_of` has them.
         seed: of the seeds that episodes get, one after the other; None: other ones each time.
 
     Raises:

@@ -35,7 +35,9 @@ class Reward:
     `potential`: discount phi' - phi, and `success_bonus` at a success. After the end (termination, not truncation) phi' is 0, so
     that the sum of the differences depends on the start alone, and the best policy is that of the bonus alone, at a learner's discount
     equal to this one.
-    `negative_error`: phi' - 1 in [-1, 0] at every step, and the bonus. `sparse`: the bonus alone.
+    `negative_error`: phi' - 1 in [-1, 0] at every step, and the bonus. An end that is no success is charged with the worst error in
+    all n steps that were left, -(discount + ... + discount^n): without this, to give up would cost less than to go to the goal.
+    `sparse`: the bonus alone.
 
     Args:
         kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
@@ -45,7 +47,8 @@ class Reward:
 
     Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory and application to reward shaping",
     ICML, pp. 278-287; that phi must be 0 after the end: Grzes 2017, "Reward shaping in episodic reinforcement learning", AAMAS,
-    pp. 565-573.
+    pp. 565-573; that an end must be worth what an absorbing state in its place would be: Kostrikov, Agrawal, Dwibedi, Levine & Tompson
+    2019, "Discriminator-actor-critic: addressing sample inefficiency and reward bias in adversarial imitation learning", ICLR.
     """
 
     kind: RewardKind = "potential"
@@ -61,11 +64,20 @@ class Reward:
         if not math.isfinite(self.success_bonus):
             raise ParameterError("success_bonus", "must be finite", self.success_bonus)
 
-    def of_step(self, before: float, after: float, terminated: bool, success: bool) -> float:
-        """The reward of a step between two potentials; terminated: the episode has ended, and not by the clock."""
+    def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
+        """The reward of a step between two potentials.
+
+        Args:
+            before, after: the potentials. terminated: the episode has ended, and not by the clock. success: the goal was reached.
+            left: how many steps the episode would still have had.
+        """
         bonus = self.success_bonus if success else 0.0
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
-            return after - 1.0 + bonus
+            return after - 1.0 + bonus - (self._sum(left) if terminated and not success else 0.0)
         return (0.0 if terminated else self.discount * after) - before + bonus
+
+    def _sum(self, n: int) -> float:
+        """A reward of 1 in each of the next n steps: discount + ... + discount^n."""
+        return float(n) if self.discount == 1 else self.discount * -math.expm1(n * math.log(self.discount)) / (1.0 - self.discount)

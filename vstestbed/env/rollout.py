@@ -61,7 +61,8 @@ class Rollout:
     Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
     none (`laws.policy_io.ActionScale`); clipped. It has the scenario's latency and the robot's limits.
 
-    An episode ends with the run's outcome: truncated by a time-out, terminated by any other.
+    An episode ends with the run's outcome: truncated by a time-out, terminated by any other. Two of the ends can be switched off for
+    learners, who rest and lose the target often: `local_minimum` (and `stuck` of the monitor `settles`), and `target_lost`.
 
     Info at every step: `is_success`, `outcome` and `reason` ("" while it runs), `error`, `error_unit`, `error_limit`, `error_by`
     (the judged error in this frame, NaN where unknown, and who measures it), `t` [s], `seed`, and `truth`: `T_world_camera`,
@@ -71,6 +72,8 @@ class Rollout:
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
         observation: the mode. reward: of a step. overrides: values by dotted path, as `vstestbed.load`.
+        end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
+        end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
 
     Raises:
         ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
@@ -82,19 +85,24 @@ class Rollout:
         observation: ObservationMode = "markers",
         reward: Reward = Reward(),  # noqa: B008 - frozen
         overrides: Mapping[str, object] | None = None,
+        end_on_rest: bool = True,
+        end_on_loss: bool = True,
     ):
         if observation not in get_args(ObservationMode):
             raise ParameterError("observation", f"must be one of {', '.join(get_args(ObservationMode))}", observation)
         if isinstance(scenario, Scenario) and overrides:
             raise ParameterError("overrides", "are for a scenario given by name or path; load it with them")
-        self.scenario = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        given = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
+        rest = {} if end_on_rest else {"rest_after_s": None}
+        loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
+        self.scenario = replace(given, stop=replace(given.stop, **rest, **loss))
         self._mode, self._reward = observation, reward
         robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
         self.scale = ActionScale.of(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
         self._frame: Frame | None = None
         self._overview: Overview | None = None
-        self._phi, self._told = 0.0, False
+        self._phi, self._told, self._steps = 0.0, False, 0
 
     @property
     def most_steps(self) -> int:
@@ -121,7 +129,7 @@ class Rollout:
         self._session = Session(scenario, pictures=self._mode != "markers")
         frame = self._frame = self._session.reset()
         error, self._phi = self._judged(frame)
-        self._told = False
+        self._told, self._steps = False, 0
         return Step(self._observation(frame), 0.0, False, False, self._info(frame, error))
 
     def step(self, action: Array) -> Step:
@@ -134,12 +142,14 @@ class Rollout:
         session, frame = self._running()
         if frame.outcome is None:
             frame = self._frame = session.step(u)
+            self._steps += 1
         outcome, before = frame.outcome, self._phi
         self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
         error, self._phi = self._judged(frame)
         truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
-        reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success)
+        left = max(0, self.most_steps - self._steps)
+        reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success, left)
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
 
     def expert(self) -> Array:
@@ -252,10 +262,12 @@ def rollout_of(
     discount: float = 0.99,
     success_bonus: float = 10.0,
     overrides: Mapping[str, object] | None = None,
+    end_on_rest: bool = True,
+    end_on_loss: bool = True,
 ) -> Rollout:
-    """A rollout by the settings of an environment: scenario, observation and overrides as `Rollout`, the others as `Reward` has them.
+    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`.
 
     Raises:
         ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
-    return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides)
+    return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides, end_on_rest, end_on_loss)

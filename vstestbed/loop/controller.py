@@ -78,7 +78,7 @@ class Controller:
         self.observer_memory = self.observer.init()
         self.reference_memory = scenario.goal.begin(scenario.setup, views)
         self.law_memory = scenario.law.init(views[0])
-        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
+        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, *scenario.stop.lost_after)
         self.before: Exposure | None = None
         self.refused = 0
         self._failed, self._found, self._why = False, False, ""

@@ -47,7 +47,7 @@ class Judge:
         self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
         self.stability, self._markers = stability, markers
         self._collision = Collision(supervisor)
-        self._monitors = (*safety_monitors(target, self._collision), *own)
+        self._monitors = (*safety_monitors(target, self._collision, stop), *own)
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""

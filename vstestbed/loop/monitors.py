@@ -13,6 +13,7 @@ from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer
 from vstestbed.tasks.monitors import Monitor
+from vstestbed.tasks.stop import Stop
 
 FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
@@ -102,6 +103,6 @@ def _from_target(frame: Frame) -> list[float]:
     return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
 
 
-def safety_monitors(target: Target, collision: Collision) -> tuple[Monitor, ...]:
+def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[Monitor, ...]:
     """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
-    return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided else ()), LimitReached()
+    return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided and stop.loss_ends else ()), LimitReached()

@@ -233,7 +233,7 @@ class Scenario:
     @cached_property
     def own_columns(self) -> tuple[str, ...]:
         """The robot's and the task's own columns of the log."""
-        supervisor = self.robot.supervisor(self.goal.lands, self.stop.lost_after_s, self.stop.lost_after_m)
+        supervisor = self.robot.supervisor(self.goal.lands, *self.stop.lost_after)
         return self.robot.log(supervisor).columns + self.goal.monitor(self.setup, supervisor).columns
 
     @property

@@ -13,8 +13,6 @@ from vstestbed.tasks.stop import Converged
 
 REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
-REST_S = 2.0
-"""How long a commanded rest away from the goal must last to count as a local minimum [s]."""
 
 
 def converged_words(goal: Converged) -> str:
@@ -67,7 +65,7 @@ class GoalMonitor(TaskMonitor):
         """A local minimum, or the end of the duration."""
         # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
-        if self._rest.lasting(at_rest, frame.t) >= REST_S:
+        if self._rest.lasting(at_rest, frame.t) >= self.setup.stop.rest_after:
             return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate, self.error_grey)
         # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s

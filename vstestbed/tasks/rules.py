@@ -65,7 +65,8 @@ class Settles:
 
     It has settled when, of the last two windows of pictures, the mean speed and the mean rate of the first are under their limits, and
     those of the second are no smaller. It has converged where distance and angle from the goal are both under `share` of the
-    start's, or under `or_position_m` and `or_rotation_deg`. It has diverged beyond `diverged` times the start's distance.
+    start's, or under `or_position_m` and `or_rotation_deg`. It has diverged beyond `diverged` times the start's distance. Where
+    `stop.rest_after_s` is None, a run that rests elsewhere, or that is stuck, goes on.
 
     The defaults are the rule of ViT-VS (Scherl et al. 2025, arXiv:2503.04545) in the units of its paper, where a step takes a second:
     at R pictures a second, multiply `speed_mps` and `rate_degps` by R.
@@ -109,7 +110,7 @@ class Settles:
 
     def monitor(self, setup: Setup) -> _Settles:
         """By the true place of the camera and the commanded twist."""
-        return _Settles(self)
+        return _Settles(self, rest_ends=math.isfinite(setup.stop.rest_after))
 
     def near(self, away: Away, start: Away) -> float:
         """The larger of both errors, each over its limit; under 1 the run has converged."""
@@ -120,8 +121,9 @@ class Settles:
 
 
 class _Settles:
-    def __init__(self, rule: Settles):
-        self._rule, self._early, self._stuck = rule, _Early(rule.early), _Stuck(rule.stuck)
+    def __init__(self, rule: Settles, rest_ends: bool = True):
+        self._rule, self._early, self._stuck = rule, _Early(rule.early), _Stuck(rule.stuck if rest_ends else None)
+        self._rest_ends = rest_ends
         self._speeds: deque[tuple[float, float]] = deque(maxlen=2 * rule.window)
         self._start: Away | None = None
         self._pictures = 0
@@ -145,7 +147,8 @@ class _Settles:
             return None
         if near < 1:
             return Outcome.converged, self._words("within", near, "when it settled" if not ended else "at the end")
-        return Outcome.timed_out if ended else Outcome.local_minimum, self._words("not within", near, "when it settled")
+        outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
+        return None if outcome is None else (outcome, self._words("not within", near, "when it settled"))
 
     def _settled(self) -> bool:
         rule, n = self._rule, self._rule.window

@@ -64,12 +64,33 @@ class Stop:
     Args:
         duration_s: simulated time after which the run times out [s]; at most a day.
         converged: when the goal counts as reached.
-        lost_after_s: longest time without sight of the target [s]; then the robot stops.
+        lost_after_s: longest time without sight of the target [s]; then the robot stops; None: it goes on for any time.
         lost_after_m: longest way of the camera without sight of the target, by the robot's own sensors (dead reckoning, or a law that
-            coasts) [m]; then the robot stops.
+            coasts) [m]; then the robot stops; None: it goes on for any way. Where both are None, a camera behind its target goes on, too.
+        rest_after_s: how long a commanded rest away from the goal lasts until the run ends as `local_minimum` [s]; None: it never ends so.
     """
 
     duration_s: Duration = 30.0
     converged: Converged = Converged()
-    lost_after_s: Time = 1.0
-    lost_after_m: PositiveLength = 2.0
+    lost_after_s: Time | None = 1.0
+    lost_after_m: PositiveLength | None = 2.0
+    rest_after_s: Time | None = 2.0
+
+    @property
+    def lost_after(self) -> tuple[float, float]:
+        """The time [s] and the way [m] after which a target that is out of sight is lost; inf: never."""
+        return _or_never(self.lost_after_s), _or_never(self.lost_after_m)
+
+    @property
+    def rest_after(self) -> float:
+        """How long a commanded rest away from the goal must last to count as a local minimum [s]; inf: it never does."""
+        return _or_never(self.rest_after_s)
+
+    @property
+    def loss_ends(self) -> bool:
+        """Whether a run can end as `target_lost`."""
+        return min(self.lost_after) < math.inf
+
+
+def _or_never(limit: float | None) -> float:
+    return math.inf if limit is None else limit

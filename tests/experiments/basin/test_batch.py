@@ -186,6 +186,16 @@ def test_a_half_turn_ends_as_in_the_time_loop(interaction: str, outcome: str):
         assert found.steps[0] == len(r["t"]) - 1 == 2 * 25  # the judge waits two seconds
 
 
+@pytest.mark.parametrize("interaction", ["desired", "mean"])
+def test_where_neither_rest_nor_loss_is_an_end_a_half_turn_goes_on(interaction: str):
+    s = scenario(IBVS(interaction=interaction, depth=OracleDepth()), duration_s=4.0)  # pyright: ignore[reportArgumentType]
+    s = replace(s, stop=replace(s.stop, lost_after_s=None, lost_after_m=None, rest_after_s=None))
+    start = from_(Pose(xyz=(0, 0, -1), rpy_deg=(0, 0, 180)))
+    found, r = fly(s, start), vs.run(started_at(s, start[0]))
+    assert found.outcome[0] is r.outcome is vs.Outcome.timed_out
+    assert found.steps[0] == len(r["t"]) - 1 == 4 * 25
+
+
 def test_markers_that_leave_the_picture_end_a_run_where_the_time_loop_ends_it():
     s = scenario(PBVS(gain=FAST), limited=True)
     # 35 degrees off: two markers outside from the start, too few for a pose. 10: three, which tell no first pose, or four.

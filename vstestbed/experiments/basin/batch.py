@@ -21,7 +21,7 @@ from vstestbed.laws.views import Views
 from vstestbed.loop.monitors import FAR_M
 from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.reached import REST, REST_S
+from vstestbed.tasks.reached import REST
 from vstestbed.tasks.visible import PLANE_INPUTS
 from vstestbed.vision import Oracle
 from vstestbed.vision.pose.homography import left_open
@@ -217,11 +217,11 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
     runs.rest = np.where(resting, runs.rest + 1, 0)
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
-    gone = step + setup.frames(s.stop.lost_after_s)
+    gone = step + setup.frames(s.stop.lost_after[0])
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
-        (runs.rest > setup.frames(REST_S), Outcome.local_minimum),
+        (runs.rest > setup.frames(s.stop.rest_after), Outcome.local_minimum),
         (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
         (_behind(s, runs.T), Outcome.target_lost),
         (distance > FAR_M, Outcome.diverged),
@@ -235,7 +235,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
 
 def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
     """Which cameras are behind the plane of the target (m,)."""
-    if not s.target.one_sided:
+    if not (s.target.one_sided and s.stop.loss_ends):
         return np.zeros(len(T), dtype=bool)
     return np.einsum("mi,mi->m", T[:, :3, 2], T[:, :3, 3]) <= 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -173,7 +174,9 @@ class BatchSetup:
         return isinstance(law.depth, PnP) and law.inputs != ("relative",)
 
     def frames(self, duration_s: float) -> int:
-        """Number of frames after which a time [s] has passed, by the rule of the `Judge`."""
+        """Number of frames after which a time [s] has passed, by the rule of the `Judge`; of inf more than any run has."""
+        if math.isinf(duration_s):
+            return sys.maxsize // 2
         return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
 
     def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:

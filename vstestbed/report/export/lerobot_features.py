@@ -103,7 +103,7 @@ def _columns(run: RecordedRun) -> list[str]:
 def _state(scenario: Scenario, log: dict[str, Array]) -> dict[str, Array]:
     """What the log tells of the robot's own sensors, in the order of `agent_pos`: joints, and what the robot's columns have."""
     robot = scenario.robot
-    own = robot.log(robot.supervisor(scenario.goal.lands, scenario.stop.lost_after_s, scenario.stop.lost_after_m)).proprioception(log)
+    own = robot.log(robot.supervisor(scenario.goal.lands, *scenario.stop.lost_after)).proprioception(log)
     known = {name: log[f"q_{name}"] for name in robot.joints} | own
     return {name: known[name] for name in robot.proprioception_names if name in known}
 
