@@ -10,7 +10,7 @@ from typing import Any
 
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.files import write_whole
-from vstestbed.core.folders import folder_name, numbered
+from vstestbed.core.folders import file_word, numbered
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
@@ -92,6 +92,6 @@ class Settings:
         scenario = self.scenario
         if note:
             scenario = replace(scenario, description=f"{scenario.description} {note}".strip())
-        path = numbered(Path("runs") / folder_name(scenario.name) / "live") / "scenario.yaml"
+        path = numbered(Path("runs") / file_word(scenario.name) / "live") / "scenario.yaml"
         write_whole(path, dump(scenario, defaults=True))
         return path

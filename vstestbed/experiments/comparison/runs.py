@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
-from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
+from vstestbed.core.folders import allowed, distinct, file_word
+from vstestbed.experiments.comparison.folder_names import among
 from vstestbed.experiments.comparison.lazy import Lazy, Starts
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
@@ -121,7 +122,8 @@ class Variants(Lazy[Variant]):
         blocks += [_settings(c, c.cases[name][case], ("cases", name, case)) for name, case in cases.items()]
         values = cases | {path: setting.value for path, setting in axes.items()} | ({TASK: task} if task else {})
         words = [words[place] for words, place in zip(self._words, varied, strict=False)]  # without tasks the last place has no word
-        variant = ",".join(f"{path}={word}" for path, word in zip(values, words, strict=True)) or AS_IT_IS
+        # paths of fields are words of files, but the name of a case may be anything
+        variant = allowed(",".join(f"{file_word(name, 150)}={word}" for name, word in zip(values, words, strict=True)) or AS_IT_IS)
         variants = math.prod(self._sizes[1:])
         place = f"runs/{self._bases[base]}/{among(i % variants, variants, variant)}"
         outer_first = dict(sorted(axes.items(), key=lambda axis: axis[0].count(".")))  # a whole block would overwrite its fields
