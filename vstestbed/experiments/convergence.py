@@ -23,7 +23,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.comparison import Comparison, Job, controllers, jobs, workers
 from vstestbed.experiments.comparison.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of
 from vstestbed.experiments.comparison.runs import must_be_few
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.report.studies.convergence import ConvergenceMap, write_page
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
@@ -58,7 +58,7 @@ def run_one(scenario: Scenario) -> RunEnding:
         EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
     """
     try:
-        recording = run(scenario)
+        recording = uninterrupted(run(scenario))
     except EnvironmentLackError:
         raise
     except UnreachableError:  # its motors cannot hold it there

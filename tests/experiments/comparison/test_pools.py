@@ -99,6 +99,18 @@ def test_ctrl_c_ends_a_study_at_once(start: Start, tmp_path: Path, study: str, l
     assert not (tmp_path / "out" / ".running").exists()
 
 
+@pytest.mark.parametrize("words", [("gain-limit", "quick.yaml"), pytest.param(("bench", "--all"), marks=pytest.mark.study)])
+def test_ctrl_c_in_a_run_ends_the_study_around_it(start: Start, words: tuple[str, ...]):
+    """Not that run alone, after which the study went on with the next one."""
+    process = start(*words)
+    assert process.stderr is not None
+    assert process.stderr.readline().strip()  # the first result, or what is measured first
+    time.sleep(0.5)
+    took_s, err = interrupted(process)
+    assert took_s < ENDS_S
+    assert err.splitlines()[-1] == "interrupted"
+
+
 def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
     process = start("sweep", "quick.yaml", *AXES, "--seeds", "100", "--jobs", "2", "--out", "out", "--set", "stop.duration_s=0.4")
     assert process.stderr is not None

@@ -10,7 +10,7 @@ import signal
 import tempfile
 import uuid
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context, resource_tracker
@@ -228,7 +228,7 @@ class LocalPool:
         slot = self._free.pop()  # there is one: as many threads as slots call
         try:
             return slot.executor.submit(function, *arguments).result()
-        except BrokenProcessPool:  # killed, after its last run or now
+        except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
             slot.broken = True
             if self._closed:  # else what is interrupted would go on in this process, which could not end
                 raise WorkerLostError("the pool is closed") from None
