@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.folders import allowed, distinct, file_word
-from vstestbed.experiments.comparison.folder_names import among
 from vstestbed.experiments.comparison.lazy import Lazy, Starts
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
@@ -27,6 +26,16 @@ MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
+
+
+SIDE_BY_SIDE = 1000
+"""Most folders in one: file browsers, and some file systems, are slow with more."""
+
+
+def among(number: int, of: int, name: str = "") -> str:
+    """The name of a folder with a number; of more than SIDE_BY_SIDE, in one that holds as many: `12000/12345`."""
+    name = name or str(number)
+    return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
 class Placed(NamedTuple):
