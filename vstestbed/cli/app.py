@@ -20,13 +20,14 @@ from vstestbed.cli.bench import benchmarks
 from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
-from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, exit_code
+from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.new import news
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
 from vstestbed.cli.tune import tunings
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
+from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording, Watcher

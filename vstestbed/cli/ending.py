@@ -14,6 +14,7 @@ import typer
 
 from vstestbed.cli.streams import standard_streams
 from vstestbed.core.errors import EnvironmentLackError, VstestbedError
+from vstestbed.core.shares import STOPS
 
 
 class Said(int):
@@ -23,8 +24,6 @@ class Said(int):
 GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)  # 128 + SIGINT, as shells have it
 LACK = EnvironmentLackError.exit_code
 UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
-STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that end a command as Ctrl-C does; Windows has no SIGHUP."""
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:

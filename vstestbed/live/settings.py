@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from vstestbed.core.errors import Mistake, ScenarioError, nearest, short
 from vstestbed.core.files import write_whole
-from vstestbed.core.folders import folder_name, numbered
+from vstestbed.core.folders import file_word, numbered
 from vstestbed.core.mapping import to_mapping
 from vstestbed.core.named_files import FILE_FIELDS
 from vstestbed.core.registry import ROOMS, SPECS, fields_of
@@ -120,7 +120,7 @@ class Settings:
         scenario = self.scenario
         if note:
             scenario = replace(scenario, description=f"{scenario.description} {note}".strip())
-        path = numbered(Path("runs") / folder_name(scenario.name) / "live") / "scenario.yaml"
+        path = numbered(Path("runs") / file_word(scenario.name) / "live") / "scenario.yaml"
         write_whole(path, dump(scenario, defaults=True))
         return path
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
@@ -77,7 +77,7 @@ def _shown(s: Scenario, truth: Truth) -> NDArray[np.bool_]:
 def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: float) -> None:
     """The points of a detector of its own points are where the scene has those of the goal's picture, and many enough."""
     s = replace(scenario, detector=detector, stop=replace(scenario.stop, duration_s=scenario.camera.period))
-    log = run(s)
+    log = uninterrupted(run(s))
     uv, true = (np.stack([[log[f"{axis}{at}_{i}"] for i in range(s.rows)] for axis in "uv"], axis=-1) for at in ("", "_true"))
     error = np.linalg.norm(uv - true, axis=-1)
     seen = np.isfinite(error).sum(axis=0)

@@ -17,7 +17,7 @@ from vstestbed.experiments.delay.linear import linear_gain_limit
 from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.loop.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
@@ -126,7 +126,7 @@ def prepared(scenario: Scenario) -> Scenario:
     if settled.robot.base != "fixed":
         words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
         raise ParameterError("robot.kind", words, settled.robot.kind)
-    flown = run(replace(settled, robot=settled.robot.idealised()))
+    flown = uninterrupted(run(replace(settled, robot=settled.robot.idealised())))
     if not flown.outcome.success:
         raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
     q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
@@ -171,16 +171,14 @@ def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
     """
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
-    recording = run(
-        replace(
-            at_start,
-            law=replace(at_start.law, gain=gain),
-            camera=replace(at_start.camera, latency_s=delay_frames * period),
-            stop=Stop(
-                duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)
-            ),  # a hold time of the whole run: reaching the goal does not end it
-        )
+    scenario = replace(
+        at_start,
+        law=replace(at_start.law, gain=gain),
+        camera=replace(at_start.camera, latency_s=delay_frames * period),
+        # a hold time of the whole run: reaching the goal does not end it
+        stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
     )
+    recording = uninterrupted(run(scenario))
     size = recording["error_px"]
     if not recording.outcome.success and not recording.outcome.out_of_time:
         return 0.0 if recording.outcome in CALM else math.inf
