@@ -228,7 +228,7 @@ class QP(LawBase):
             groups.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
         if self.plane_m is not None:
             groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
-        return (*groups, twist_limits(self.limits, robot.J), shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)))
+        return (*groups, twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J), shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)))
 
     def _metric(self, seen: Observation) -> Array:
         """W: the interaction matrix (m, 6) of the law's feature now, or I."""

@@ -142,7 +142,7 @@ class Switched(LawBase):
         found = [part.law.feature for part in self.laws if part.law.feature is not None]
         return found[0] if found and all(feature == found[0] for feature in found) else None
 
-    @property
+    @cached_property
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
         speeds, rates = zip(*((part.law.limits.speed_mps, part.law.limits.rate_radps) for part in self.laws), strict=True)

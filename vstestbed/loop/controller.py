@@ -183,7 +183,7 @@ class Controller:
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
         if next_goal is not None:  # a law's memory belongs to one goal
-            self.law_memory = self.law.init(next_goal)
+            self.law_memory = self.guarded.init(next_goal, self.law_memory)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         return Cycle(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation)

@@ -131,10 +131,7 @@ class Quadrotor(FlightRealism):
     @property
     def body_changes(self) -> tuple[Change, ...]:
         """Those of its parameters; the drag that `rotor_drag` models is taken from the air drag."""
-        share = self.rotor_drag.body_share if self.rotor_drag else 1.0
-        return (
-            self.parameters.changes if share == 1.0 else replace(self.parameters, drag_area_m2=share * self.parameters.drag_area_m2).changes
-        )
+        return self.parameters.changes(self.rotor_drag.body_share if self.rotor_drag else 1.0)
 
     def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
         """Its imperfections."""
