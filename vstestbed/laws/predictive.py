@@ -24,7 +24,7 @@ from vstestbed.laws.feedforward import Feedforward, NoFeedforward
 from vstestbed.laws.following import inputs_of
 from vstestbed.laws.horizon import STILL, PlanBlocks, Predicted, predict
 from vstestbed.laws.ibvs import IBVS, IBVSMemory
-from vstestbed.laws.program import Group, Solution, minimise
+from vstestbed.laws.program import Group, Solution, load_solver, minimise
 from vstestbed.laws.select import Rows, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.visibility import check_margin, pixel_interaction
@@ -134,6 +134,11 @@ class Predictive(LawBase):
     def init(self, goal: Goal) -> Plan:
         """No plan so far."""
         return Plan()
+
+    def prepare(self) -> None:
+        """The solvers of the program, and of `least_squares`."""
+        super().prepare()
+        load_solver()
 
     def step(self, memory: Plan, observation: Observation, goal: Goal, basis: Array) -> tuple[Plan, Command]:
         """One frame with the visible markers; rest when they are too few, or where the program was not solved."""

@@ -192,6 +192,11 @@ class Switched(LawBase):
         """The first law is to begin."""
         return SwitchedMemory(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
 
+    def prepare(self) -> None:
+        """All laws."""
+        for part in self.laws:
+            part.law.prepare()
+
     def step(self, memory: SwitchedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedMemory, Command]:
         """One frame of the active law, which the conditions choose first."""
         memory = self._chosen(memory, observation, goal)

@@ -243,7 +243,7 @@ class Quadrotor(FlightRealism):
     def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
+        A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the craft for good: its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = memory
         (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters
