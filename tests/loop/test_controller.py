@@ -95,7 +95,17 @@ assert any(cycle.twist.any() for cycle in cycles), cycles[-1].reason
 print(*sorted(set(sys.modules) - before))
 """
 SWITCHED = {"law": {"kind": "switched", "laws": [{"law": "pbvs", "until": {"error_under_px": 1e4}}, {"law": "qp"}]}}
-ARMS = ("arm_ibvs", "arm_predictive", "arm_qp", "arm_pbvs", "arm_hybrid", "arm_partitioned", "arm_uncalibrated", "arm_switched", "arm_policy")
+ARMS = (
+    "arm_ibvs",
+    "arm_predictive",
+    "arm_qp",
+    "arm_pbvs",
+    "arm_hybrid",
+    "arm_partitioned",
+    "arm_uncalibrated",
+    "arm_switched",
+    "arm_policy",
+)
 OTHERS = (*ARMS, "ibvs_book", "car_pbvs", "car_pursuit", "car_line", "omni_ibvs", "quadrotor_hover")
 
 
@@ -229,7 +239,11 @@ class TestWhatIsTold:
     @pytest.mark.parametrize(
         ("name", "changed", "words"),
         [
-            ("arm_ibvs", {2: 9.0}, r"joint \w+ outside of its range, -?[\d.]+ to [\d.]+ \(rad, or m\): another unit, or another order than"),
+            (
+                "arm_ibvs",
+                {2: 9.0},
+                r"joint \w+ outside of its range, -?[\d.]+ to [\d.]+ \(rad, or m\): another unit, or another order than",
+            ),
             ("arm_ibvs", {2: -170.0}, "outside of its range"),  # in degrees
             ("arm_jaco", {1: 0.1}, "outside of its range"),
             ("car_pbvs", {0: 20.0}, "joint steering outside of its range, -1.571 to 1.571"),
@@ -260,7 +274,11 @@ class TestWhatIsTold:
 
     @pytest.mark.parametrize(
         ("wrong", "words"),
-        [({"range_m": np.nan}, "range_m must be a distance"), ({"range_m": -1.0}, "range_m must be a distance"), ({"tilt": None}, "tilt must be")],
+        [
+            ({"range_m": np.nan}, "range_m must be a distance"),
+            ({"range_m": -1.0}, "range_m must be a distance"),
+            ({"tilt": None}, "tilt must be"),
+        ],
     )
     def test_a_crafts_range_and_tilt(self, wrong: dict[str, Any], words: str) -> None:
         controller, still = vs.Controller(vs.load("quadrotor_hover")), np.zeros(3)

@@ -1,4 +1,4 @@
-"""One order a cycle: in every way in which a robot is stopped, twist, setpoint and order agree, and a latched stop ends by `reset` alone."""
+"""One order a cycle: in every way to be stopped, twist, setpoint and order agree, and a latched stop ends by `reset` alone."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ ROBOTS = ("arm_ibvs", "arm_panda", "omni_ibvs", "car_pbvs", "quadrotor_hover", "
 STOPPED = tuple(name for name in ROBOTS if not name.startswith("quadrotor"))
 """Robots that are safe at rest."""
 STILL = np.zeros(3)
+Shown = tuple[vs.Scenario, np.ndarray, vs.Reading]
 
 
 class Rig:
@@ -75,8 +76,8 @@ class Rig:
         """Twist and setpoint are those of one motion, and those of a stop are rest."""
         assert np.isfinite(order.setpoint).all() and np.isfinite(order.twist).all()
         if order.stopped:
-            at_rest = self.scenario.robot.stopping(order.setpoint, 0.0) if self.scenario.robot.kind == "car" else np.zeros_like(order.setpoint)
-            assert np.array_equal(order.setpoint, at_rest) and not order.twist.any() and order.reason
+            moving = order.setpoint[:1] if self.scenario.robot.kind == "car" else order.setpoint  # its steering stays as it was
+            assert not moving.any() and not order.twist.any() and order.reason
             return
         mount = Mount.of(self.scenario.believed_camera.mount.T)
         if isinstance(self.scenario.robot, Arm):
@@ -209,8 +210,7 @@ def test_a_craft_in_trouble_holds_sinks_and_switches_off(craft: dict[str, Any], 
     rig.sees()
     held = rig.sees(**craft)
     assert held.stopped and held.latched and words in held.reason and held.reason.endswith("the craft holds")
-    for _ in range(round(HOLD_S / rig.period) + 2):
-        sinks = rig.sees()
+    sinks = [rig.sees() for _ in range(round(HOLD_S / rig.period) + 2)][-1]
     assert not sinks.stopped and sinks.latched and words in sinks.reason and sinks.twist.any()
     off = rig.sees(stands=True)
     assert off.order.stop == "off" and off.stopped and off.latched and off.reason.endswith("rotors off")
@@ -237,7 +237,7 @@ def test_a_joint_at_its_limit_leaves_a_velocity_that_agrees() -> None:
 
 
 @pytest.fixture(scope="module")
-def shown() -> tuple[vs.Scenario, np.ndarray, vs.Reading]:
+def shown() -> Shown:
     """An arm's scenario, the picture of its start, and its reading there."""
     scenario = vs.load("arm_ibvs", {"stop.lost_after_s": 0.2})
     with vs.Session(scenario, pictures=True) as session:
@@ -249,20 +249,20 @@ def shown() -> tuple[vs.Scenario, np.ndarray, vs.Reading]:
 class TestWithPictures:
     """`step` itself, on pictures of the start."""
 
-    def lost(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading]) -> tuple[vs.Controller, list[vs.Cycle]]:
+    def lost(self, shown: Shown) -> tuple[vs.Controller, list[vs.Cycle]]:
         """A controller whose target was lost, and is back in sight; and its cycles."""
         scenario, image, reading = shown
         controller, black = vs.Controller(scenario), np.zeros_like(image)
         pictures = [image] * 3 + [black] * 8 + [image] * 3
         return controller, [controller.step(picture, 0.04 * k, reading) for k, picture in enumerate(pictures)]
 
-    def test_the_twist_does_not_drive_on(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading]) -> None:
+    def test_the_twist_does_not_drive_on(self, shown: Shown) -> None:
         _, cycles = self.lost(shown)
         assert moves(cycles[2]) and cycles[3].stopped
         assert all(cycle.latched and cycle.stopped and not cycle.twist.any() and not cycle.setpoint.any() for cycle in cycles[-3:])
         assert cycles[-1].command.twist.any() and "for 0.2 s" in cycles[-1].reason
 
-    def test_after_a_reset_it_is_a_new_controller(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading]) -> None:
+    def test_after_a_reset_it_is_a_new_controller(self, shown: Shown) -> None:
         controller, first = self.lost(shown)
         controller.reset()
         _, image, reading = shown
@@ -270,7 +270,7 @@ class TestWithPictures:
             again = controller.step(image, 0.04 * k, reading)
             assert again.twist.tobytes() == first[k].twist.tobytes() and again.timing == first[k].timing and again.notes == ()
 
-    def test_a_picture_that_comes_twice_does_not_bring_an_old_velocity_back(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading]) -> None:
+    def test_a_picture_that_comes_twice_does_not_bring_an_old_velocity_back(self, shown: Shown) -> None:
         scenario, image, reading = shown
         controller = vs.Controller(scenario)
         assert moves(controller.step(image, 0.0, reading))
@@ -281,12 +281,12 @@ class TestWithPictures:
         assert controller.step(image, 0.0, reading).latched
         assert controller.step(image, 0.64, reading).latched
 
-    def test_a_mistake_changes_no_order(self, shown: tuple[vs.Scenario, np.ndarray, vs.Reading]) -> None:
+    def test_a_mistake_changes_no_order(self, shown: Shown) -> None:
         scenario, image, reading = shown
         controller, other = vs.Controller(scenario), vs.Controller(scenario)
         for one in (controller, other):
             one.step(image, 0.0, reading)
-        with pytest.raises(ParameterError, match="readings.q has joint"):
+        with pytest.raises(ParameterError, match=r"readings\.q has joint"):
             controller.step(image, 0.04, vs.Reading(np.degrees(reading.q), reading.qd))
         a, b = (one.step(image, 0.04, reading) for one in (controller, other))
         assert a.twist.tobytes() == b.twist.tobytes() and a.notes == b.notes == ()
@@ -313,7 +313,9 @@ class TestThreads:
             controller.reset,
         )
         for call in calls:
-            with pytest.raises(SessionError, match="another thread is in a call of this controller, which serves one thread at a time; hold"):
+            with pytest.raises(
+                SessionError, match="another thread is in a call of this controller, which serves one thread at a time; hold"
+            ):
                 call()
         go_on.set()
         thread.join(10)

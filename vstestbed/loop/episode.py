@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
@@ -88,7 +89,7 @@ class Episode:
     @property
     def steps(self) -> bool:
         """Whether it is under way to its next frame, in another thread."""
-        return self._frames.gi_running
+        return inspect.getgeneratorstate(self._frames) == inspect.GEN_RUNNING
 
     def ended(self) -> Frame:
         """The last frame, with the outcome of a run that ended without another one."""
