@@ -286,7 +286,7 @@ class TestWithPictures:
         controller, other = vs.Controller(scenario), vs.Controller(scenario)
         for one in (controller, other):
             one.step(image, 0.0, reading)
-        with pytest.raises(ParameterError, match=r"readings\.q has joint"):
+        with pytest.raises(ParameterError, match=r"readings\.q has joint_\d outside of its range"):
             controller.step(image, 0.04, vs.Reading(np.degrees(reading.q), reading.qd))
         a, b = (one.step(image, 0.04, reading) for one in (controller, other))
         assert a.twist.tobytes() == b.twist.tobytes() and a.notes == b.notes == ()

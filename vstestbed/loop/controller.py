@@ -340,7 +340,7 @@ class Controller:
         made = self.supervisor.filter(t, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
-            made = replace(made, setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S))
+            made = replace(made, setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
         return made
 
     def without_picture(self, t: float, reading: Reading) -> Order:

@@ -65,9 +65,9 @@ class Inputs:
         beyond = np.maximum(low - q, q - high)
         if len(q) and beyond.max() > OUTSIDE:
             i = int(beyond.argmax())
-            joints = ", ".join(self._robot.joints)
-            words = f"has joint {self._robot.joints[i]} outside of its range, {low[i]:.4g} to {high[i]:.4g} (rad, or m): another unit"
-            raise ParameterError("readings.q", f"{words}, or another order than {joints}?", round(float(q[i]), 4))
+            words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
+            works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"
+            raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
         """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
