@@ -19,6 +19,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.solve import load_lapack
 from vstestbed.laws.visibility import Visibility
 
 M = TypeVar("M")
@@ -153,6 +154,10 @@ class Law(Protocol[M]):
 
     def init(self, goal: Goal) -> M:
         """The memory before the first frame."""
+        ...
+
+    def prepare(self) -> None:
+        """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
         ...
 
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
@@ -296,6 +301,10 @@ class LawBase:
     def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
         """No memory."""
         return None
+
+    def prepare(self) -> None:
+        """The solver of `least_squares`."""
+        load_lapack()
 
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))

@@ -87,6 +87,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def joint_limits(self) -> Array:
+        """Lowest and highest position of each of its joints, (len(joints), 2) [rad, m]; infinite where there is none."""
+        ...
+
+    @property
     def proprioception_names(self) -> tuple[str, ...]:
         """Names of the entries of `proprioception`."""
         ...

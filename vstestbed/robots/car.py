@@ -168,6 +168,11 @@ class Car(WornVehicle):
         )
 
     @property
+    def joint_limits(self) -> Array:
+        """No wheel is steered across the car's way; the wheels turn without end."""
+        return np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
+
+    @property
     def turning_radius_m(self) -> float:
         """Of its tightest circle, of the middle of the rear axle: L / tan(steering) [m]."""
         return self.parameters.wheelbase_m / math.tan(self.limits.steering_rad)

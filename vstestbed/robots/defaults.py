@@ -83,6 +83,11 @@ class RobotBase:
         return ()
 
     @property
+    def joint_limits(self) -> Array:
+        """None."""
+        return np.tile([-np.inf, np.inf], (len(self.joints), 1))
+
+    @property
     def proprioception_names(self) -> tuple[str, ...]:
         """The joints."""
         return self.joints

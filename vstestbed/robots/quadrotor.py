@@ -131,10 +131,7 @@ class Quadrotor(FlightRealism):
     @property
     def body_changes(self) -> tuple[Change, ...]:
         """Those of its parameters; the drag that `rotor_drag` models is taken from the air drag."""
-        share = self.rotor_drag.body_share if self.rotor_drag else 1.0
-        return (
-            self.parameters.changes if share == 1.0 else replace(self.parameters, drag_area_m2=share * self.parameters.drag_area_m2).changes
-        )
+        return self.parameters.changes(self.rotor_drag.body_share if self.rotor_drag else 1.0)
 
     def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
         """Its imperfections."""
@@ -252,7 +249,7 @@ class Quadrotor(FlightRealism):
     def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
+        A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the craft for good: its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = memory
         (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
-from vstestbed.robots.orders import Orders
+from vstestbed.robots.orders import Orders, Stop
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
@@ -132,9 +132,9 @@ class IdealPlant:
         """No joints."""
         return NO_JOINTS
 
-    def apply(self, setpoint: Array) -> None:
-        """Set the twist (6,) of the flange. NaN: stop."""
-        self._orders.give(self._steps, setpoint)
+    def apply(self, setpoint: Array, stop: Stop = "") -> None:
+        """Set the twist (6,) of the flange, or a stop in its place."""
+        self._orders.give(self._steps, setpoint, stop)
         self._actuate()
 
     def _actuate(self) -> None:

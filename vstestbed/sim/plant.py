@@ -13,7 +13,7 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground
-from vstestbed.robots.orders import Orders
+from vstestbed.robots.orders import Orders, Stop
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
@@ -217,9 +217,9 @@ class MujocoPlant:
         """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
-    def apply(self, setpoint: Array) -> None:
-        """Set the setpoint; without an onboard controller these are the actuators' controls (n,). NaN: stop."""
-        self._orders.give(self._steps, setpoint)
+    def apply(self, setpoint: Array, stop: Stop = "") -> None:
+        """Set the setpoint, or a stop in its place; without an onboard controller these are the actuators' controls (n,)."""
+        self._orders.give(self._steps, setpoint, stop)
         self._actuate()
 
     def _actuate(self) -> None:

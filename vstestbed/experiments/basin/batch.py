@@ -218,6 +218,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
     gone = step + setup.frames(s.stop.lost_after[0])
+    failed = setup.law.failed(memory) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
@@ -225,6 +226,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
         (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
         (_behind(s, runs.T), Outcome.target_lost),
         (distance > FAR_M, Outcome.diverged),
+        (failed, Outcome.law_failed),
         (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
     ):
         if which.any():  # later entries overwrite earlier ones: they take precedence
