@@ -92,7 +92,7 @@ class LastPart(NamedTuple):
 def swings(part: LastPart, least: float) -> float:
     """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
     third, x = len(part.t) // 3, part.twist
-    if not np.nanmedian(part.error[-third:]) >= least:
+    if not _median(part.error[-third:]) >= least:
         return 0.0
     moves = bool(np.ptp(part.reference, axis=0).any())
     if moves:  # the swing is about the motion that the target, or the way, asks for
@@ -104,6 +104,12 @@ def swings(part: LastPart, least: float) -> float:
     found = period(x)
     of_goal = period(part.reference - part.reference.mean(axis=0)) if moves else 0.0
     return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
+
+
+def _median(error: Array) -> float:
+    """Of what was measured; NaN where nothing was."""
+    known = error[np.isfinite(error)]
+    return float(np.median(known)) if len(known) else math.nan
 
 
 def grows(part: LastPart, least: float) -> bool:
@@ -132,7 +138,7 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     if len(part.t) < FEWEST or math.isnan(part.error[-1]):
         return ""
     frames, third = swings(part, least), len(part.t) // 3
-    early, late = float(np.nanmedian(part.error[:third])), float(np.nanmedian(part.error[-third:]))
+    early, late = _median(part.error[:third]), _median(part.error[-third:])
     over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
     if frames:
         how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
