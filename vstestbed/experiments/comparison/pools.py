@@ -137,7 +137,7 @@ class _Slot:
 
     def start(self) -> None:
         """Start the process; its temporary files go to the pool's folder, which is removed also if the process is killed."""
-        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
+        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(self._place,))
         self.broken = False
         # the process starts with the first submission, so that it inherits these variables, and what is held back
         with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():

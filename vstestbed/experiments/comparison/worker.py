@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import tempfile
+import threading
 import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,23 +120,25 @@ def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     return RunRequest(folder, dump(scenario, defaults=True), filmed)
 
 
-def begin(parent_must_live: bool) -> None:
-    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone."""
+def begin(place: str) -> None:
+    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
+
+    Args:
+        place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    """
+    tempfile.tempdir = place
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # held back while it started
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
-    if parent_must_live:
-        import multiprocessing
-        import threading
 
-        def follow() -> None:  # a killed parent cannot end its workers
-            parent = multiprocessing.parent_process()
-            if parent is not None:
-                parent.join()
-                os._exit(1)  # not sys.exit, which in a thread ends only the thread
+    def follow() -> None:  # a killed parent cannot end its workers
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)  # not sys.exit, which in a thread ends only the thread
 
-        threading.Thread(target=follow, daemon=True).start()
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def process_id() -> int:
