@@ -88,7 +88,7 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
     except (typer.Abort, KeyboardInterrupt):
         typer.echo("interrupted", err=True)
         return INTERRUPTED
-    except BaseException as error:  # noqa: BLE001 - also a panic of polars, which is no Exception
+    except BaseException as error:
         return _unforeseen(error, debug)
 
 

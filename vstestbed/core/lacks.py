@@ -8,6 +8,7 @@ import mmap
 import os
 import re
 from collections.abc import Iterator
+from pathlib import Path
 
 from vstestbed.core.errors import EnvironmentLackError
 
@@ -35,7 +36,7 @@ def shortage() -> EnvironmentLackError | None:
     with contextlib.ExitStack() as spare:
         try:
             for _ in range(SPARE_FILES):
-                spare.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+                spare.enter_context(Path(os.devnull).open("rb"))
         except OSError as error:
             return _files(error)
     try:
