@@ -28,7 +28,7 @@ NO_LAG = (1.0,)
 """Impulse response of a robot without lag."""
 
 
-def closed_form(delay_frames: int) -> float:
+def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
     There a pair of poles crosses the unit circle at the angle pi / (2 d + 1): the loop oscillates with a period of
