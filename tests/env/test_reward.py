@@ -65,7 +65,7 @@ def soonest_lost(rollout: Rollout) -> Policy:
 def test_the_law_wins_against_giving_up_and_against_an_end(quick: Path, discount: float, ends: bool) -> None:
     def worth(policy: Policy) -> tuple[float, str]:
         given = {"reward": "negative_error", "discount": discount, "end_on_rest": ends, "end_on_loss": ends}
-        rewards, info = flown(rollout_of(quick, overrides={"stop.duration_s": 4}, **given), policy)
+        rewards, info = flown(rollout_of(quick, success_bonus=0.0, overrides={"law.gain": 1.0, "stop.duration_s": 8}, **given), policy)
         return returned(rewards, discount), info["outcome"]
 
     best, outcome = worth(Rollout.expert)
