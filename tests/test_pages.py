@@ -64,7 +64,7 @@ def sentences(text: str) -> Iterator[str]:
         yield from (one for one in re.split(r"(?<=[.:;])\s+", " ".join(paragraph.split())) if len(one) >= 60)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@pytest.mark.parametrize("page", [*PAGES, Path("CHANGELOG.md")], ids=str)
 def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides(page: Path) -> None:
     found = list(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
     assert not {one for one in found if found.count(one) > 1}
