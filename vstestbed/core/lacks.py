@@ -57,12 +57,12 @@ def _chain(error: BaseException) -> Iterator[BaseException]:
 
 
 def _memory(error: BaseException) -> EnvironmentLackError:
-    words = "close other programs, raise the limit (ulimit -v), or make what is asked for smaller: fewer --workers, starts or pixels"
+    words = "close other programs, raise the limit (ulimit -v), or make what is asked for smaller: fewer --jobs, starts or pixels"
     return EnvironmentLackError(f"not enough memory{_said(error)}", words)
 
 
 def _files(error: BaseException) -> EnvironmentLackError:
-    return EnvironmentLackError(f"too many open files{_said(error)}", "raise the limit (ulimit -n 1024), or use fewer --workers")
+    return EnvironmentLackError(f"too many open files{_said(error)}", "raise the limit (ulimit -n 1024), or use fewer --jobs")
 
 
 def _said(error: BaseException) -> str:
