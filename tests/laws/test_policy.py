@@ -236,22 +236,27 @@ class TestOnnx:
         with pytest.raises(ParameterError, match=r"agent_pos needs law.agent_pos: true"):
             Policy(file=str(tmp_path / "joints.onnx"))
 
-    def test_a_run_writes_nothing_outside_its_folder(self, tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]):
-        """The runtime's telemetry would leave a database and an identifier of the machine in the user's cache."""
+    @pytest.mark.parametrize("policy", ["net.onnx", "own.py:act"])
+    def test_a_run_writes_nothing_outside_its_folder(
+        self, policy: str, tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]
+    ):
+        """The runtime's telemetry would leave a database and an identifier of the machine in the user's cache, whoever imports it."""
         pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
         words, environment = vstestbed_process
         homes = {name: tmp_path / name for name in HOMES}
         for folder in (*homes.values(), tmp_path / "work"):
             folder.mkdir()
         (tmp_path / "work" / "net.onnx").write_bytes(linear(self.W))
+        (tmp_path / "work" / "own.py").write_text("import numpy\nimport onnxruntime\n\n\ndef act(seen):\n    return numpy.zeros(6)\n")
         environment = {k: v for k, v in environment.items() if k != "ORT_DISABLE_TELEMETRY"} | {k: str(v) for k, v in homes.items()}
         # the oracle: a driver of OpenGL keeps its shaders in the user's cache
-        settings = "stop.duration_s=.2", "detector=oracle", "law={kind: policy, file: net.onnx}"
+        settings = "stop.duration_s=.2", "detector=oracle", f"law={{kind: policy, file: {policy}}}"
         words = [*words, "run", "ibvs_book", "--out", "out", "--video", "none", *(f"--set={setting}" for setting in settings)]
         ended = subprocess.run(words, cwd=tmp_path / "work", env=environment, capture_output=True, text=True, check=False)
         assert ended.returncode == 3, ended.stderr
-        left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-        assert {name for name in left if not name.startswith(str(Path("work/out")))} == {str(Path("work/net.onnx"))}
+        left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+        own = {str(Path("work/net.onnx")), str(Path("work/own.py"))}
+        assert {name for name in left if not name.startswith(str(Path("work/out")))} == own
 
     def test_no_network_at_all(self, tmp_path: Path):
         pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
 import sys
 import traceback
 from pathlib import Path
 from types import ModuleType
+
+# The import of ONNX Runtime alone, also by a plugin or a policy, starts telemetry, which keeps a database in the user's cache.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
 def module_of(path: Path) -> ModuleType | None:

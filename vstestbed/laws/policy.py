@@ -156,8 +156,6 @@ def _from_module(path: Path, name: str) -> Any:
 @lru_cache(maxsize=16)
 def _network(path: Path, written: int, agent_pos: bool) -> Act:
     """The network of an ONNX file that was last written at a time [ns], as a function of what a policy sees."""
-    # Its import alone starts telemetry, which sends what it runs on, and keeps a database in the user's cache.
-    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     try:
         import onnxruntime
     except ImportError as error:

@@ -92,7 +92,7 @@ class Settings:
             known = self._given | (_textures() if key in FILE_FIELDS else _words())
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
-                if not hint.startswith("did you mean"):
+                if block in TEXTS or not hint.startswith("did you mean"):
                     hint = f"files and new names are given on the command line alone (--set {path}=...)"
                 raise ScenarioError([Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")])
 

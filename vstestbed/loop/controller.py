@@ -56,7 +56,7 @@ class Controller:
     It holds the state of all its parts between pictures, and serves one thread at a time: a call while another thread is in one is
     refused. Who watches it from a second thread, as for `without_picture`, holds a lock of their own round each call.
 
-    To make one takes a second, since it imports what the first step needs; to `reset` it takes a millisecond.
+    To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 
     Args:
         scenario: the experiment.
