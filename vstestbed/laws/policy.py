@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import inspect
-import os
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
