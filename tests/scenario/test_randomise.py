@@ -48,6 +48,9 @@ class TestDistributions:
     def test_normal(self):
         assert stats.kstest(draws(Gaussian(field=LIGHT, normal=(0.04, 0.005))), stats.norm(0.04, 0.005).cdf).pvalue > 0.001
 
+    def test_a_standard_deviation_of_minus_zero_is_zero(self):  # which numpy's `normal` refuses
+        assert Gaussian(field=LIGHT, normal=(1.0, -0.0)).draw(np.random.default_rng(0)) == 1.0
+
     def test_normal_within_bounds_is_the_truncated_one(self):
         found = draws(Gaussian(field=LIGHT, normal=(1.0, 0.5), within=(0.8, 2.0)))
         assert stats.kstest(found, stats.truncnorm(-0.4, 2.0, 1.0, 0.5).cdf).pvalue > 0.001

@@ -114,7 +114,7 @@ class Gaussian(DistributionBase):
         """A number."""
         (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
         for _ in range(TRIES):
-            if low <= (x := float(rng.normal(mean, sigma))) <= high:
+            if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:  # `normal` refuses a sigma of -0.0
                 return x
         raise ParameterError("within", f"held none of {TRIES} draws; make it wider", [low, high])
 
