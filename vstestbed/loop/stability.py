@@ -258,9 +258,10 @@ def _cause(scenario: Scenario) -> str:
     limit = _limit(scenario)
     bound = f"{limit:.4g} a frame ({limit / T:.4g} 1/s)"
     if gain * T > limit:
-        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, or the delay"
+        helps = "or the delay" if delay_s else "or raise the rate"
+        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, {helps}"
     rest = "we do not know what makes the difference (the lag and the limits of the robot, the calibration, the noise)"
-    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or less delay"
+    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or {'less delay' if delay_s else 'a higher rate'}"
 
 
 def window(scenario: Scenario) -> int:
