@@ -93,5 +93,6 @@ class Judge:
         if not (down or t >= self._duration_s - 1e-9):
             return None
         outcome, reason = aborted
-        where = self._markers.sentence() if self._markers is not None and outcome is Outcome.target_lost else ""
-        return self._told_apart((outcome, "; ".join(filter(None, (reason, where, self._supervisor.DOWN[0 if down else 1])))))
+        if self._markers is not None and outcome is Outcome.target_lost:
+            reason = self._markers.told(reason)
+        return self._told_apart((outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1])))))

@@ -261,7 +261,8 @@ def _cause(scenario: Scenario) -> str:
         helps = "or the delay" if delay_s else "or raise the rate"
         return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, {helps}"
     rest = "we do not know what makes the difference (the lag and the limits of the robot, the calibration, the noise)"
-    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or {'less delay' if delay_s else 'a higher rate'}"
+    helps = "less delay" if delay_s else "a higher rate"
+    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or {helps}"
 
 
 def window(scenario: Scenario) -> int:
