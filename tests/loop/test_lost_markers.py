@@ -10,7 +10,9 @@ import vstestbed as vs
 from tests.tasks.frames import frame
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.lost_markers import LostMarkers
+from vstestbed.laws import IBVS, QP
+from vstestbed.laws.visibility import Visibility
+from vstestbed.loop.lost_markers import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
 
 SOON = {"stop.lost_after_s": 0.2, "stop.duration_s": 3.0, "camera.rate_hz": 25}
 SIDEWAYS = {"robot.start.nominal": {"xyz": [0, 0, -1], "rpy_deg": [0, 0, 0]}, "target.pose.xyz": [0, 0, 0], "detector": "oracle"}
@@ -42,6 +44,25 @@ def test_too_small_with_the_radius_and_the_least_that_is_found():
     said = reason("arm_ibvs", **{"target.marker.radius": 0.002})
     assert "markers 0, 1, 2, 3 were too small (a radius of 0.85 px; blobs finds 1.7 px and more, of full colour) from the start on" in said
     assert "larger markers (target.marker.radius)" in said
+    assert "has not found one of 4 markers in any picture) for 0.2 s; markers" in said  # no guess where the truth is known
+    assert said.count("from the start on") == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "advice"),
+    [
+        ({}, "a wider camera, a start nearer to the goal view, or a law that minds the border (law.visibility, law: qp) would help"),
+        ({"law": "pbvs"}, "a wider camera, a start nearer to the goal view, or a law that minds the border (law: qp) would help"),
+        ({"law": "qp"}, "a wider camera or a start nearer to the goal view would help"),
+    ],
+)
+def test_only_laws_that_the_scenario_takes_are_advised(changes: dict[str, object], advice: str):
+    assert f"; {advice}" in reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": [0.45, 0, -1]} | changes)
+
+
+def test_a_camera_that_sees_all_round_is_not_advised_to_mind_its_border():
+    assert not _takes(vs.load("quadrotor_hover"), IBVS(visibility=Visibility(margin_px=1.0)))
+    assert not _takes(vs.load("omni_ibvs"), QP()) and _takes(vs.load("arm_ibvs"), QP())
 
 
 def test_a_cause_that_is_not_known_is_not_named():

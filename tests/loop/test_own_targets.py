@@ -68,7 +68,7 @@ def test_markers_that_no_picture_can_show_are_told():
     assert vs.load("arm_mesh", bare | {"detector": "oracle"}).detector.kind == "oracle"
     lost = {"stop.lost_after_s": 0.2, "stop.duration_s": 1.0}
     r = vs.run(vs.load("arm_picture", lost | {"target.marker.family": "apriltag_25h9", "target.marker.first_id": 3}))
-    words = "the file page.png may not show tags of family apriltag_25h9, number 3 to 6 there) for 0.2 s, from the start on"
+    words = "the file page.png may not show tags of family apriltag_25h9, number 3 to 6 there) for 0.2 s; markers"
     assert r.outcome is vs.Outcome.target_lost
     assert f"(detector tags has not found one of 4 markers in any picture: {words}" in r.reason
 

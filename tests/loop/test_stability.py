@@ -7,7 +7,7 @@ import vstestbed as vs
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.batch import fly
 from vstestbed.experiments.basin.setup import start_of
-from vstestbed.loop.stability import FEWEST, LastPart, Swinging, grows, period, reversal, swings
+from vstestbed.loop.stability import FEWEST, LastPart, Swinging, grows, period, reversal, swings, to_and_fro
 from vstestbed.loop.theory import closed_form, swing_frames
 from vstestbed.report.run.numbers import headline
 from vstestbed.tasks.metrics import TWIST
@@ -102,6 +102,39 @@ class TestRobots:
         assert vs.run(vs.load("omni_ibvs", late | {"law.gain": 5})).outcome is Outcome.unstable
         assert vs.run(vs.load("omni_ibvs", late | {"law.gain": 1})).outcome is Outcome.converged
 
+    @pytest.mark.parametrize(
+        ("name", "gain", "detector"),
+        [
+            ("arm_ibvs", 30, "oracle"),
+            ("arm_pbvs", 40, "oracle"),
+            pytest.param("arm_ibvs", 40, "blobs", marks=pytest.mark.study),
+        ],
+    )
+    def test_a_gain_far_too_high_that_loses_markers_every_few_frames(self, name: str, gain: float, detector: str):
+        run = vs.run(vs.load(name, {"detector": detector, "law.gain": gain, "stop.duration_s": 12}))
+        assert np.isnan(run["error_px"]).mean() > 0.2
+        assert run.outcome is Outcome.unstable
+        assert "the command turned round " in run.reason and "% of the frames had no measurement" in run.reason
+        assert f"a gain of {gain} 1/s at 25 Hz is {gain * PERIOD_S:.4g} a frame" in run.reason and "up to 2 a frame (50 1/s)" in run.reason
+
+    @pytest.mark.study
+    def test_a_quadrotor_just_over_the_limit(self):
+        late = {"detector": "oracle", "law.gain": 5, "camera.latency_s": 0.3, "stop.duration_s": 40}
+        swung = vs.run(vs.load("quadrotor_hover", late))
+        assert swung.outcome is Outcome.unstable and "unstable over 0.197 a frame (4.925 1/s)" in swung.reason
+
+    @pytest.mark.study
+    def test_markers_that_a_slow_loop_loses_are_no_instability(self):
+        blinks = {"detector": "oracle", "noise.dropout": 0.2, "noise.pixel_sigma_px": 3, "stop.duration_s": 12}
+        assert vs.run(vs.load("arm_ibvs", blinks)).outcome is Outcome.timed_out
+        biased = vs.run(vs.load("arm_ibvs_raw", {"detector": "oracle", "stop.duration_s": 12}))
+        assert biased.outcome is Outcome.timed_out and biased.reason == "12 s were not enough"
+
+    @pytest.mark.study
+    def test_grey_levels_without_a_clean_period(self):
+        swung = vs.run(vs.load("arm_photometric", {"law.gain": 60, "stop.duration_s": 5}))
+        assert swung.outcome is Outcome.unstable and "grey levels" in swung.reason and "unstable over 1 a frame" in swung.reason
+
     @pytest.mark.study
     def test_grey_levels_count_as_well(self):
         swung = vs.run(vs.load("camera_photometric", {"law.gain": 60, "stop.duration_s": 6}))
@@ -112,6 +145,17 @@ def test_where_it_drives_a_run_elsewhere_the_reason_says_so():
     lost = flown(1.05, 2)
     assert lost.outcome is Outcome.target_lost
     assert "; before, the loop was unstable: over the last " in lost.reason and "lower law.gain" in lost.reason
+
+
+@pytest.mark.parametrize(("changes", "outcome"), [({}, Outcome.target_lost), (NEAR | {"stop.duration_s": 0.4}, Outcome.timed_out)])
+def test_with_too_few_frames_the_reason_names_a_gain_over_the_limit(changes: dict[str, object], outcome: Outcome):
+    ended = vs.run(vs.load("ibvs_book", {"law.gain": 60} | changes))
+    assert ended.outcome is outcome and len(ended["t"]) < FEWEST
+    rate_hz = ended.scenario.camera.rate_hz
+    assert ended.reason.startswith(("the camera crossed the plane of the target; ", "0.4 s were not enough; "))
+    assert f"is {60 / rate_hz:.4g} a frame" in ended.reason and f"is unstable over 2 a frame ({2 * rate_hz:g} 1/s)" in ended.reason
+    calm = vs.run(vs.load("ibvs_book", NEAR | {"stop.duration_s": 0.4}))
+    assert calm.reason == "0.4 s were not enough"
 
 
 def test_commands_from_outside_are_not_judged():
@@ -162,6 +206,32 @@ class TestSwings:
     def test_nor_one_that_the_target_makes(self):
         assert swings(part(self.X, reference=self.X[:, None]), 1.0) == 0
         assert swings(part(self.X, reference=np.cos(np.pi * self.K / 40)[:, None]), 1.0) == 6
+
+
+class TestToAndFro:
+    N = 240
+    X = np.sign(np.sin(np.cumsum(RNG.uniform(0.2, 1.2, N))))
+    """At the limits, and turning round after a time that is never the same."""
+    LOST = np.where(RNG.uniform(size=N) < 0.4, np.nan, 40.0)
+
+    def count(self, share: float = 0.6, first: float = 90.0, **changes: object) -> int:
+        given = {"x": self.X, "error": self.LOST, "limited": True} | changes
+        return to_and_fro(part(**given), 1.0, share, first)  # pyright: ignore[reportArgumentType]
+
+    def test_it_is_told_although_there_is_no_period(self):
+        assert swings(part(self.X, error=self.LOST, limited=True), 1.0) == 0
+        assert self.count() > 20
+
+    def test_what_it_is_not(self):
+        assert self.count(share=0.02) == 0  # a gain far under the limit
+        assert self.count(limited=False) == 0 < self.count(limited=False, share=1.5)
+        assert self.count(error=0.01 * self.LOST) == self.count(first=400.0) == 0  # at the goal
+        assert self.count(error=self.LOST * np.linspace(1, 0.2, self.N)) == 0  # it comes nearer
+        assert self.count(x=np.abs(self.X)) == 0  # a slow approach
+        assert self.count(x=self.X * np.linspace(1, 0.2, self.N)) == 0  # a swing that decays
+        assert self.count(x=np.sin(np.arange(self.N) * 2 * np.pi / self.N)) == 0  # it turns round once
+        assert self.count(reference=self.X[:, None]) == 0  # a target that moves
+        assert self.count(error=np.full(self.N, np.nan)) == 0
 
 
 def test_growth_without_a_swing():

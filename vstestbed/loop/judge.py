@@ -65,13 +65,16 @@ class Judge:
         return verdict and self._told_apart(verdict)
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
-        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so."""
+        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so.
+
+        Where the frames do not tell, the reason at least names a gain over the limit of theory.
+        """
         outcome, reason = verdict
         if self.stability is None or outcome not in (Outcome.timed_out, *DRIVEN_TO):
             return verdict
         how = self.stability.unstable(seen=outcome in DRIVEN_TO)
         if not how:
-            return verdict
+            return outcome, "; ".join(filter(None, (reason, self.stability.over_limit())))
         if outcome in DRIVEN_TO:
             return outcome, f"{reason}; before, the loop was unstable: {how}"
         return Outcome.unstable, how if reason == timed_out_words(self._duration_s) else f"{reason}; {how}"
@@ -90,5 +93,6 @@ class Judge:
         if not (down or t >= self._duration_s - 1e-9):
             return None
         outcome, reason = aborted
-        where = self._markers.sentence() if self._markers is not None and outcome is Outcome.target_lost else ""
-        return self._told_apart((outcome, "; ".join(filter(None, (reason, where, self._supervisor.DOWN[0 if down else 1])))))
+        if self._markers is not None and outcome is Outcome.target_lost:
+            reason = self._markers.told(reason)
+        return self._told_apart((outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1])))))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import Perspective
+from vstestbed.core.errors import VstestbedError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.laws import IBVS, QP, Hybrid, Law, Partitioned
+from vstestbed.loop.unseen import GUESS
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 
@@ -26,12 +30,13 @@ BACK, LENS, BORDER, HIDDEN, TINY, UNKNOWN = range(6)
 REMEDIES = {
     BACK: "start in front of the target, or turn target.pose",
     LENS: "a start that looks at the target, or a wider camera, would show it",
-    BORDER: "a wider camera, a start nearer to the goal view, or a law that minds the border (law.visibility, law: qp) would help",
+    BORDER: "a wider camera{law} would help",
     HIDDEN: "move what hides them, the start or the goal",
     TINY: "larger markers (target.marker.radius), a nearer start or a longer focal length would help",
     UNKNOWN: "why is not known: noise, light, or another object of their colour may be it; the film shows the picture",
 }
-"""What would help, by what happened."""
+"""What would help, by what happened; {law}: what `_minding` says."""
+START = ", from the start on"
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,14 @@ class LostMarkers:
             self._lost |= {int(i): self._loss(frame, int(i), names[i]) for i in new}
         self._seen = seen
 
+    def told(self, reason: str) -> str:
+        """A reason for which the run is over, with the sentence; what the robot could only guess, and the sentence knows, is left out."""
+        where = self.sentence()
+        if not where:
+            return reason
+        known = reason.replace(GUESS, "")
+        return f"{known.removesuffix(START) if START.lstrip(', ') in where else known}; {where}"
+
     def sentence(self) -> str:
         """Which markers were lost where, when, and what would help; "" where none is lost."""
         groups: dict[tuple[int, str], list[int]] = {}
@@ -95,7 +108,8 @@ class LostMarkers:
             words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
             said.append(f"{head} {words} {first}" + (f", the last one {last}" if last != first else ""))
         kinds = sorted({kind for kind, _ in groups})
-        return "; ".join([*said, *(REMEDIES[kind] for kind in kinds)])
+        law = _minding(self._scenario) if BORDER in kinds else ""
+        return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
 
     def _loss(self, frame: Frame, i: int, name: str) -> Loss:
         """Why marker i is not seen in a frame; name: what stands before it."""
@@ -139,3 +153,24 @@ class LostMarkers:
             return None
         border = f"the {SIDES[side]} border" if clear.shape[1] == len(SIDES) else "the border"
         return BORDER, f"{'beyond' if clear[:, side].max() < 0 else 'cut by'} {border} of the picture"
+
+
+def _minding(scenario: Scenario) -> str:
+    """What else would help at the border: a nearer start, and of the law's fields and the laws that mind it those that the scenario takes."""
+    law, found = scenario.law, list[str]()
+    if isinstance(law, IBVS | Partitioned | Hybrid) and law.visibility.margin_px == 0:
+        least = replace(law, visibility=replace(law.visibility, margin_px=1.0))
+        found += ["law.visibility"] * _takes(scenario, least)
+    if not isinstance(law, QP) and _takes(scenario, QP()):
+        found.append("law: qp")
+    start = "a start nearer to the goal view"
+    return f", {start}, or a law that minds the border ({', '.join(found)})" if found else f" or {start}"
+
+
+def _takes(scenario: Scenario, law: Law[Any]) -> bool:
+    """Whether the scenario would be accepted with another law."""
+    try:
+        replace(scenario, law=law)
+    except VstestbedError:
+        return False
+    return True

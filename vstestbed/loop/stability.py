@@ -9,6 +9,10 @@ after a whole one. Other loops that take long are not like that:
 - stick-slip of a joint with friction does not either (0.1 to 0.6, measured, against 0.8 to 1.0), and is of less than a pixel or two;
 - a loop that follows a target which itself goes to and fro has the target's period.
 
+A gain far too high has no clean period: limits of law and robot shorten the commands, and the camera loses markers every few frames.
+Such a loop is known by its gain, near or over the limit of theory, and by commands that stay large, turn round often and lead nowhere,
+while the error does not fall.
+
 Reference: the limit of the gain and the period at it are those of `loop.theory`.
 """
 
@@ -46,6 +50,12 @@ LIMITED, LIMITED_SHARE = 0.999, 0.05
 """A command scaled under this is limited; a swing of whose commands so many are is held by the limits."""
 SAME_PERIOD = 0.2
 """Difference from the period of the goal's own motion up to which a swing is that motion [1]."""
+NEAR_LIMIT, FAR_FROM_GOAL = 0.25, 0.25
+"""Least gain, of the limit of theory, and least error, of that at the start, of a loop that goes to and fro without a period: the lag of
+an arm without delay leaves it about half of that limit."""
+HELD_SHARE, NET_SHARE, TURNS = 0.5, 0.3, 4
+"""Of such a loop: least share of limited commands (measured: 0.84 to 1), largest share of the way that it gets on (measured: 0.04 to
+0.25; a slow approach: 1), and least number of times that its command turns round."""
 GREW = 2.0
 """Growth of an error that does not swing, over the frames, so that it counts as one."""
 
@@ -83,6 +93,11 @@ class LastPart(NamedTuple):
     reference: Array
     away: Array
 
+    def measured(self) -> LastPart:
+        """The frames with a measurement."""
+        known = np.isfinite(self.error)
+        return self._replace(**{name: getattr(self, name)[known] for name in ("t", "error", "twist", "limited", "reference")})
+
     def last_half(self) -> LastPart:
         """The last half of it; `away` stays that of the whole."""
         n = len(self.t) // 2
@@ -104,6 +119,40 @@ def swings(part: LastPart, least: float) -> float:
     found = period(x)
     of_goal = period(part.reference - part.reference.mean(axis=0)) if moves else 0.0
     return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
+
+
+def turns(x: Array) -> int:
+    """How often commands x (n, m) turn round: become OPPOSITE to what they were when they last did."""
+    found, before = 0, np.zeros(x.shape[1])
+    for each in x:
+        size = float(np.linalg.norm(each) * np.linalg.norm(before))
+        turned = size > 0 and float(each @ before) <= OPPOSITE * size
+        found += turned
+        if turned or not before.any():
+            before = each
+    return found
+
+
+def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -> int:
+    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another.
+
+    Only frames with a measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
+
+    Args:
+        part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
+    """
+    known = part.measured()
+    third = len(known.t) // 3
+    if share < NEAR_LIMIT or len(known.t) < FEWEST or np.ptp(part.reference, axis=0).any():
+        return 0
+    early, late = (float(np.linalg.norm(each)) for each in (known.twist[:third], known.twist[-third:]))
+    error_early, error = _median(known.error[:third]), _median(known.error[-third:])
+    large = share > 1 or float(np.mean(known.limited)) >= HELD_SHARE
+    if not large or late < KEPT_LIMITED * early or error < max(least, KEPT_LIMITED * error_early, FAR_FROM_GOAL * first_error):
+        return 0
+    net, way = np.linalg.norm(known.twist.sum(axis=0)), np.linalg.norm(known.twist, axis=1).sum()
+    found = turns(known.twist)
+    return found if found >= TURNS and net <= NET_SHARE * way else 0
 
 
 def _median(error: Array) -> float:
@@ -135,16 +184,21 @@ def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
 
 def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     least, unit = _least(scenario)
-    if len(part.t) < FEWEST or math.isnan(part.error[-1]):
+    if len(part.t) < FEWEST:
         return ""
-    frames, third = swings(part, least), len(part.t) // 3
+    frames, third = 0.0 if math.isnan(part.error[-1]) else swings(part, least), len(part.t) // 3
     early, late = _median(part.error[:third]), _median(part.error[-third:])
     over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
+    how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
     if frames:
-        how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
         return f"{over} the command {reversal(frames, scenario.camera.period)}, and the error {how}; {_cause(scenario)}"
     if late > first_error and grows(part, least):
         return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
+    if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
+        limited, blind = np.mean(part.measured().limited), np.mean(~np.isfinite(part.error))
+        held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
+        lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
+        return f"{over} the command turned round {turned} times{held}{lost}, and the error {how}; {_cause(scenario)}".replace("%", " %")
     return ""
 
 
@@ -180,10 +234,20 @@ def _delay_s(scenario: Scenario) -> float:
     return camera.latency_s + timing.command_latency_s + (timing.first_s(camera) + camera.readout_s) / 2
 
 
+def _limit(scenario: Scenario) -> float:
+    """The gain a frame over which a loop with the scenario's delay, without lag, is unstable."""
+    return gain_limit(0, loop_shares(scenario.timing.interpolation != "hold", _delay_s(scenario) / scenario.camera.period))
+
+
+def _share_of_limit(scenario: Scenario) -> float:
+    """The law's gain over that limit [1]; 0 for a law that has not one gain."""
+    gain, _ = _gain(scenario.law)
+    return 0.0 if gain is None else gain * scenario.camera.period / _limit(scenario)
+
+
 def _cause(scenario: Scenario) -> str:
     """Sampling, gain and delay in numbers; where the theory of the loop applies, its limit, and what would help."""
-    camera, timing, T = scenario.camera, scenario.timing, scenario.camera.period
-    delay_s = _delay_s(scenario)
+    camera, T, delay_s = scenario.camera, scenario.camera.period, _delay_s(scenario)
     delay = f"a delay of {delay_s:g} s ({delay_s / T:.3g} frames)" if delay_s else "no delay"
     gain, proportional = _gain(scenario.law)
     if gain is None:
@@ -191,12 +255,14 @@ def _cause(scenario: Scenario) -> str:
     said = f"a gain of {gain:.4g} 1/s at {camera.rate_hz:g} Hz is {gain * T:.4g} a frame, with {delay}"
     if not proportional:
         return f"{said}; try a lower gain, a higher rate, or less latency"
-    limit = gain_limit(0, loop_shares(timing.interpolation != "hold", delay_s / T))
+    limit = _limit(scenario)
     bound = f"{limit:.4g} a frame ({limit / T:.4g} 1/s)"
     if gain * T > limit:
-        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, or the delay"
+        helps = "or the delay" if delay_s else "or raise the rate"
+        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, {helps}"
     rest = "we do not know what makes the difference (the lag and the limits of the robot, the calibration, the noise)"
-    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or less delay"
+    helps = "less delay" if delay_s else "a higher rate"
+    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or {helps}"
 
 
 def window(scenario: Scenario) -> int:
@@ -225,6 +291,11 @@ class Stability:
         self._frames += 1
         if math.isnan(self._first):
             self._first = error
+
+    def over_limit(self) -> str:
+        """That the gain is over the limit of theory, in numbers; "" where it is not, and in a run without a measurement."""
+        over = _gain(self._scenario.law)[1] and _share_of_limit(self._scenario) > 1
+        return _cause(self._scenario) if over and not math.isnan(self._first) else ""
 
     def unstable(self, seen: bool = False) -> str:
         """How the loop is unstable, in words; "" where it is not. seen: how it was until the last frame with a measurement."""

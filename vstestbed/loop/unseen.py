@@ -10,6 +10,8 @@ from vstestbed.tasks.frame import ImageError
 
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 """Why there is no measurement, where the law itself gives no reason."""
+GUESS = ": at the start they may be outside of it, hidden or too small"
+"""What a robot may think of markers that it has never found; a judge that sees the truth says which it was (`lost_markers`)."""
 
 
 def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str:
@@ -43,5 +45,5 @@ def never_found(scenario: Scenario) -> str:
     if scenario.detector.needs_sheet:
         return f"{words}: at the start the picture may be outside of it, too small, too oblique or without structure"
     if target.shows_markers:
-        return f"{words}: at the start they may be outside of it, hidden or too small"
+        return words + GUESS
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
