@@ -54,7 +54,7 @@ def take_early() -> None:
     One thread each: every further one would take 32 MiB.
 
     Raises:
-        EnvironmentLackError: there is too little.
+        OSError: there is too little; `lack_of` tells it.
     """
     if sys.platform == "win32":
         return
@@ -64,8 +64,7 @@ def take_early() -> None:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for load in (_numpy, _scipy, _opencv):
-        if (lack := shortage()) is not None:
-            raise lack
+        mmap.mmap(-1, SPARE_BYTES).close()
         load()
 
 

@@ -55,7 +55,8 @@ class Controller:
 
     It holds the state of all its parts between pictures, and serves one thread at a time: `step`, `reset`, `retune` and
     `without_picture` are refused while another thread is in one of them. The other methods are the parts of a step, for the time loop,
-    which calls them from one thread; they refuse nothing. Who watches it from a second thread, as for `without_picture`, holds a lock of their own round each call.
+    which calls them from one thread; they refuse nothing. Who watches it from a second thread, as for `without_picture`, holds a lock
+    of their own round each call.
 
     To make one takes a second, since it imports what the first step needs; to `reset` it takes a millisecond.
 

@@ -131,7 +131,7 @@ def _without_warnings() -> Iterator[None]:
 
 
 def printable(name: str) -> str:
-    """A name with its control characters, which no font has and XML does not allow, as Python writes them (`\\x00`)."""
+    """A name with its control characters, which no font has and XML does not allow, written as Python escapes them."""
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)
 
 
