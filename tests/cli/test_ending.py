@@ -138,3 +138,16 @@ def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: 
     assert ended.err.endswith(
         "leaves_at_once.py:2: ends Python with sys.exit(0) when it is imported; correct the plugin, or leave it out\n"
     )
+
+
+@pytest.mark.parametrize(("error", "code", "ignored"), [("MemoryError('x')", 4, 0), ("ValueError('x')", 1, 1)])
+def test_finalisers_of_what_is_half_made_are_silent_for_want_of_memory_alone(tmp_path: Path, error: str, code: int, ignored: int):
+    script = (
+        "from vstestbed.cli.ending import exit_code\n"
+        "class Half:\n    def __init__(self): self.me = self; raise " + error + "\n    def __del__(self): self.context.free()\n"
+        "raise SystemExit(exit_code(Half))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("Exception ignored")) == (code, ignored), done.stderr
+    if code == 4:
+        assert done.stderr.startswith("not enough memory (x); close other") and done.stderr.count("\n") == 1

@@ -14,6 +14,7 @@ import os
 import re
 import signal
 import subprocess
+import tempfile
 import threading
 import time
 import warnings
@@ -61,6 +62,8 @@ UNTIL_STOPPED = "Ctrl-C ends it"
 """What a command says of itself that runs until it is interrupted."""
 KNOWN_CACHES = re.compile(r"/mesa_shader_cache[^/]*/|/\.nv/|/matplotlib/fontlist-[^/]*\.json$")
 """What libraries keep in the user's cache, so that the next process starts sooner: a driver's shaders, Matplotlib's list of fonts."""
+OF_A_LIBRARY = re.compile(r"\w*Warning: |^Exception ignored|^Traceback|^  File ", re.MULTILINE)
+"""What no user is to read on standard error: a warning with its line of code, and the lines of a traceback."""
 CODES = {0, 2, 3, 4}
 LONGEST_S = 1800.0
 SHOWN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
@@ -144,15 +147,30 @@ def _interrupted_at_last() -> Iterator[None]:
         patch.undo()
 
 
+@contextmanager
+def _standard_error_of_workers() -> Iterator[Path]:
+    """A file that holds what other processes, and C code, write to standard error, which Python's own stream does not see."""
+    before = os.dup(2)
+    with tempfile.NamedTemporaryFile() as taken:
+        os.dup2(taken.fileno(), 2)
+        try:
+            yield Path(taken.name)
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+
+
 def fault(form: Form, words: tuple[str, ...], command: Command) -> tuple[int, str]:
     """The exit code of a command, and what is wrong with its end; "" where nothing is."""
     began = time.process_time()
-    with warnings.catch_warnings(record=True) as raised, _interrupted_at_last():
+    with warnings.catch_warnings(record=True) as raised, _interrupted_at_last(), _standard_error_of_workers() as file_of_workers:
         warnings.simplefilter("always")
         ended = command(*words)
+        below = file_of_workers.read_text(encoding="utf-8", errors="replace")
     shown = [str(w.message) for w in raised if not issubclass(w.category, SHOWN)]
     codes = CODES | ({130} if form.until_stopped else set())
     found = [
+        "lines of a library" if OF_A_LIBRARY.search(ended.err + below) else "",
         "a traceback" if "Traceback" in ended.err + ended.out else "",
         f"exit code {ended.code}" if ended.code not in codes else "",
         "no sentence" if ended.code and not ended.err.strip() else "",

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import _thread
+import gc
+import io
 import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 
 import typer
 
 from vstestbed.cli.streams import standard_streams
 from vstestbed.core.errors import EnvironmentLackError, VstestbedError
-from vstestbed.core.lacks import lack_of, shortage
+from vstestbed.core.lacks import lack_of, shortage, take_early
 from vstestbed.core.shares import STOPS
 
 
@@ -33,12 +35,40 @@ def exit_code(command: Callable[[], object], debug: bool = False) -> int:
     The code is that of the command's outcome, also where the reader of its output goes away. Only where standard output is full or
     closed, so that text was lost which nobody chose to lose, is it LACK in place of GOAL_REACHED.
     """
-    with standard_streams() as out, _stopped_by_signals():
+    with standard_streams() as out, _stopped_by_signals(), _after_all() as ignored:
         code = _guarded(command, debug)
+        if code == LACK and not debug:
+            gc.collect()  # what the command has left half made
+            ignored.clear()
         if out.failed:
             typer.echo(f"standard output: {out.failed}, so that text was lost; give it another place", err=True)
             return code or LACK
     return code
+
+
+@contextmanager
+def _after_all() -> Iterator[list[str]]:
+    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made.
+
+    Their finalisers then fail for reasons that are no news beside the want itself, which is known only at the end.
+    """
+    said: list[str] = []
+
+    def keep(unraisable: sys.UnraisableHookArgs) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            hook(unraisable)
+            return
+        with redirect_stderr(io.StringIO()) as text:  # as text: to keep the object itself would bring it back to life
+            hook(unraisable)
+        said.append(text.getvalue())
+
+    hook, sys.unraisablehook = sys.unraisablehook, keep
+    try:
+        yield said
+    finally:
+        sys.unraisablehook = hook
+        if said and sys.stderr is not None:
+            sys.stderr.write("".join(said))
 
 
 @contextmanager
@@ -74,6 +104,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
 def _guarded(command: Callable[[], object], debug: bool) -> int:
     try:
+        take_early()
         code = command()
         if code == INTERRUPTED and not isinstance(code, Said):
             raise KeyboardInterrupt  # which typer turned into its 130, without a word: while modules are imported, for example

@@ -7,6 +7,7 @@ import errno
 import mmap
 import os
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,6 +45,46 @@ def shortage() -> EnvironmentLackError | None:
     except (OSError, MemoryError) as error:
         return _memory(error)
     return None
+
+
+def take_early() -> None:
+    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some.
+
+    What OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal.
+    One thread each: every further one would take 32 MiB.
+
+    Raises:
+        OSError: there is too little; `lack_of` tells it.
+    """
+    if sys.platform == "win32":
+        return
+    import resource
+
+    if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for load in (_numpy, _scipy, _opencv):
+        mmap.mmap(-1, SPARE_BYTES).close()
+        load()
+
+
+def _numpy() -> None:
+    import numpy as np
+
+    np.linalg.inv(np.eye(64) @ np.eye(64))
+
+
+def _scipy() -> None:
+    from scipy.linalg import inv
+
+    inv([[2.0, 1.0], [1.0, 2.0]])
+
+
+def _opencv() -> None:
+    import cv2
+    import numpy as np
+
+    cv2.SVDecomp(np.eye(64))
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:

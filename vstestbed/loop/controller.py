@@ -53,8 +53,10 @@ class Controller:
     A stop ends with its cause: a law that measures again orders a velocity again. Once the supervisor has given the task up
     (`cycle.latched`: the target was out of sight for too long, the law failed), `reset` alone ends it.
 
-    It holds the state of all its parts between pictures, and serves one thread at a time: a call while another thread is in one is
-    refused. Who watches it from a second thread, as for `without_picture`, holds a lock of their own round each call.
+    It holds the state of all its parts between pictures, and serves one thread at a time: `step`, `reset`, `retune` and
+    `without_picture` are refused while another thread is in one of them. The other methods are the parts of a step, for the time loop,
+    which calls them from one thread; they refuse nothing. Who watches it from a second thread, as for `without_picture`, holds a lock
+    of their own round each call.
 
     To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.figures import Data, each_run, medians
 from vstestbed.report.comparison.page import _measured
 from vstestbed.report.comparison.series import read_series
-from vstestbed.report.html.canvas import style
+from vstestbed.report.html.canvas import save, style, to_svg
 
 PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"
 GREY = {
@@ -63,3 +64,23 @@ def test_laws_of_pictures_alone_share_the_axis_of_grey_levels(tmp_path: Path) ->
     assert axes.get_ylabel() == "RMS difference\n[grey levels]"
     assert not axes.texts  # they differ in their limits
     assert np.isfinite(data.series.errors[0]).all()
+
+
+def test_a_threshold_above_all_errors_is_inside_the_axes(tmp_path: Path) -> None:
+    data = read(tmp_path, build(tmp_path, {"a": 0.8, "b": 1.0}, 2))
+    for errors in data.series.errors:
+        errors *= 1e-6
+    with style(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure = medians(data, 3.5)
+        figure.canvas.draw()  # refused with a warning where words outside leave the axes no room
+    assert figure.axes[0].get_ylim()[1] > 0.2
+
+
+def test_names_that_no_font_has_are_drawn_without_a_warning(tmp_path: Path) -> None:
+    data = read(tmp_path, build(tmp_path, {"a\x01b": 0.8, "law.gain mine 中": 1.0}, 2))
+    assert data.labels[0] == r"a\x01b"
+    with style(), warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert save(medians(data, 3.5), tmp_path / "names.pdf").is_file()
+        assert "中" in to_svg(medians(data, 3.5), "m", "medians")

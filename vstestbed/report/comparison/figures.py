@@ -17,7 +17,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.pairs import Pair
 from vstestbed.report.comparison.series import Series
-from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure
+from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, printable
 from vstestbed.report.run.tracks import MeasuredError
 
 if TYPE_CHECKING:
@@ -51,8 +51,8 @@ class Data:
 
 
 def _plain(name: str) -> str:
-    """A name escaped for matplotlib: no mathtext, and no leading underscore, which would hide it from the legend."""
-    return name.replace("$", r"\$").lstrip("_") or "(unnamed)"
+    """A name escaped for matplotlib: no control characters, no mathtext, and no leading underscore, which the legend would hide."""
+    return printable(name).replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 
 def look(i: int) -> dict[str, Any]:
@@ -151,7 +151,10 @@ def _shown(error: Array) -> Array:
 
 
 def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, shown: Sequence[Array | NDArray[np.float32]]) -> None:
-    """Logarithmic error axis over the range of what is shown, the runs and their quartiles, the same in each panel, with the threshold."""
+    """Logarithmic error axis over what is shown, the runs and their quartiles, and the threshold; the same in each panel.
+
+    The threshold is always inside: its words outside of the axes would leave them no room.
+    """
     values = np.concatenate([e[np.isfinite(e) & (e > 0)].astype(float) for e in shown])
     if not len(values):
         panels[0].set_yticks([])
@@ -160,7 +163,7 @@ def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, show
     low, high = np.quantile(values, [0.001, 0.999])  # a single outlier may not squeeze all other curves
     for panel in panels:
         panel.set_yscale("log")
-        panel.set_ylim(0.7 * min(low, error.threshold or low), 1.5 * high)
+        panel.set_ylim(0.7 * min(low, error.threshold or low), 1.5 * max(high, error.threshold or high))
         panel.set_xlim(0, end_s)
         if error.threshold:
             panel.axhline(error.threshold, **THRESHOLD)

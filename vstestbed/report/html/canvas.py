@@ -10,6 +10,9 @@ import colorsys
 import html
 import io
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +97,8 @@ def to_svg(figure: Figure, key: str, label: str) -> str:
 
     sink = io.StringIO()
     # not `savefig`, which draws everything once before, to find a renderer
-    FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    with _without_warnings():
+        FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = sink.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers
@@ -113,8 +117,22 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     """
     kind, sink = path.suffix.lower()[1:], io.BytesIO()
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    figure.savefig(sink, format=kind, dpi=dpi, facecolor="white", metadata=undated)
+    with _without_warnings():
+        figure.savefig(sink, format=kind, dpi=dpi, facecolor="white", metadata=undated)
     return write_whole(path, sink.getvalue())
+
+
+@contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Matplotlib's warnings are for who writes the figure: of a name in a script that its font lacks, a reader can mend nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        yield
+
+
+def printable(name: str) -> str:
+    """A name with its control characters, which no font has and XML does not allow, written as Python escapes them."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)
 
 
 def marker_colors(n: int) -> list[str]:
