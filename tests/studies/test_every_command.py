@@ -196,8 +196,13 @@ def test_an_experiment_ends_with_an_outcome_or_a_sentence(experiment: str, comma
         assert {words[0] for words, (code, _) in done.items() if code in (0, 3, 130)} >= {form.words[0] for form in forms(experiment)}
 
 
-def test_commands_without_an_experiment_end_with_a_sentence(command: Command) -> None:
-    done = {form.words: fault(form, form.words, command) for form in forms(None)}
+def test_commands_without_an_experiment_end_with_a_sentence(
+    command: Command, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = {}
+    for form in forms(None):
+        monkeypatch.chdir(tmp_path_factory.mktemp(form.words[0]))  # none meets the files of another
+        done[form.words] = fault(form, form.words, command)
     assert faults(done) == [] and {code for code, _ in done.values()} <= {0, 4}
 
 
