@@ -33,7 +33,7 @@ class Here:
 
 def run_here(patch: pytest.MonkeyPatch) -> None:
     """Runs of comparisons and searches are done in this process."""
-    for user in ("comparison", "tuning.search"):
+    for user in ("comparison", "tuning.search", "convergence"):
         patch.setattr(f"vstestbed.experiments.{user}.pool_of", lambda *_: Here())
 
 

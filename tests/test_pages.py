@@ -57,6 +57,19 @@ def test_pages_are_what_their_sources_and_the_kept_results_give_and_no_result_is
     assert len(places) == len(set(places)) and set(places) == set(FOLDER.glob("*.json"))
 
 
+def sentences(text: str) -> Iterator[str]:
+    """The sentences of a page's paragraphs, of 60 characters or more; without code, tables, headings and pictures."""
+    prose = re.sub(r"^```.*?^```|^(?: {4}|\||#|!\[).*?$", "", text, flags=re.MULTILINE | re.DOTALL)
+    for paragraph in re.split(r"\n\s*\n", prose):
+        yield from (one for one in re.split(r"(?<=[.:;])\s+", " ".join(paragraph.split())) if len(one) >= 60)
+
+
+@pytest.mark.parametrize("page", [*PAGES, Path("CHANGELOG.md")], ids=str)
+def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides(page: Path) -> None:
+    found = list(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
+    assert not {one for one in found if found.count(one) > 1}
+
+
 @pytest.mark.parametrize("page", pages(), ids=str)
 def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given(page: Path) -> None:
     """Above a table with literal decimals its source has `{# given ... #}`: inputs, not results; or `{# held by tests ... #}`."""

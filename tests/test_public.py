@@ -17,7 +17,21 @@ from vstestbed.core.errors import ParameterError
 NAMES = {"Outcome", "Recording", "Scenario", "features", "load", "run", "run_into"} | {
     *("Pose", "GroundPose", "Stop", "Noise", "Timing", "World", "Clock", "Calibration", "Session", "Controller", "compare", "dump"),
     *("camera", "robots", "targets", "vision", "laws", "tasks"),
-    *("Law", "LawBase", "Command", "Observation", "Goal", "Robot", "Allocation", "Feature", "Detector", "spec", "errors", "testing"),
+    *(
+        "Law",
+        "LawBase",
+        "Command",
+        "Observation",
+        "Goal",
+        "Robot",
+        "Allocation",
+        "Order",
+        "Feature",
+        "Detector",
+        "spec",
+        "errors",
+        "testing",
+    ),
 }
 """To run experiments, and to extend what there is."""
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.run import run
     from vstestbed.loop.session import Session
-    from vstestbed.robots import ROBOTS, Allocation, Mount, Reading, Robot, RobotBase
+    from vstestbed.robots import ROBOTS, Allocation, Mount, Order, Reading, Robot, RobotBase
     from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
     from vstestbed.scenario.noise import Noise
@@ -87,7 +87,7 @@ _HOMES = {
     "vstestbed.loop.recording": ("Recording",),
     "vstestbed.loop.run": ("run",),
     "vstestbed.loop.session": ("Session",),
-    "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Reading", "Robot", "RobotBase"),
+    "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Order", "Reading", "Robot", "RobotBase"),
     "vstestbed.scenario.dump": ("dump",),
     "vstestbed.scenario.load": ("load",),
     "vstestbed.scenario.noise": ("Noise",),
@@ -144,6 +144,7 @@ __all__ = [
     "Mount",
     "Noise",
     "Observation",
+    "Order",
     "Outcome",
     "PerturbationBase",
     "Pose",

@@ -10,8 +10,8 @@ import pytest
 import vstestbed as vs
 import vstestbed.testing as suites
 from tests.examples import wrong
-from tests.examples.wrong import Bare, Crooked, Displaced, Ghost, Numb, Remembering, Shifted, Silent, Stateful, Wild
-from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored
+from tests.examples.wrong import Bare, Crooked, Displaced, Ghost, Numb, Remembering, Rolling, Shifted, Silent, Stateful, Wild
+from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored, Untold
 from tests.robots.arms import block
 from vstestbed.camera import CAMERAS
 from vstestbed.core.assets import folder
@@ -193,6 +193,14 @@ class TestTheSuitesFindWhatIsWrong:
         with pytest.raises(AssertionError, match=r"jumping: the path jumps by 0.1 m within 0.001 s at 1.999 s"):
             suites.check_motion(MOTIONS.add(Jumping)())
 
+    def test_a_motion_that_draws_without_saying_so(self, own_kinds):
+        with pytest.raises(AssertionError, match="untold: `draws` is False, and another seed gives another path"):
+            suites.check_motion(MOTIONS.add(Untold)(rms_m=(0.1, 0.1, 0.1)))
+
+    def test_a_detector_that_draws_without_saying_so(self, own_kinds):
+        with pytest.raises(AssertionError, match="rolling: `draws` is False, and detect\\(\\) draws from rng"):
+            suites.check_detector(DETECTORS.add(Rolling)())
+
     def test_a_metric_that_forgets(self, own_kinds):
         with pytest.raises(AssertionError, match=r"forgetful: .* keep what the next block needs"):
             suites.check_metric(METRICS.add(Forgetful)())
@@ -227,10 +235,10 @@ class TestWhatASuiteAsksForIsSaid:
             suites.check_robot(Numb())
 
     def test_a_law_whose_step_returns_no_command(self, own_kinds):
-        with pytest.raises(ParameterError, match=r"silent: step must return \(memory, Command\), got NoneType"):
-            vs.run(replace(quick("view"), law=LAWS.add(Silent)()))
-        with pytest.raises(ParameterError, match=r"bare: step must return \(memory, Command\), got \(NoneType, ndarray\)"):
-            vs.run(replace(quick("view"), law=LAWS.add(Bare)()))
+        for law, got in ((Silent, "NoneType"), (Bare, "(NoneType, ndarray)")):
+            r = vs.run(replace(quick("view"), law=LAWS.add(law)()))
+            assert r.outcome is vs.Outcome.law_failed
+            assert r.reason.startswith(f"law {r.scenario.law.kind} returned {got}; its step must return (memory, Command)")
 
     def test_a_law_that_writes_to_itself_is_told_its_own_line(self, own_kinds):
         r = vs.run(replace(quick("view"), law=LAWS.add(Remembering)()))

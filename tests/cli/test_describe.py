@@ -215,6 +215,15 @@ def test_a_field_in_a_list_has_an_example_that_set_does_not_take() -> None:
     assert "Example: pose: {xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}" in field_shown("world.plates.0.pose")
 
 
+def test_a_field_that_holds_another_block_in_each_kind_is_shown_for_each() -> None:
+    rows = {line.split()[0]: line for line in field_shown("target.marker")[3:] if line}
+    assert rows["target.square"] == "target.square disc what marks each of its points. See marker."
+    assert "See lines.marker." in " ".join(field_shown("target.marker")) and "See shape.marker." in " ".join(field_shown("target.marker"))
+    assert field_shown("target.lines.marker")[3].startswith("marker the stripe;")
+    for path, kind in (("robot.start", "robot.free"), ("robot.start", "robot.car"), ("robot.parameters", "robot.quadrotor")):
+        assert any(line.startswith(f"{kind} ") for line in field_shown(path)), (path, kind)
+
+
 def test_starts_of_different_robots_have_different_names() -> None:
     names = {entry.cls.__name__: entry.name for entry in ENTRIES.values() if entry.cls and entry.name.endswith(".start")}
     assert {"FreeStart", "PumaStart", "GroundStart", "FlightStart", "ArmStart"} <= set(names)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import OutputError
-from vstestbed.core.folders import must_be_new, new_folder, only_writer, study_folder
+from vstestbed.core.folders import allowed, distinct, file_word, must_be_new, new_folder, only_writer, study_folder
 
 HOLD = """
 import sys, time
@@ -73,3 +73,35 @@ def test_a_place_that_holds_something_is_refused(tmp_path: Path):
     (tmp_path / "a").touch()
     with pytest.raises(OutputError, match="exists and is not an empty folder; give a new one"):
         new_folder(Path("runs"), tmp_path)
+
+
+NAMES = [
+    *("../../../esc", "..", ".", "", "/etc/passwd", "a/b", "a\\b", "C:\\x", "a:b*?", "con", "CON.x", "nul", "Com1", "lpt9.field", "aux "),
+    *("trailing. ", " ", "\n", "\0", "~", "-rf", "a" * 300, "\u00e4" * 300, "\U0001f916" * 300, "\ud800", "e\u0301"),
+]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_text_makes_a_name_that_every_system_allows(tmp_path: Path, name: str):
+    word = file_word(name)
+    assert word not in ("", ".", "..") and len(word.encode()) <= 61
+    assert not set(word) & set('/\\:*?"<>|\0\n ') and not word.endswith(".")
+    assert word.partition(".")[0].casefold() not in ("con", "nul", "aux", "com1", "lpt9")  # of devices, on Windows
+    (tmp_path / word).mkdir()
+    assert [p.name for p in tmp_path.iterdir()] == [word]
+    assert file_word(name + "x") != word or len(name.strip(" ./\\\n\0~")) < 2
+
+
+def test_words_that_a_file_system_could_take_for_one_stay_distinct():
+    words = distinct(
+        [file_word(name) for name in ("a/b", "a_b", "A b", "a:b", "ﬁ", "fi", "x" * 200, "x" * 201, "con", "_con", "\u00e9", "e\u0301")]
+    )
+    assert words[:3] == ["a_b", "a_b_", "A_b__"]
+    assert len({word.casefold() for word in words}) == len(words) == 12
+
+
+def test_a_name_of_many_parts_is_cut_and_stays_distinct():
+    one, other = (allowed(",".join([f"axis_{i}=0.123456789" for i in range(40)] + [last])) for last in "ab")
+    assert one != other and max(map(len, (one, other))) == 150
+    assert allowed("law.gain=3,camera.latency_s=0.04") == "law.gain=3,camera.latency_s=0.04"
+    assert allowed("con.x=3") == "_con.x=3"

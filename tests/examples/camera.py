@@ -1,4 +1,4 @@
-"""The controller of a scenario on a real camera's pictures: prints the camera twist that each one asks for.
+"""The controller of a scenario on a real camera's pictures: prints the order that each one asks for, a stop or a camera twist.
 
     python camera.py SCENARIO [FILM.mp4 | CAMERA]
 
@@ -35,4 +35,5 @@ if __name__ == "__main__":
     if len(sys.argv) < 2:
         sys.exit(__doc__)
     for cycle in twists(vs.load(sys.argv[1]), sys.argv[2] if len(sys.argv) > 2 else "0"):
-        print(f"{cycle.t:7.3f} s", *(f"{v:8.4f}" for v in cycle.twist), cycle.command.rest_reason, *cycle.notes)
+        order = ["stop:", cycle.reason] if cycle.stopped else [f"{v:8.4f}" for v in cycle.twist]
+        print(f"{cycle.t:7.3f} s", *order, *cycle.notes)

@@ -12,7 +12,7 @@ from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS, Command, LawBase
 from vstestbed.robots import Omni
 from vstestbed.targets import Square
-from vstestbed.vision import Blobs
+from vstestbed.vision import Blobs, Oracle
 
 COUNT = [0]
 
@@ -53,6 +53,18 @@ class Shifted(Blobs):
         """Beside the markers."""
         memory, detection = super().detect(*given)
         return memory, replace(detection, uv=detection.uv + 2.0)
+
+
+@spec
+class Rolling(Oracle):
+    """It draws, and does not say so."""
+
+    kind: Literal["rolling"] = "rolling"
+
+    def detect(self, memory: Any, picture: Any, view: Any, camera: Any, target: Any, rng: Any) -> Any:
+        """The true points, after a draw."""
+        rng.random()
+        return super().detect(memory, picture, view, camera, target, rng)
 
 
 @spec

@@ -11,7 +11,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.spec import spec
 from vstestbed.features import Point
-from vstestbed.targets.motion import MotionBase
+from vstestbed.targets.motion import MotionBase, RandomWalk
 from vstestbed.vision.perturb import PerturbationBase
 
 COUNT = [0]
@@ -54,6 +54,14 @@ class Jumping(MotionBase):
             return D
 
         return at
+
+
+@spec
+class Untold(RandomWalk):
+    """A random walk that does not say that it draws."""
+
+    kind: Literal["untold"] = "untold"
+    draws: ClassVar[bool] = False
 
 
 @spec

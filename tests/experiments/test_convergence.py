@@ -1,15 +1,18 @@
 """Convergence maps: what makes one, its cells, the command and its folder."""
 
 import json
+from concurrent.futures import Future
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
+from tests.shortcuts import Here
 from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
 from vstestbed.experiments.comparison import Comparison, chosen
+from vstestbed.experiments.comparison.pools import WorkerLostError
 from vstestbed.experiments.convergence import RunEnding, Study
 from vstestbed.scenario.load import load
 
@@ -74,3 +77,41 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
     assert len(pl.read_parquet(out / "convergence.parquet")) == 8
     page = (out / "report.html").read_text()
     assert "Share of 1 seeds" in page and "pbvs_book: median distance" in page
+
+
+def outcomes(study: Study, folder: Path) -> list[str]:
+    """Of its runs, in the order of the plan."""
+    found: dict[int, str] = {}
+    study.run_all(folder, 1, lambda place, job, ending: found.update({place: ending.outcome}))
+    return [found[place] for place in range(len(study.runs))]
+
+
+def test_a_start_that_cannot_be_drawn_ends_its_run_and_not_the_sweep(quick: Path, tmp_path: Path, here: None):
+    """It ended the sweep with exit 2; a comparison counts it."""
+    away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}}
+    axes = {"robot.start.nominal.xyz": ([0.1, -0.05, 0], [3, 0, 0]), "law.gain": (3.0, 6.0)}
+    assert outcomes(Study(Comparison(base=(str(quick),), set=away, axes=axes, seeds=1)), tmp_path) == ["converged"] * 2 + ["crashed"] * 2
+
+
+def test_a_run_that_kills_its_worker_costs_that_run_alone(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As where it takes all memory; the sweep ended with a traceback of the broken pool."""
+    tries: dict[str, int] = {}
+
+    class Deadly(Here):
+        """Every request with the run at the larger gain of seed 0 is lost."""
+
+        def submit(self, request):
+            tries[request.folder] = tries.get(request.folder, 0) + 1
+            if "more" not in request.folder and "law.gain=6.0,camera.rate_hz=20.0/0" not in request.folder:
+                return super().submit(request)
+            lost: Future[object] = Future()
+            lost.set_exception(WorkerLostError("its worker process died"))
+            return lost
+
+        def tries(self, request):
+            return tries[request.folder]
+
+    monkeypatch.setattr("vstestbed.experiments.convergence.pool_of", lambda *_: Deadly())
+    axes = {"law.gain": (3.0, 6.0), "camera.rate_hz": (20.0, 25.0)}
+    assert outcomes(Study(Comparison(base=(str(quick),), axes=axes, seeds=1)), tmp_path) == ["converged"] * 2 + ["crashed", "converged"]
+    assert max(tries.values()) == 2

@@ -64,6 +64,15 @@ def parquet(table: pl.DataFrame) -> bytes:
     return sink.getvalue()
 
 
+@pytest.mark.parametrize("words", [("report",), ("render",), ("export", "--to", "csv")], ids=str)
+def test_a_log_without_frames(command, run: Path, words: tuple[str, ...]) -> None:
+    (run / "log.parquet").write_bytes(parquet(pl.read_parquet(run / "log.parquet").clear()))
+    (run / "summary.json").unlink()
+    err = refused(command, words[0], run, *words[1:])
+    assert err.startswith(f"{run}: has a log without frames; ") and "run the scenario again" in err, err
+    assert not (run / "report.html").exists()
+
+
 def test_logs(command, run: Path) -> None:
     log = pl.read_parquet(run / "log.parquet")
     whole = (run / "log.parquet").read_bytes()

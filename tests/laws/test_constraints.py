@@ -11,7 +11,6 @@ import vstestbed as vs
 from vstestbed.camera import Fisheye, Perspective
 from vstestbed.core.geometry import exp, transform
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.constraints import above_plane, border, off_singularities, shared_limits, twist_limits, velocity_bounds
 from vstestbed.robots import Car, Mount
 from vstestbed.robots.own_model import OwnModel
@@ -113,7 +112,7 @@ def test_accelerations_give_way_to_positions() -> None:
 
 def test_twist_limits_bound_each_component() -> None:
     robot = arm()
-    group = twist_limits(TwistLimits(speed_mps=0.2, rate_radps=None), robot.J)
+    group = twist_limits(0.2, None, robot.J)
     assert group.A.shape == (6, 6)
     rates = np.linalg.solve(robot.J, np.array([0.2, -0.2, 0.1, 1, 1, 1]))
     assert (group.A @ rates >= group.low - 1e-9).all() and (group.A @ (1.01 * rates) < group.low).any()

@@ -148,8 +148,9 @@ class TestMistakes:
 
     @pytest.mark.parametrize(("given", "found"), [("[0.0] * 3", r"shape \(3,\)"), ("'left'", "str"), ("[[0.0] * 6]", r"shape \(1, 6\)")])
     def test_of_shape(self, tmp_path: Path, given: str, found: str):
-        with pytest.raises(ParameterError, match=rf"mine.py:act: an action must be 6 numbers for this robot's motions, got {found}"):
-            vs.run(scenario(written(tmp_path, f"def act(o): return {given}\n") + ":act"))
+        recording = vs.run(scenario(written(tmp_path, f"def act(o): return {given}\n") + ":act"))
+        assert recording.outcome is vs.Outcome.law_failed
+        assert re.search(rf"mine.py:act: an action must be 6 numbers for this robot's motions, got {found}", recording.reason)
 
     def test_of_a_class_that_cannot_be_made(self, tmp_path: Path):
         mine = written(tmp_path, "class P:\n    def __init__(self):\n        self.x = 1 / 0\n")

@@ -84,6 +84,13 @@ class Tab:
         self.wait(f"!!({found})")
         self.js(f"{found}.click()")
 
+    def unfold(self, words: str) -> None:
+        """Open the folder with these words."""
+        self.js(
+            f"[...document.querySelectorAll('p,div,span,legend')].filter(e => e.innerText?.trim() === {json.dumps(words)}"
+            " && ![...e.children].some(c => c.innerText))[0]?.click()"
+        )
+
     def set_slider(self, label: str, keys: list[str]) -> None:
         """Press keys (ArrowRight, End, ...) on the slider with a label."""
         self.wait(f"!!({labelled(label)})")

@@ -13,12 +13,17 @@ import cv2
 import numpy as np
 import psutil
 import pytest
+import viser
 
 import vstestbed as vs
 from tests.live.browser import Browser, Tab, chromium, labelled
+from vstestbed.experiments.run_folder import new_folder, run_into
 from vstestbed.live.app import LiveApp
+from vstestbed.live.playback import PlaybackApp
 from vstestbed.live.server import LocalServer
 from vstestbed.live.settings import Settings
+from vstestbed.report.video.film import Pictures
+from vstestbed.report.video.film_frame import FilmFrame
 
 pytestmark = [
     pytest.mark.study,
@@ -126,8 +131,8 @@ def test_a_gain_of_the_slider_is_in_the_next_frames_command(browser: Browser):
         for _ in range(10):
             twin_frame = twin.step()
         np.testing.assert_array_equal(live.run.frame.command.twist, twin_frame.command.twist)
-        assert tab.value("gain") == "0.5"
-        tab.set_slider("gain", ["End"])
+        assert tab.value("law.gain") == "0.5"
+        tab.set_slider("law.gain", ["End"])
         live.until(lambda: live.run.scenario.law.gain.value == 4.0)
         live.steps(tab, 1)
         np.testing.assert_allclose(live.run.frame.command.twist, 8.0 * twin.step().command.twist, rtol=1e-9)
@@ -148,7 +153,7 @@ def _print_latency(live: Served, tab: Tab) -> None:
         before = live.run.scenario.law.gain.value
         tab.js("1")
         began = time.perf_counter()
-        tab.set_slider("gain", [key])
+        tab.set_slider("law.gain", [key])
         live.until(lambda before=before: live.run.session.episode.controller.law.gain.value != before)
         frame = live.run.frames
         live.until(lambda frame=frame: live.run.frames > frame or live.run.ended)
@@ -161,6 +166,7 @@ def _print_latency(live: Served, tab: Tab) -> None:
 def test_a_refused_value_shows_its_sentence_and_changes_nothing(browser: Browser):
     with Served("arm_ibvs") as live:
         tab = live.open(browser)
+        tab.unfold("law")
         tab.choose("depth", "oracle")
         tab.wait("document.body.innerText.includes('refused: law.depth: may be oracle only with detector')")
         tab.wait(f"{labelled('depth')}.value === 'pnp'")
@@ -194,8 +200,9 @@ def test_what_is_saved_gives_the_same_log(browser: Browser, tmp_path: Path, monk
         tab = live.open(browser)
         tab.type_into("seed", "7")
         live.until(lambda: live.run.scenario.seed == 7)
-        tab.set_slider("gain", ["ArrowRight"] * 4)
+        tab.set_slider("law.gain", ["ArrowRight"] * 4)
         live.until(lambda: live.run.scenario.law.gain.value > 0.57)
+        tab.unfold("law")
         tab.choose("feature", "polar")
         live.until(lambda: live.run.scenario.law.feature.kind == "polar")
         tab.choose("speed", "as fast as it can")
@@ -214,8 +221,8 @@ def test_what_is_saved_gives_the_same_log(browser: Browser, tmp_path: Path, monk
 def test_tabs_see_one_run_and_a_tab_that_goes_stops_nothing(browser: Browser):
     with Served("arm_ibvs") as live:
         one, two = live.open(browser), live.open(browser)
-        one.set_slider("gain", ["ArrowRight"])
-        two.wait(f"{labelled('gain')}.querySelector('[role=slider]').ariaValueNow === '0.52'")
+        one.set_slider("law.gain", ["ArrowRight"])
+        two.wait(f"{labelled('law.gain')}.querySelector('[role=slider]').ariaValueNow === '0.52'")
         one.call("Page.close")
         one.close()
         n = live.run.frames
@@ -223,6 +230,86 @@ def test_tabs_see_one_run_and_a_tab_that_goes_stops_nothing(browser: Browser):
         two.click("pause")
         two.wait("document.body.innerText.includes('paused')")
         two.close()
+
+
+def test_gains_latency_noise_and_rate_stand_first(browser: Browser):
+    with Served("arm_ibvs", playing=False) as live:
+        tab = live.open(browser)
+        tab.wait(f"!!({labelled('camera.rate_hz')})")
+        labels = "[...document.querySelectorAll('label')].filter(l => l.checkVisibility() && l.offsetHeight).map(l => l.innerText.trim())"
+        shown = [label for label in tab.js(labels) if label not in ("run", "speed")]
+        assert shown[:6] == ["law.gain", "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"]
+        assert "commanded speed" in tab.text() and "ordered" not in tab.text()
+        tab.close()
+
+
+def test_who_has_not_the_address_is_not_let_in(browser: Browser):
+    other = LocalServer(None, "another server of this machine")
+    with Served("ibvs_book") as live:
+        tab = browser.tab(live.app.address.rsplit("/", 2)[0])
+        tab.wait("document.body?.innerText.includes('Open the whole address')")
+        tab.go(other.address)
+        tab.wait("!!document.querySelector('canvas')", 40)
+        socket = f"new WebSocket({live.app.address.replace('http', 'ws', 1)!r}, ['viser-v{viser.__version__}'])"
+        said = f"new Promise(done => {{ const s = {socket}; s.onopen = () => done('open'); s.onerror = () => done('refused') }})"
+        assert tab.js(said) == "refused"  # a page at another port, though it knows the address
+        tab.close()
+    other.stop()
+
+
+BARS, HIGH = 12, 30
+SHOWN = f"""(() => {{
+    const img = document.querySelector('img'), c = document.createElement('canvas');
+    if (!img?.naturalWidth) return null;
+    [c.width, c.height] = [img.naturalWidth, img.naturalHeight];
+    const x = c.getContext('2d'); x.drawImage(img, 0, 0);
+    const bar = Math.floor(c.width / {BARS}), row = x.getImageData(0, c.height - {HIGH} / 2, c.width, 1).data;
+    const number = [...Array({BARS}).keys()].reduce((n, i) => n + (row[4 * Math.floor((i + 0.5) * bar)] > 128 ? 1 << i : 0), 0);
+    return [{FRAME}, number];
+}})()"""
+"""Numbers of the frames in the words and in the picture of a page, which has its number in black and white bars."""
+
+
+def with_bars(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw = Pictures.picture
+
+    def barred(self: Pictures, film: FilmFrame) -> np.ndarray:
+        image, number = draw(self, film).copy(), round(film.t * 25)
+        for i in range(BARS):
+            width = image.shape[1] // BARS
+            image[-HIGH:, i * width : (i + 1) * width] = 255 * (number >> i & 1)
+        return image
+
+    monkeypatch.setattr(Pictures, "picture", barred)
+
+
+def test_a_replay_begins_when_its_page_is_there_and_its_words_are_of_its_picture(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    scenario = vs.load("arm_ibvs", {"stop.duration_s": 4.0})
+    folder = new_folder(scenario, tmp_path / "recorded")
+    run_into(folder, scenario, "none", report=False)
+    with_bars(monkeypatch)
+    app = PlaybackApp(folder)
+    app.transport.set_speed(0.5)
+    thread = threading.Thread(target=app.serve)
+    thread.start()
+    time.sleep(1.0)  # nobody looks: 12 frames of its time
+    assert app.i == 0
+    tab = browser.tab(app.address)
+    tab.wait(f"{FRAME} >= 0", 60)
+    seen = []
+    while app.i < len(app.recorded) - 1:
+        seen.append(tab.js(SHOWN))
+    tab.wait(f"{FRAME} === {len(app.recorded) - 1} && {SHOWN}[1] === {len(app.recorded) - 1}")
+    behind = [words - drawn for words, drawn in filter(None, seen)]
+    print(f"\nwords before picture: {np.median(behind):.0f} frames in the median, {max(behind, default=0)} at most ({len(behind)} looks)")
+    app.ask(lambda: app.transport.play(False))
+    app.ask(lambda: app.go_to(37))
+    tab.wait(f"{FRAME} === 37 && {SHOWN}[1] === 37 && {labelled('t [s]')}.querySelector('[role=slider]').ariaValueNow === '1.48'")
+    app.stop()
+    thread.join(20)
+    tab.close()
 
 
 def test_reloads_leak_nothing(browser: Browser):
@@ -248,9 +335,7 @@ def test_by_hand(browser: Browser):
     with Served("arm_ibvs", playing=False) as live:
         tab = live.open(browser)
         live.steps(tab, 1)
-        tab.js(
-            "[...document.querySelectorAll('p,div,span')].filter(e => e.innerText?.trim() === 'by hand' && !e.children.length)[0]?.click()"
-        )
+        tab.unfold("by hand")
         tab.click("push the robot")
         live.until(lambda: "robot pushed" in live.run.by_hand)
         tab.wait("document.body.innerText.includes('No scenario file repeats this')")

@@ -53,9 +53,67 @@ class TestSettings:
         settings.change("camera.distortion.0", -0.05)
         assert settings.change("camera.distortion.1", 0.02).camera.distortion == (-0.05, 0.02, 0.0, 0.0, 0.0)
 
-    def test_a_page_cannot_load_code(self):
+    def test_a_page_cannot_load_a_plugin(self):
         with pytest.raises(ScenarioError, match="command line alone"):
             Settings("arm_ibvs").change("plugins", ["/tmp/x.py"])
+
+    @pytest.mark.parametrize(
+        ("path", "value"),
+        [
+            ("law", {"kind": "policy", "file": "HERE/code.py:act"}),
+            ("law", {"kind": "policy", "file": "code.py:act"}),
+            ("law", {"kind": "policy", "file": "HERE/net.onnx"}),
+            ("law", {"kind": "switched", "turns": [{"law": {"kind": "policy", "file": "HERE/code.py:act"}}]}),
+            ("law.file", "code.py:act"),
+            ("law.weights", "code.py"),
+            ("randomise", [{"field": "law.file", "choice": ["HERE/code.py:act"]}]),
+            ("robot", {"kind": "mjcf", "file": "HERE/model.xml", "flange": "x"}),
+            ("robot", {"kind": "mjcf", "file": "package:numpy/model.xml", "flange": "x"}),
+            ("robot.file", "line"),  # a word, too
+            ("target", {"kind": "picture", "file": "HERE/picture.png", "width": 0.2}),
+            ("target", {"kind": "mesh", "file": "~/solid.stl"}),
+            ("goal.picture", "HERE/picture.png"),
+            ("goal.picture", {"file": "picture.png"}),
+            ("world.scenery", "HERE/model.xml"),
+            ("world.scenery.file", "..\\model.xml"),
+            ("world.floor.texture", "HERE/picture.png"),
+            ("world.floor.texture", b"picture.png"),
+            ("name", "../../elsewhere"),
+        ],
+    )
+    def test_a_page_can_name_no_file(self, path: str, value: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "code.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\ndef act(seen): pass\n")
+        for name in ("net.onnx", "model.xml", "picture.png", "line"):
+            (tmp_path / name).touch()
+        settings = Settings("arm_ibvs")
+
+        def here(plain: object) -> object:
+            if isinstance(plain, dict):
+                return {key: here(inner) for key, inner in plain.items()}
+            if isinstance(plain, list):
+                return [here(inner) for inner in plain]
+            return plain.replace("HERE", str(tmp_path)) if isinstance(plain, str) else plain
+
+        with pytest.raises(ScenarioError, match="is no word of this scenario; "):
+            settings.change(path, here(value))
+        assert settings.scenario == vs.load("arm_ibvs") and not (tmp_path / "ran").exists()
+
+    def test_a_file_of_the_command_line_may_be_named_again(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "mine.py").write_text("def act(seen): return None\n\ndef other(seen): return None\n")
+        settings = Settings("arm_ibvs", {"law": {"kind": "policy", "file": "mine.py:act"}})
+        settings.change("law", "pbvs")
+        assert settings.change("law", {"kind": "policy", "file": "mine.py:act"}).law.kind == "policy"
+        with pytest.raises(ScenarioError, match=r"'mine\.py:other' is no word of this scenario"):
+            settings.change("law.file", "mine.py:other")
+
+    def test_a_word_with_a_slip_has_its_nearest(self):
+        with pytest.raises(ScenarioError, match="'poler' is no word of this scenario; did you mean 'polar'"):
+            Settings("arm_ibvs").change("law.feature", "poler")
+
+    def test_a_bundled_texture_may_be_named(self):
+        assert Settings("arm_ibvs").change("world.floor.texture", "texture:brick").world.floor.texture == "texture:brick"
 
     def test_a_saved_scenario_is_read_as_the_same(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.chdir(tmp_path)
@@ -87,6 +145,17 @@ class TestFields:
         menus = {f.path: f.choices for f in fields_of(vs.load("arm_ibvs")) if f.control == "choice"}
         assert menus["law.interaction"] == ("current", "desired", "mean") and "polar" in menus["law.feature"]
         assert menus["robot.actuation"] == ("ideal", "industrial", "raw") and "estimate" in menus["law.depth"]
+
+    @pytest.mark.parametrize(
+        ("name", "gains"),
+        [("arm_ibvs", ["law.gain"]), ("arm_partitioned", ["law.gain", "law.gain_z", "law.gain_turn", "law.gain_xy"]), ("arm_policy", [])],
+    )
+    def test_gains_latency_noise_and_rate_come_first(self, name: str, gains: list[str]):
+        fields = fields_of(vs.load(name))
+        first = [f.path for f in fields if f.comes_first]
+        assert first == [*gains, "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"]
+        assert [f.path for f in fields[: len(first)]] == first
+        assert [f.label for f in fields if f.path == "camera.latency_s"] == ["camera.latency_s"]
 
     def test_an_ends_of_a_slider_are_valid(self):
         settings = Settings("arm_ibvs")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from vstestbed.loop.episode import Episode
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Reading
+from vstestbed.robots.flight_reading import FlightEstimate, FlightReading
 
 SPOKEN = ("t", "arrived", "picture", "at_exposure", "now", "twist", "setpoint")
 ALONE = """
@@ -29,7 +31,7 @@ for file in sys.argv[1:]:
         cycle = controller.step(picture, t, (at_exposure, now), arrived)
         assert cycle.notes == (), (name, cycle.notes)
         assert cycle.twist.tobytes() == twist.tobytes(), (name, t, cycle.twist, twist)
-        assert np.array_equal(cycle.setpoint, setpoint, equal_nan=True), (name, t, cycle.setpoint, setpoint)
+        assert cycle.setpoint.tobytes() == setpoint.tobytes(), (name, t, cycle.setpoint, setpoint)
     assert not {"mujoco", "dm_control"} & set(sys.modules), name + ": MuJoCo was imported"
     print(name, len(kept), float(np.abs(np.array([row[5] for row in kept])).max()))
 """
@@ -84,6 +86,45 @@ def test_the_pictures_and_readings_of_runs_give_their_orders_without_mujoco(monk
     assert min(float(fastest) for *_, fastest in found) > 1e-3
 
 
+FIRST = """
+import json, sys
+from tests.loop.test_stopping import Rig
+rig = Rig(*json.loads(sys.argv[1]))
+before, cycles = set(sys.modules), [rig.sees() for _ in range(40)]
+assert any(cycle.twist.any() for cycle in cycles), cycles[-1].reason
+print(*sorted(set(sys.modules) - before))
+"""
+SWITCHED = {"law": {"kind": "switched", "laws": [{"law": "pbvs", "until": {"error_under_px": 1e4}}, {"law": "qp"}]}}
+ARMS = (
+    "arm_ibvs",
+    "arm_predictive",
+    "arm_qp",
+    "arm_pbvs",
+    "arm_hybrid",
+    "arm_partitioned",
+    "arm_uncalibrated",
+    "arm_switched",
+    "arm_policy",
+)
+OTHERS = (*ARMS, "ibvs_book", "car_pbvs", "car_pursuit", "car_line", "omni_ibvs", "quadrotor_hover")
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("ibvs_book", SWITCHED),
+        *(pytest.param(name, {}, marks=pytest.mark.study) for name in OTHERS),
+    ],
+)
+def test_no_step_imports_anything(name: str, changes: dict[str, Any]) -> None:
+    """SciPy's LAPACK and the solver of quadratic programs take a second on a loaded machine, while a robot waits."""
+    import json
+
+    alone = subprocess.run([sys.executable, "-c", FIRST, json.dumps([name, changes])], capture_output=True, text=True)
+    assert alone.returncode == 0, alone.stderr
+    assert alone.stdout.split() == []
+
+
 class TestWhatIsTold:
     BLACK = np.zeros((480, 640, 3), np.uint8)
     REST = Reading(np.zeros(6), np.zeros(6))
@@ -108,12 +149,12 @@ class TestWhatIsTold:
 
     def test_a_late_picture_stops_the_robot(self, controller: vs.Controller) -> None:
         cycle = controller.step(self.BLACK, 0.0, self.REST, arrived=2.0)
-        assert cycle.notes == ("the picture is 2 s old: the robot is told to stop",) and np.isnan(cycle.setpoint).all()
+        assert cycle.notes == ("the picture is 2 s old: the robot is told to stop",) and cycle.stopped and not cycle.setpoint.any()
 
     def test_without_a_picture_the_robot_stops_and_the_task_is_given_up(self, controller: vs.Controller) -> None:
         controller.step(self.BLACK, 0.0, self.REST)
         for t in (0.5, 1.0, 5.0):
-            assert np.isnan(controller.without_picture(t, self.REST)).all()
+            assert controller.without_picture(t, self.REST).stopped
         assert controller.supervisor.aborted is not None and "no marker was in sight" not in controller.supervisor.aborted[1]
 
     @pytest.mark.parametrize(
@@ -153,7 +194,7 @@ class TestWhatIsTold:
             vs.Controller("arm_ibvs")
 
     def test_without_any_picture_the_order_has_the_robots_shape(self, controller: vs.Controller) -> None:
-        assert controller.without_picture(0.5, self.REST).shape == (6,)
+        assert controller.without_picture(0.5, self.REST).setpoint.shape == (6,)
 
     def test_lists_are_readings_too(self, controller: vs.Controller) -> None:
         lists = Reading([0, 1, -3, 0, 1, 0], [0] * 6)
@@ -194,6 +235,58 @@ class TestWhatIsTold:
         q[:] = 0.1
         assert controller.before is not None
         assert np.array_equal(controller.before.reading.q, first)
+
+    @pytest.mark.parametrize(
+        ("name", "changed", "words"),
+        [
+            ("arm_ibvs", {2: 9.0}, r"has joint_3 outside of its range of -3\.927 to 0\.7854: must be in radians, .* joint_1, .*got 9"),
+            ("arm_ibvs", {2: -170.0}, "outside of its range"),  # in degrees
+            ("arm_jaco", {1: 0.1}, "outside of its range"),
+            ("car_pbvs", {0: 20.0}, r"has steering outside of its range of -1\.571 to 1\.571"),
+        ],
+    )
+    def test_a_joint_outside_of_its_range(self, name: str, changed: dict[int, float], words: str) -> None:
+        """Neither a law nor the joint limits may work on it: it is in degrees, in another order, or its encoder has failed."""
+        controller = vs.Controller(vs.load(name))
+        camera = controller.scenario.camera
+        black, q = np.zeros((camera.height, camera.width, 3), np.uint8), controller.scenario.robot.start_joints()
+        right = Reading(q, np.zeros(len(q)))
+        assert controller.step(black, 0.0, right).t == 0.0
+        for joint, value in changed.items():
+            q = q.copy()
+            q[joint] = value
+        for call in (lambda r: controller.step(black, 0.04, r), lambda r: controller.step(black, 0.04, (right, r))):
+            with pytest.raises(ParameterError, match=words):
+                call(Reading(q, np.zeros(len(q))))
+        with pytest.raises(ParameterError, match="outside of its range"):
+            controller.without_picture(0.5, Reading(q, np.zeros(len(q))))
+        assert controller.step(black, 0.04, right).t == 0.04
+
+    def test_a_joint_a_little_beyond_its_limit_is_brought_back(self, controller: vs.Controller) -> None:
+        """As encoders and soft stops have it."""
+        q = controller.scenario.robot.start_joints()
+        q[0] = controller.scenario.robot.joint_limits[0, 1] + 0.05
+        assert controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6))).t == 0.0
+
+    @pytest.mark.parametrize(
+        ("wrong", "words"),
+        [
+            ({"range_m": np.nan}, "range_m must be a distance"),
+            ({"range_m": -1.0}, "range_m must be a distance"),
+            ({"tilt": None}, "tilt must be"),
+        ],
+    )
+    def test_a_crafts_range_and_tilt(self, wrong: dict[str, Any], words: str) -> None:
+        controller, still = vs.Controller(vs.load("quadrotor_hover")), np.zeros(3)
+        estimate = FlightEstimate(still, still, np.zeros(2), still, 0.0, False, False)
+        right: dict[str, Any] = {"tilt": np.zeros(2), "range_m": np.inf}
+        none = np.zeros(0)
+        assert controller.without_picture(0.0, FlightReading(none, none, estimate=estimate, **right)).stopped
+        with pytest.raises(ParameterError, match=rf"readings\.{words}"):
+            controller.without_picture(0.1, FlightReading(none, none, estimate=estimate, **right | wrong))
+        blown = replace(estimate, velocity=np.full(3, np.nan))
+        with pytest.raises(ParameterError, match=r"readings\.estimate\.velocity must be three finite numbers"):
+            controller.without_picture(0.1, FlightReading(none, none, estimate=blown, **right))
 
     @pytest.mark.parametrize("q", [np.zeros(5), np.full(6, np.nan)])
     def test_a_wrong_reading(self, controller: vs.Controller, q: np.ndarray) -> None:

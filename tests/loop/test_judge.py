@@ -45,7 +45,7 @@ def test_a_goal_with_a_marker_out_of_sight_is_not_reached():
     [
         ({"contact": "hub and floor"}, Outcome.collided, "contact of hub and floor"),
         ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
-        ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "crossed the plane"),
+        ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "starts behind the plane"),
         ({"limit": "joint_limit", "scale": 0.0}, Outcome.joint_limit, "joint"),
         ({"limit": "singular", "scale": 0.01}, Outcome.singular, "singular"),
         ({"speed_mps": 0.0}, Outcome.local_minimum, "5 px"),

@@ -120,7 +120,7 @@ def test_a_car_drives_by_odometry_alone_no_farther_than_stated(limits: dict[str,
     r = vs.run(scenario)
     assert r.outcome is vs.Outcome.target_lost
     said = "0.4 m of the way" if "stop.lost_after_m" in limits else "0.4 s"
-    assert r.reason == f"no marker was in sight for {said}; the robot stands"
+    assert r.reason.startswith(f"no marker was in sight for {said}; ") and r.reason.endswith("; the robot stands")
     speed = speed_before(r, BLACK_FRAME)
     longest_s, farthest_m = bound(scenario, speed, scenario.stop.lost_after_s, scenario.stop.lost_after_m)
     walked, took = way.since((BLACK_FRAME - 1) * scenario.camera.period)
@@ -142,7 +142,8 @@ def test_by_too_few_landmarks_it_drives_no_farther(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(Oracle, "detect", detect)
     r = vs.run(vs.load("car_pbvs", TIMING | {"stop.lost_after_m": 0.4, "law.depth": "pnp"}))
-    assert (r.outcome, r.reason) == (vs.Outcome.target_lost, "too few markers were in sight for 0.4 m of the way; the robot stands")
+    assert r.outcome is vs.Outcome.target_lost
+    assert r.reason.startswith("too few markers were in sight for 0.4 m of the way; markers 0, 2, 3, 4 were ")
 
 
 def test_a_craft_without_sight_holds_and_sets_down(monkeypatch: pytest.MonkeyPatch, way: Way):

@@ -60,13 +60,23 @@ class TestDivergence:
 class TestPlaneCrossed:
     @pytest.mark.parametrize(("distance_m", "crossed"), [(0.01, False), (1.0, False), (0.0, True), (-0.01, True)])
     def test_behind_the_front(self, distance_m, crossed):
-        verdict = PlaneCrossed().update(frame(T_world_camera=back_from_target(distance_m)))
+        monitor = PlaneCrossed()
+        assert monitor.update(frame(T_world_camera=back_from_target(0.5))) is None
+        verdict = monitor.update(frame(T_world_camera=back_from_target(distance_m)))
         assert (verdict is not None) is crossed
         assert verdict is None or verdict == (Outcome.target_lost, "the camera crossed the plane of the target")
 
-    def test_the_front_turns_with_the_target(self):
-        turned = Pose(rpy_deg=(0, 180, 0)).T
-        assert PlaneCrossed().update(frame(T_world_camera=back_from_target(1.0), T_world_target=turned)) is not None
+    TURNED = Pose(rpy_deg=(0, 180, 0)).T
+
+    def test_a_start_behind_the_front_has_crossed_nothing(self):
+        for given in ({"T_world_camera": back_from_target(-0.1)}, {"T_world_target": self.TURNED}):
+            outcome, reason = PlaneCrossed().update(frame(**given))
+            assert outcome is Outcome.target_lost and reason.startswith("the camera starts behind the plane of the target")
+
+    def test_a_target_that_turns_its_back_was_not_crossed(self):
+        monitor = PlaneCrossed()
+        assert monitor.update(frame()) is None
+        assert monitor.update(frame(T_world_target=self.TURNED))[1].startswith("the target turned its back")
 
 
 class TestLimitReached:

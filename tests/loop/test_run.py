@@ -18,6 +18,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop import plant_of as loop
 from vstestbed.loop.log_file import read_log
+from vstestbed.robots.orders import Stop
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.tasks import GOALS
@@ -312,8 +313,8 @@ class TestEnds:
     def test_an_unstable_simulation_crashes_as_an_outcome(self, monkeypatch: pytest.MonkeyPatch):
         apply = MujocoPlant.apply
 
-        def blow(plant: MujocoPlant, setpoint: Array) -> None:
-            apply(plant, setpoint)
+        def blow(plant: MujocoPlant, setpoint: Array, stop: Stop) -> None:
+            apply(plant, setpoint, stop)
             plant._stage.data.qvel[:] = np.nan
 
         monkeypatch.setattr(MujocoPlant, "apply", blow)

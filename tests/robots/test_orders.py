@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.orders import REFRESH_S, Orders, stop_order
+from vstestbed.robots.orders import REFRESH_S, Order, Orders, Stop
 
 STEP_S, LASTS = 0.002, 10
 U = np.array([1.0, -2.0])
@@ -41,18 +42,16 @@ def test_without_a_limit_it_lasts_for_ever():
 def test_a_stop_order_acts_at_once_and_only_once():
     given = orders()
     given.give(0, U)
-    given.give(4, stop_order(U))
+    given.give(4, U, "stop")
     np.testing.assert_allclose(given.at(4), U * (1 - STEP_S / 0.1))
-    given.give(8, stop_order(U))  # the ramp goes on
+    given.give(8, U, "stop")  # the ramp goes on
     np.testing.assert_allclose(given.at(8), U * (1 - 5 * STEP_S / 0.1))
-    given.give(9, np.array([np.nan, 0.0]))  # nothing of a setpoint that is partly NaN is followed
-    np.testing.assert_allclose(given.at(9), U * (1 - 6 * STEP_S / 0.1))
 
 
 def test_a_stop_order_after_the_order_has_lapsed_does_not_begin_again():
     given = orders()
     given.give(0, U)
-    given.give(20, stop_order(U))
+    given.give(20, U, "stop")
     np.testing.assert_allclose(given.at(20), U * (1 - 10 * STEP_S / 0.1))
 
 
@@ -60,15 +59,24 @@ def test_before_the_first_order_there_is_the_first_setpoint_or_none():
     given = orders(first=U)
     assert given.at(LASTS) is U and not given.at(1000).any()
     nothing = orders()
-    nothing.give(0, stop_order(U))
+    nothing.give(0, U, "stop")
     assert nothing.at(1) is None and nothing.unchanged(0, 7) == 7
 
 
-def test_infinite_setpoints_are_orders():
-    """A craft's rotors are switched off by one."""
-    given, off = orders(), np.array([0.0, -math.inf])
-    given.give(0, off)
-    assert given.at(1) is off
+def test_off_is_a_setpoint_that_no_finite_one_can_be_mistaken_for():
+    given = orders()
+    given.give(0, U, "off")
+    setpoint = given.at(1)
+    assert setpoint is not None and np.isneginf(setpoint).all()
+
+
+@pytest.mark.parametrize("how", ["stop", "off"])
+def test_a_stop_is_at_rest_and_says_why(how: Stop):
+    moving = Order(U, np.arange(6.0), U)
+    assert not moving.stopped and moving.reason == ""
+    stop = moving.halted("no marker was in sight", latched=True, stop=how)
+    assert stop.stopped and stop.latched and stop.stop == how and stop.reason == "no marker was in sight"
+    assert not stop.setpoint.any() and not stop.twist.any() and stop.rates is None
 
 
 def test_it_says_for_how_long_the_setpoint_stays():

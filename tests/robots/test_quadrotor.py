@@ -9,7 +9,7 @@ from tests.robots.flying import Flown, perfect
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, Instruments, descend
+from vstestbed.robots.flight_reading import HOLD, Instruments, descend
 from vstestbed.robots.flight_start import LOWEST_M, FlightBox, FlightPose, FlightStart
 from vstestbed.robots.groundspeed import Filtered, Flow
 from vstestbed.robots.imu import Imu
@@ -209,7 +209,7 @@ class TestDown:
         log = craft.fly(descend(0.3), 3.0)
         assert craft.robot.stands(craft.memory, craft.reading())
         assert log.position[-1, 2] == pytest.approx(Quadrotor.standing_m, abs=0.002)
-        craft.fly(ROTORS_OFF, 0.1)
+        craft.fly(np.full(4, -np.inf), 0.1)
         log = craft.fly(descend(0.3), 2.0)  # off is off
         # exp(-2 / .117) of hover is left.
         assert craft.data.act.max() < 1.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vstestbed.loop.command_history import CommandHistory
-from vstestbed.robots.orders import Orders, stop_order
+from vstestbed.robots.orders import Orders
 from vstestbed.robots.setpoints import Between, Blend, Interpolation
 
 U0, U1, A0 = np.array([0.3, -2.0]), np.array([1.0, 1.0]), np.array([4.0, -7.0])
@@ -135,7 +135,7 @@ class TestOrders:
         start = half * (1 - 2 * STEP_S / 0.1)
         led.give(12, U)  # and sets out again from there
         np.testing.assert_allclose(led.at(12), start + (U - start) * 0.5 / STEPS)
-        led.give(15, stop_order(U))
+        led.give(15, U, "stop")
         before = led.at(14)
         assert before is not None
         np.testing.assert_allclose(led.at(15), before * (1 - STEP_S / 0.1))

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 
 from vstestbed.core.outcome import Outcome
+from vstestbed.robots.orders import Order
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.supervisor import FOLLOWS, HOLDS, STANDS_RADPS, STOPS, Supervisor
 
-SETPOINT, AT_REST = np.array([0.5, 0.1]), Reading(np.zeros(2), np.zeros(2))
+BASIS, AT_REST = np.eye(6)[:, :2], Reading(np.zeros(2), np.zeros(2))
+ORDER = Order(np.array([0.5, 0.1]), BASIS @ [0.5, 0.1])
 BLIND = "too few markers in sight"
 
 
 def frames(supervisor: Supervisor, until: float, since: float = 0.0, blind: str = BLIND, moved_m: float = 0.0) -> float | None:
     """The time of the frame, at 25 Hz, at which the task is aborted [s]; None where it is not."""
     for k in range(round((until - since) / 0.04) + 1):
-        supervisor.filter(since + 0.04 * k, blind, AT_REST, SETPOINT, moved_m)
+        supervisor.filter(since + 0.04 * k, blind, AT_REST, ORDER, BASIS, moved_m)
         if supervisor.aborted:
             return since + 0.04 * k
     return None
@@ -25,13 +27,13 @@ def frames(supervisor: Supervisor, until: float, since: float = 0.0, blind: str 
 def test_with_sight_the_law_is_followed_for_ever():
     supervisor = Supervisor(1.0, 1.0)
     assert frames(supervisor, 5.0, blind="", moved_m=0.3) is None
-    assert supervisor.filter(9.0, "", AT_REST, SETPOINT) is SETPOINT
+    assert supervisor.filter(9.0, "", AT_REST, ORDER, BASIS) is ORDER
     assert supervisor.mode == FOLLOWS and supervisor.may_touch and not supervisor.down(9.0)
 
 
 def test_without_sight_it_is_followed_for_a_while():
     supervisor = Supervisor(1.0)
-    assert supervisor.filter(0.0, BLIND, AT_REST, SETPOINT) is SETPOINT
+    assert supervisor.filter(0.0, BLIND, AT_REST, ORDER, BASIS) is ORDER
     assert supervisor.mode == HOLDS and supervisor.aborted is None
 
 
@@ -39,8 +41,10 @@ def test_out_of_sight_for_too_long_it_stops():
     supervisor = Supervisor(1.0)
     assert frames(supervisor, 2.0) == pytest.approx(1.0)
     assert supervisor.aborted == (Outcome.target_lost, "too few markers in sight for 1 s, from the start on")
-    assert np.isnan(supervisor.filter(1.1, BLIND, AT_REST, SETPOINT)).all() and supervisor.mode == STOPS
-    assert np.isnan(supervisor.filter(1.2, "", AT_REST, SETPOINT)).all()  # for good, also when it sees again
+    for t, blind in ((1.1, BLIND), (1.2, "")):  # for good, also when it sees again
+        order = supervisor.filter(t, blind, AT_REST, ORDER, BASIS)
+        assert order.stopped and order.latched and not order.setpoint.any() and not order.twist.any()
+        assert order.reason == "too few markers in sight for 1 s, from the start on" and supervisor.mode == STOPS
 
 
 def test_a_target_that_was_seen_is_not_called_never_seen():
@@ -66,10 +70,10 @@ def test_too_far_without_sight_it_stops():
 def test_it_is_down_once_its_joints_stand():
     supervisor = Supervisor(0.0)
     for speed, stands in ((2 * STANDS_RADPS, False), (-2 * STANDS_RADPS, False), (0.5 * STANDS_RADPS, True)):
-        supervisor.filter(0.0, BLIND, Reading(np.zeros(2), np.array([0.0, speed])), SETPOINT)
+        supervisor.filter(0.0, BLIND, Reading(np.zeros(2), np.array([0.0, speed])), ORDER, BASIS)
         assert supervisor.down(0.0) is stands
     no_joints = Supervisor(0.0)
-    no_joints.filter(0.0, BLIND, Reading(np.zeros(0), np.zeros(0)), SETPOINT)
+    no_joints.filter(0.0, BLIND, Reading(np.zeros(0), np.zeros(0)), ORDER, BASIS)
     assert no_joints.down(0.0)
 
 

@@ -37,7 +37,7 @@ def scenario(file: str, noise: dict[str, Any], seed: int = 3) -> vs.Scenario:
 
 def test_off_it_is_the_very_target(plain: str):
     s = scenario(plain, {})
-    assert s.target_in_run is s.target and not s.noise.draws()
+    assert s.target_in_run is s.target and not s.noise.draws(pictures=True, points=True)
 
 
 def test_noise_of_the_picture_has_its_standard_deviation_and_no_bias(plain: str):
@@ -45,7 +45,7 @@ def test_noise_of_the_picture_has_its_standard_deviation_and_no_bias(plain: str)
     off = shown(s.target_in_run) - GREY
     assert off.std() == pytest.approx(12.75, rel=0.01) and abs(off.mean()) < 0.1  # 3e5 samples; rounding adds 0.03 %
     assert abs(np.corrcoef(off[:-1].ravel(), off[1:].ravel())[0, 1]) < 0.01  # each pixel of the file by itself
-    assert s.noise.draws() and (shown(s.target) == GREY).all()
+    assert s.noise.draws(pictures=True, points=True) and (shown(s.target) == GREY).all()
 
 
 def test_kinds_act_in_their_order_and_the_noise_last(plain: str):

@@ -14,6 +14,7 @@ from vstestbed.laws import Command
 from vstestbed.loop.judge import Judge
 from vstestbed.robots import Allocation
 from vstestbed.robots.allocation import Limit
+from vstestbed.robots.orders import Order
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
 from vstestbed.tasks.monitor import TaskMonitor
@@ -72,7 +73,8 @@ def frame(
         goal=goal,
         error=ImageError(lost, all_seen, np.nan if lost else rms_px),
         command=Command(u=twist, twist=twist, rest_reason=rest_reason),
-        allocation=Allocation(setpoint=twist, twist=twist * scale, scale=scale, limit=limit),
+        allocation=(allocation := Allocation(setpoint=twist, twist=twist * scale, scale=scale, limit=limit)),
+        order=Order.of(allocation),
         truth=truth,
         image=None,
         row=NOTHING,

@@ -124,7 +124,7 @@ def test_a_seed_may_draw_perturbations_alone(quick):
         vs.load(quick, fixed, seed=3)
     assert vs.load(quick, fixed | {"noise.perturb": ["outliers"]}, seed=3).seed == 3
     on_pictures = vs.load(quick, {"noise.perturb": ["erasing"]}).noise
-    assert on_pictures.draws() and not on_pictures.draws(pictures=False)  # the oracle sees no pictures
+    assert on_pictures.draws(pictures=True, points=True) and not on_pictures.draws(pictures=False, points=True)  # an oracle's
 
 
 def test_a_picture_of_another_shape_is_said(own_kinds):

@@ -60,6 +60,11 @@ class Calibration:
         """Whether depths have no error."""
         return self.depth_factor == 1 and self.depth_spread == 0
 
+    @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference: errors of the depths are drawn."""
+        return self.depth_spread > 0
+
     def depth_scale(self, markers: int, rng: np.random.Generator) -> Array | None:
         """Factor on each marker's depth in one run, shape (markers,); None where depths have no error."""
         if self.depth_exact:

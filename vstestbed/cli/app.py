@@ -20,13 +20,14 @@ from vstestbed.cli.bench import benchmarks
 from vstestbed.cli.compare import comparing
 from vstestbed.cli.convergence import convergences
 from vstestbed.cli.delay import delays
-from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, STOPS, exit_code
+from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
 from vstestbed.cli.new import news
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
 from vstestbed.cli.tune import tunings
-from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
+from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording, Watcher
@@ -170,7 +171,7 @@ def render(
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
         film = gif_of(make, path) if gif else make(path)
     if film is None:
-        raise ParameterError("RUN_DIR", "has a log without frames; there is nothing to film", str(run_dir))
+        raise RunFolderError(run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN)
     if not quiet:
         typer.echo(str(film), err=True)
 

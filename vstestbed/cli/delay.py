@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from vstestbed.experiments.delay import Limit
 
 delays = typer.Typer()
+LAGGING = 0.95
+"""A limit below this share of the theory for the delay alone shows the lag of the servos."""
+EXPLAINED = 0.9
+"""A limit below this share of the nearest model is told as not explained by it."""
 
 
 @delays.command("gain-limit")
@@ -25,7 +29,9 @@ def gain_limit(
     scenario: Annotated[
         str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
     ],
-    frames: Annotated[str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera.")] = "0,1,2,3,4,5",
+    frames: Annotated[
+        str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera, beside the scenario's own latency.")
+    ] = "0,1,2,3,4,5",
     set_: Settings = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/gain-limit/NUMBER]")] = None,
     as_json: Json = False,
@@ -34,7 +40,8 @@ def gain_limit(
 ) -> None:
     """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says.
 
-    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too.
+    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
+    scenario (`--set camera.latency_s=0.06`) comes first.
     """
     from vstestbed.core.folders import study_folder
     from vstestbed.experiments.delay import find_limits, write
@@ -58,15 +65,24 @@ def _numbers(text: str) -> list[int]:
 
 
 def _summary_line(limit: Limit) -> str:
+    """The limit, how far it is from the theory of the delay alone, and what of that the servos explain, with the figure that shows it."""
     row = limit.row()
+    delay = f"{limit.latency_s:g} s ({limit.delay_frames:g} frame{'' if limit.delay_frames == 1 else 's'})"
     if limit.unlimited:
-        return f"{limit.delay_frames} frames: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
-    line = f"{row['delay_frames']} frames: unstable from {row['gain_limit']:.4g} 1/s, {row['measured_to_theory']:.3f} of theory"
-    if limit.g_elastic is not None:
-        return f"{line}, {row['measured_to_elastic']:.3f} with the gears' elasticity"
-    if row["measured_to_lag"] is None:
+        return f"{delay}: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
+    line = f"{delay}: unstable from {limit.gain:.4g} 1/s, {row['measured_to_theory']:.3f} of theory for the delay alone"
+    with_servos = []
+    if limit.g_lag is not None:
+        lag = f"{limit.joint} by {1e3 * limit.lag_of_first:.1f} ms"
+        with_servos.append(f"{row['measured_to_lag']:.3f} of theory with their lag ({lag})")
+    if limit.g_linear is not None:
+        with_servos.append(f"{row['measured_to_linear']:.3f} of a linear model of the whole arm")
+    if not with_servos:
         return line
-    return f"{line}, {row['measured_to_lag']:.3f} with the servos' lag ({row['joint']} first, {1e3 * limit.lag_of_first:.1f} ms)"
+    nearest = min((limit.g / g for g in (limit.g_lag, limit.g_linear) if g is not None), key=lambda ratio: abs(1 - ratio))
+    left = "; what is left is not explained" if nearest < EXPLAINED else ""
+    why = ", since its servos lag" if limit.g < LAGGING * limit.g_theory else ""
+    return f"{line}{why}; {', '.join(with_servos)}{left}"
 
 
 renamed(delays, "delay", "gain-limit", gain_limit)

@@ -14,6 +14,8 @@ import typer
 
 from vstestbed.cli.streams import standard_streams
 from vstestbed.core.errors import EnvironmentLackError, VstestbedError
+from vstestbed.core.lacks import lack_of, shortage
+from vstestbed.core.shares import STOPS
 
 
 class Said(int):
@@ -23,8 +25,6 @@ class Said(int):
 GOAL_REACHED, BUG, BAD_INPUT, NOT_REACHED, REGRESSED, INTERRUPTED = 0, 1, 2, 3, 5, Said(130)  # 128 + SIGINT, as shells have it
 LACK = EnvironmentLackError.exit_code
 UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickException, also where typer brings a copy of click
-STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-"""Signals that end a command as Ctrl-C does; Windows has no SIGHUP."""
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:
@@ -79,14 +79,15 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
             raise KeyboardInterrupt  # which typer turned into its 130, without a word: while modules are imported, for example
         return code if isinstance(code, int) else GOAL_REACHED
     except VstestbedError as error:
-        return _failed(error, str(error), error.exit_code, debug)
+        told = lack_of(error) or error  # a file that cannot be read or written for want of descriptors: another place would not help
+        return _failed(error, str(told), told.exit_code, debug)
     except UsageMistake as error:
         error.show()  # type: ignore[attr-defined] - a ClickException, which typer hands on untyped
         return BAD_INPUT
     except (typer.Abort, KeyboardInterrupt):
         typer.echo("interrupted", err=True)
         return INTERRUPTED
-    except (Exception, SystemExit) as error:
+    except BaseException as error:
         return _unforeseen(error, debug)
 
 
@@ -97,6 +98,8 @@ def _unforeseen(error: BaseException, debug: bool) -> int:
 
         if (lack := gl.explain(error)) is not None:
             return _failed(error, str(lack), lack.exit_code, debug)
+    if (lack := lack_of(error) or shortage()) is not None:
+        return _failed(error, str(lack), lack.exit_code, debug)
     what = f"called sys.exit({error.code!r})" if isinstance(error, SystemExit) else f"raised {type(error).__name__}: {error}"
     place = _place_in_plugin(error)
     if place is None and not isinstance(error, SystemExit):

@@ -99,6 +99,10 @@ class RunFolderError(VstestbedError):
         super().__init__(f"{path}: {reason}; {works}")
 
 
+NOTHING_RAN = "the run ended before its first picture: run the scenario again, into a new folder"
+"""The remedy of a `RunFolderError` for a log without frames."""
+
+
 class SessionError(VstestbedError):
     """A session that cannot do what it is asked in its present state: the state, a remedy; or an error alone, as ParameterError."""
 

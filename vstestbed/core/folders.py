@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import re
 import shlex
 import shutil
-from collections.abc import Iterator
+import unicodedata
+import zlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -19,6 +22,8 @@ try:
 except ImportError:  # Windows has no flock
     fcntl = None
 
+DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
+"""Names that Windows keeps for devices, also with an ending."""
 Identity = tuple[int, int]
 """Device and inode of a folder."""
 _held: dict[Identity, int] = {}
@@ -93,9 +98,38 @@ def must_be_new(out: Path, remedy: str) -> None:
             raise OutputError(out, "exists and is not an empty folder", remedy)
 
 
-def folder_name(name: str) -> str:
-    """A scenario's name as the name of a folder: a name may hold anything, but that of a folder no separators, and it must not be `..`."""
-    return re.sub(r"[^\w.-]+", "_", name).strip(".") or "scenario"
+def file_word(text: str, most: int = 60) -> str:
+    """Any text, such as a scenario's name, as the name of a folder or a part of one: without separators, never `..`, not too long.
+
+    Args:
+        text: the text. most: bytes that its name may have; a longer one is cut, and a checksum keeps different texts distinct.
+    """
+    word = re.sub(r"[^\w.+-]+", "_", unicodedata.normalize("NFC", text)).strip("._") or "value"
+    return allowed(word if len(word.encode()) <= most else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}")
+
+
+def allowed(name: str, most: int = 150) -> str:
+    """The name of a folder as every system allows it: file systems take 255 bytes, and Windows keeps some words for devices (`con.x`)."""
+    if name.partition(".")[0].casefold() in DEVICES:
+        name = f"_{name}"
+    return name if len(name.encode()) <= most else f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+
+
+def _cut(name: str, most: int) -> str:
+    return name.encode()[:most].decode(errors="ignore")
+
+
+def distinct(words: Sequence[str]) -> list[str]:
+    """The words, with `_` at the end of those that stand there before: texts may differ in what a file name cannot hold alone.
+
+    Small and large letters count as equal, as on the file systems of Windows and macOS.
+    """
+    seen: dict[str, str] = {}
+    for word in words:
+        while (known := unicodedata.normalize("NFKC", word).casefold()) in seen:
+            word += "_"
+        seen[known] = word
+    return list(seen.values())
 
 
 def numbered(parent: Path) -> Path:

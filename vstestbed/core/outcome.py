@@ -12,6 +12,7 @@ class Outcome(Enum):
     completed = "the task was kept in its band for the whole duration"
     landed = "the craft touched down on its pad"
     timed_out = "the time ran out before the goal was reached"
+    unstable = "the loop swung or grew until the time ran out"
     target_lost = "the target was out of sight for too long"
     joint_limit = "a joint stood at its limit and the law asked for more"
     singular = "the robot stood at a singular configuration and the law asked for a motion it cannot make"
@@ -29,6 +30,11 @@ class Outcome(Enum):
     def success(self) -> bool:
         """Whether the task was done."""
         return self in (Outcome.converged, Outcome.completed, Outcome.landed)
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the run ended because its time was over, with its task not done."""
+        return self in (Outcome.timed_out, Outcome.unstable)
 
 
 Verdict = tuple[Outcome, str]

@@ -16,6 +16,9 @@ from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.mapping import to_mapping
 from vstestbed.core.registry import ROOMS, Room, blocks_in, fields_of, rooms_of, spec_named
 
+UNKNOWN = "is an unknown field"
+"""How the sentence for one begins."""
+
 
 def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
     """The error of a constructor in Python: of an unknown field before all others, since that may be what another one misses.
@@ -231,8 +234,8 @@ def _unknown(name: str, block: type, room: Room | None) -> str:
     if able and room:
         kind = next(kind for kind, member in room.members.items() if member is block)
         words = f"{', '.join(able[:-1])} and {able[-1]} have" if able[1:] else f"{able[0]} has"
-        return f"is an unknown field of {kind}; {words} it"
-    return f"is an unknown field; {nearest(name, fields_of(block))}"
+        return f"{UNKNOWN} of {kind}; {words} it"
+    return f"{UNKNOWN}; {nearest(name, fields_of(block))}"
 
 
 def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, Room | None]:

@@ -13,7 +13,6 @@ import numpy as np
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
-from vstestbed.core.outcome import Outcome
 from vstestbed.env.overview import Overview
 from vstestbed.env.reward import Reward, RewardKind, potential
 from vstestbed.laws.policy_io import MOST_PX, ActionScale, observed
@@ -147,7 +146,7 @@ class Rollout:
         outcome, before = frame.outcome, self._phi
         self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
         error, self._phi = self._judged(frame)
-        truncated = outcome is Outcome.timed_out
+        truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
         left = max(0, self.most_steps - self._steps)
         reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success, left)

@@ -45,7 +45,7 @@ def new_folder(scenario: Scenario, out: Path | None) -> Path:
     Raises:
         OutputError: `out` holds something already, or cannot be made.
     """
-    return folders.new_folder(Path("runs") / folders.folder_name(scenario.name), out, REMEDY)
+    return folders.new_folder(Path("runs") / folders.file_word(scenario.name), out, REMEDY)
 
 
 def run_into(

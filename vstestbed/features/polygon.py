@@ -14,6 +14,7 @@ from vstestbed.features.angles import bounded_inverse, wrap
 from vstestbed.features.base import checked
 from vstestbed.features.point import Point
 
+_POINT = Point()
 SHARE = 0.8
 """Segments over this share of the longest one's length have a weight; a square's sides (0.71 of its diagonals) have none."""
 FLAT = 1e-2
@@ -56,7 +57,7 @@ class Polygon:
             ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
-        points = Point().interaction(xy, depth).reshape(*xy.shape, 6)
+        points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
         return np.stack([_size_row(xy, points), _angle_row(xy, points)], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:

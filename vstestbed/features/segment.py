@@ -14,6 +14,8 @@ from vstestbed.features.base import checked
 from vstestbed.features.point import Point
 from vstestbed.features.rated import Rated, angle, at_least, square
 
+_POINT = Point()
+
 
 @spec
 class Segment:
@@ -53,7 +55,7 @@ class Segment:
             ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
         """
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
-        L = Point().interaction(xy[..., :2, :], depth[..., :2])
+        L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
         ends = [Rated(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
         return np.stack([row.rate for row in self._rows(*ends)], axis=-2)
 

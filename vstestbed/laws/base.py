@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
@@ -18,6 +19,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.solve import load_lapack
 from vstestbed.laws.visibility import Visibility
 
 M = TypeVar("M")
@@ -154,6 +156,10 @@ class Law(Protocol[M]):
         """The memory before the first frame."""
         ...
 
+    def prepare(self) -> None:
+        """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
+        ...
+
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
         """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
         ...
@@ -241,6 +247,12 @@ class TwistLimits:
                 factor = np.minimum(factor, limit / np.maximum(size, limit))
         return twist * factor
 
+    def reached(self, twist: Array) -> NDArray[np.bool_]:
+        """Which twists (M, 6) are at a limit, as those are that were shortened."""
+        sizes = np.linalg.norm(twist[:, :3], axis=1), np.linalg.norm(twist[:, 3:], axis=1)
+        limits = self.speed_mps or math.inf, self.rate_radps or math.inf
+        return (sizes[0] > limits[0] * (1 - 1e-9)) | (sizes[1] > limits[1] * (1 - 1e-9))
+
     def command(self, u: Array, basis: Array) -> Command:
         """The command for velocities u (n,) along the robot's motions, basis (6, n), scaled to within the limits."""
         twist = basis @ u
@@ -289,6 +301,10 @@ class LawBase:
     def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
         """No memory."""
         return None
+
+    def prepare(self) -> None:
+        """The solver of `least_squares`."""
+        load_lapack()
 
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))

@@ -6,7 +6,6 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.carry import points
 from vstestbed.laws.program import Group
 from vstestbed.laws.select import usable_rows
@@ -91,10 +90,13 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
     return Group("shared", A, low)
 
 
-def twist_limits(limits: TwistLimits, J: Array) -> Group:
-    """|v_i| <= speed_mps, |w_i| <= rate_radps for each component of the camera twist J @ rates: the box round the sphere of the limit."""
+def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) -> Group:
+    """|v_i| <= speed_mps, |w_i| <= rate_radps for each component of the camera twist J @ rates: the box round the sphere of the limit.
+
+    None: no such limit.
+    """
     rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
-    for limit, part in ((limits.speed_mps, J[:3]), (limits.rate_radps, J[3:])):
+    for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:
             rows += [part, -part]
             low.append(np.full(6, -limit))

@@ -20,6 +20,7 @@ from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.select import TOO_FEW
 from vstestbed.laws.solve import Solve
 
+_LINE = LineFeature()
 LEAST_AHEAD_M = 0.05
 """Least distance of the mean look distance from the vehicle's origin [m]: the turn rate is a speed divided by it."""
 
@@ -119,7 +120,7 @@ class LineFollowing(LawBase):
         mount, v = goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
-        rho, theta = np.moveaxis(LineFeature().measure(xy), -1, 0)
+        rho, theta = np.moveaxis(_LINE.measure(xy), -1, 0)
         L = line_interaction(rho, theta, floor_plane(mount)) @ basis
         # One chord, evaluated at two distances: the error at x_e, its derivative at m (see the class).
         (e, _), (s, J) = line_on_floor(rho, theta, mount, exact)[0].T, line_on_floor(rho, theta, mount, middle)

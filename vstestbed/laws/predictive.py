@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -23,7 +24,7 @@ from vstestbed.laws.feedforward import Feedforward, NoFeedforward
 from vstestbed.laws.following import inputs_of
 from vstestbed.laws.horizon import STILL, PlanBlocks, Predicted, predict
 from vstestbed.laws.ibvs import IBVS, IBVSMemory
-from vstestbed.laws.program import Group, Solution, minimise
+from vstestbed.laws.program import Group, Solution, load_solver, minimise
 from vstestbed.laws.select import Rows, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.laws.visibility import check_margin, pixel_interaction
@@ -110,24 +111,34 @@ class Predictive(LawBase):
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """As `ibvs` with this feature."""
-        return IBVS(feature=self.feature).needs_same_markers
+        return self._ibvs.needs_same_markers
 
     def markers_needed(self, basis: Array) -> int:
         """As many as `ibvs` with this feature."""
-        return IBVS(feature=self.feature).markers_needed(basis)
+        return self._ibvs.markers_needed(basis)
 
     def check(self, points: Array, goal: Goal) -> None:
         """What `ibvs` with this feature refuses."""
-        IBVS(feature=self.feature).check(points, goal)
+        self._ibvs.check(points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
         """Refuse a goal with a marker inside the margin, where the constraint would not let it."""
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
 
+    @cached_property
+    def _ibvs(self) -> IBVS:
+        """The law with this feature, source of depth and feedforward, whose estimate of the target's motion it takes."""
+        return IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward)
+
     def init(self, goal: Goal) -> Plan:
         """No plan so far."""
         return Plan()
+
+    def prepare(self) -> None:
+        """The solvers of the program, and of `least_squares`."""
+        super().prepare()
+        load_solver()
 
     def step(self, memory: Plan, observation: Observation, goal: Goal, basis: Array) -> tuple[Plan, Command]:
         """One frame with the visible markers; rest when they are too few, or where the program was not solved."""
@@ -154,7 +165,7 @@ class Predictive(LawBase):
         """The next state of the estimate, and the camera twist (6,) that would move the markers as the target's own motion does."""
         if not inputs_of(self.feedforward):
             return memory, STILL
-        memory, _ = IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward).step(memory, seen, goal, basis)
+        memory, _ = self._ibvs.step(memory, seen, goal, basis)
         trend = memory.followed.trend
         return memory, STILL if trend is None else basis @ trend.rate
 
@@ -172,18 +183,19 @@ class Predictive(LawBase):
         u = plan.ravel()
         A, b = self._objective(ahead, goal, rows, robot, u)
         low, high, too_quick = self._bounds(robot, plan)
-        groups = [self._positions(ahead, robot, u), twist_limits_of(self._trusted(p, robot.period_s), ahead, blocks)]
+        groups = [self._positions(ahead, robot, u), twist_limits_of(*self._trusted(p, robot.period_s), ahead, blocks)]
         groups += [_repeated(shared_limits(robot, float(plan[0, 0])), len(plan)), self._slopes(robot, blocks)]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
         solution = minimise(A, b, low, high, tuple(groups))
         return solution, solution.gave_way + (("acceleration",) if too_quick and "acceleration" not in solution.gave_way else ())
 
-    def _trusted(self, p: Array, period_s: float) -> TwistLimits:
-        """The limits of the twist, and those within which the linearisation holds (TRUST)."""
+    def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
+        """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the linearisation holds (TRUST)."""
+        # Numbers, no TwistLimits: of a marker far away, or at a high frame rate, they are beyond what a scenario may give.
         speed, rate = TRUST * float(np.linalg.norm(p, axis=-1).min()) / period_s, TRUST / period_s
         given = self.limits
-        return TwistLimits(speed_mps=min(speed, given.speed_mps or speed), rate_radps=min(rate, given.rate_radps or rate))
+        return min(speed, given.speed_mps or speed), min(rate, given.rate_radps or rate)
 
     def _objective(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
         """A and b of the wanted A u = b."""
@@ -245,10 +257,10 @@ class Predictive(LawBase):
         return Group("border", A[known], low[known])
 
 
-def twist_limits_of(limits: TwistLimits, ahead: Predicted, blocks: PlanBlocks) -> Group:
+def twist_limits_of(speed_mps: float, rate_radps: float, ahead: Predicted, blocks: PlanBlocks) -> Group:
     """The limits of the camera's twist in each block, at the Jacobian with which it begins."""
     n, starts = ahead.J.shape[2], np.cumsum((0, *blocks.lengths[:-1]))
-    parts = [twist_limits(limits, ahead.J[start]) for start in starts]
+    parts = [twist_limits(speed_mps, rate_radps, ahead.J[start]) for start in starts]
     A = np.zeros((sum(len(part.A) for part in parts), n * len(parts)))
     at = 0
     for i, part in enumerate(parts):

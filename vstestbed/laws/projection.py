@@ -70,10 +70,10 @@ class Large:
     def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
         """The free motions; see `Classical.free`."""
         share, gradient = self.share(solved), A.T @ e
-        (classical,) = Classical().free(solve, A, e, solved, basis)
+        classical = basis @ solve.null_space(A)
         if share == 0 or not gradient.any():
-            return (classical,)
-        return FreeMotions(1 - share, classical.twists), FreeMotions(share, basis @ solve.null_space(gradient[None]))
+            return (FreeMotions(1.0, classical),)
+        return FreeMotions(1 - share, classical), FreeMotions(share, basis @ solve.null_space(gradient[None]))
 
 
 PROJECTIONS = OneOf("projection", Classical, Large)

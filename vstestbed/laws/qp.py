@@ -24,7 +24,7 @@ from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
-from vstestbed.laws.program import Group, Solution, minimise
+from vstestbed.laws.program import Group, Solution, load_solver, minimise
 from vstestbed.laws.secondary import Secondary, added, among_solutions
 from vstestbed.laws.select import usable_rows
 from vstestbed.laws.solve import least_squares
@@ -156,6 +156,11 @@ class QP(LawBase):
         """The memory of the law within."""
         return QPMemory(self.law.init(goal))
 
+    def prepare(self) -> None:
+        """The solvers of the program, and of `least_squares`."""
+        super().prepare()
+        load_solver()
+
     def step(self, memory: QPMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[QPMemory, Command]:
         """One frame; rest where the law within rests, or where the program was not solved."""
         robot = observation.robot
@@ -228,7 +233,11 @@ class QP(LawBase):
             groups.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
         if self.plane_m is not None:
             groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
-        return (*groups, twist_limits(self.limits, robot.J), shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)))
+        return (
+            *groups,
+            twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J),
+            shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)),
+        )
 
     def _metric(self, seen: Observation) -> Array:
         """W: the interaction matrix (m, 6) of the law's feature now, or I."""

@@ -147,15 +147,19 @@ class Solve:
     levenberg_marquardt: Annotated[float, Ge(0), Le(1e6)] = 0.0
     fades_below: Annotated[float, Ge(0), Le(1e3)] = 0.0
 
-    def least_squares(self, A: Array, b: Array) -> Array:
-        """The x (..., n) for A (..., m, n) and b (..., m); with the default parameters that of the function `least_squares`."""
+    def least_squares(self, A: Array, b: Array, at_least: float = 0.0) -> Array:
+        """The x (..., n) for A (..., m, n) and b (..., m); with the default parameters that of the function `least_squares`.
+
+        at_least: the damping where it is larger than `damping`, of a law whose damping changes from frame to frame.
+        """
+        damping = max(self.damping, at_least)
         if self.levenberg_marquardt > 0:
             A, b = self._with_columns(A, b)
-        if self.cutoff == PINV_RCOND and self.damping == 0:
+        if self.cutoff == PINV_RCOND and damping == 0:
             return least_squares(A, b)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         counts = s > self.cutoff * s[..., :1]
-        inverse = np.where(counts, s / np.where(counts, s * s + self.damping**2, 1), 0)
+        inverse = np.where(counts, s / np.where(counts, s * s + damping**2, 1), 0)
         return np.asarray(((b[..., None, :] @ U * inverse[..., None, :]) @ Vt)[..., 0, :])
 
     def _with_columns(self, A: Array, b: Array) -> tuple[Array, Array]:

@@ -142,7 +142,7 @@ class Switched(LawBase):
         found = [part.law.feature for part in self.laws if part.law.feature is not None]
         return found[0] if found and all(feature == found[0] for feature in found) else None
 
-    @property
+    @cached_property
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
         speeds, rates = zip(*((part.law.limits.speed_mps, part.law.limits.rate_radps) for part in self.laws), strict=True)
@@ -191,6 +191,11 @@ class Switched(LawBase):
     def init(self, goal: Goal) -> SwitchedMemory:
         """The first law is to begin."""
         return SwitchedMemory(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
+
+    def prepare(self) -> None:
+        """All laws."""
+        for part in self.laws:
+            part.law.prepare()
 
     def step(self, memory: SwitchedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedMemory, Command]:
         """One frame of the active law, which the conditions choose first."""

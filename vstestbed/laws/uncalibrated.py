@@ -198,11 +198,11 @@ class Uncalibrated(LawBase):
         if self.predict:
             ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
             e = e + J @ (scale * ahead)
-        solve = replace(self.solve, damping=max(self.solve.damping, _mean(e) / self.trust_px))
-        solved = solve.least_squares(J[:, :n], e) / scale[:n]
+        damping = _mean(e) / self.trust_px
+        solved = self.solve.least_squares(J[:, :n], e, damping) / scale[:n]
         u = -self.gain.at(solved) * solved
         if self.dynamic:
-            u = u - solve.least_squares(J[:, :n], J[:, n] * scale[n]) / scale[:n]
+            u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n], damping) / scale[:n]
         return u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
 
     def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
 from vstestbed.live.inbox import Served
-from vstestbed.live.page import WORDS_S, Gizmo, LiveView
+from vstestbed.live.page import Gizmo, LiveView
 from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun
 from vstestbed.live.server import LocalServer
@@ -107,9 +107,7 @@ class LiveApp(Served):
             self._panel.status.say(f"{type(error).__name__}: {error}", refused=True)
 
     def _show(self, now: bool) -> None:
-        if now or self._view.due("words", WORDS_S):
-            self._panel.status.show(self.run.last, self.run.transport, self.run.by_hand)
-        self._view.draw(self.run.last, now)
+        self._view.draw(self.run.last, lambda: self._panel.status.show(self.run.last, self.run.transport, self.run.by_hand), now)
 
     def change(self, path: str, value: object) -> None:
         """Change a setting, and tell it on the page; by the thread that serves."""

@@ -18,7 +18,7 @@ DIGITS = 9
 
 
 class Controls:
-    """The controls of a scenario, in one folder a block.
+    """The controls of a scenario: those that a person turns first, and the others in folders, one a block, which are closed.
 
     Args:
         gui: where they are added, in the container that is open. scenario: the experiment. ask: told what a page sets, at once and
@@ -27,7 +27,7 @@ class Controls:
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, ask: Ask, waits: Callable[[str], bool]):
         self._gui, self._ask, self._waits = gui, ask, waits
-        self._folders: list[viser.GuiFolderHandle] = []
+        self._parts: list[Any] = []
         self._handles: dict[str, tuple[Field, Any]] = {}
         self._holder = gui.add_folder("settings", expand_by_default=True)
         self.show(scenario)
@@ -46,18 +46,18 @@ class Controls:
             self._rebuild(list(fields.values()))
 
     def _rebuild(self, fields: list[Field]) -> None:
-        for folder in self._folders:
-            folder.remove()
-        self._folders, self._handles = [], {}
+        for part in self._parts:
+            part.remove()
+        self._handles = {}
         with self._holder:
-            blocks = dict.fromkeys(f.path.partition(".")[0] for f in fields)
-            for block in blocks:
-                folder = self._gui.add_folder(block, expand_by_default=block in ("law", "seed"))
-                self._folders.append(folder)
+            self._parts = [self._made(field) for field in fields if field.comes_first]
+            for block in dict.fromkeys(f.block for f in fields if not f.comes_first):
+                folder = self._gui.add_folder(block, expand_by_default=False)
+                self._parts.append(folder)
                 with folder:
                     for field in fields:
-                        if field.path.partition(".")[0] == block:
-                            self._handles[_key(field)] = field, self._made(field)
+                        if field.block == block and not field.comes_first:
+                            self._made(field)
 
     def _made(self, field: Field) -> Any:
         gui, hint = self._gui, f"--set {field.path}=..."
@@ -77,6 +77,7 @@ class Controls:
                 self._ask(field.path, _plain(field, event.target.value))
 
         handle.on_update(asked)
+        self._handles[_key(field)] = field, handle
         return handle
 
 

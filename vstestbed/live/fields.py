@@ -18,6 +18,8 @@ from vstestbed.scenario.scenario import Scenario
 Control = Literal["slider", "number", "choice", "switch"]
 BLOCKS = ("law", "camera", "robot", "timing", "noise", "calibration", "detector")
 """Blocks of a scenario whose fields get controls; the others define what the experiment is."""
+FIRST = "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"
+"""Fields that a person turns first, after the law's gains; the others are folded away."""
 LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start", "robot.filled"}
 HIGH = {
     "camera.latency_s": 0.4,
@@ -51,7 +53,7 @@ class Field:
 
     Attributes:
         path: dotted, as `--set` takes it. control: what shows it. value: number, word or truth.
-        low, high, step: of a slider. choices: of a menu. whole: whether the number is a whole one.
+        low, high, step: of a slider. choices: of a menu. whole: whether the number is a whole one. is_gain: of a law or a loop.
     """
 
     path: str
@@ -62,15 +64,26 @@ class Field:
     step: float = 0.0
     choices: tuple[str, ...] = ()
     whole: bool = False
+    is_gain: bool = False
+
+    @property
+    def block(self) -> str:
+        """The first part of the path."""
+        return self.path.partition(".")[0]
+
+    @property
+    def comes_first(self) -> bool:
+        """Whether it is one of those that a person turns first."""
+        return self.path in FIRST or (self.is_gain and self.block == "law")
 
     @property
     def label(self) -> str:
-        """The path without its block."""
-        return self.path.partition(".")[2] or self.path
+        """The path, without its block where that is written above."""
+        return self.path if self.comes_first else self.path.partition(".")[2] or self.path
 
 
 def fields_of(scenario: Scenario) -> list[Field]:
-    """The controls of a scenario as it is now, block by block."""
+    """The controls of a scenario as it is now: those that come first, then block by block."""
     found = [Field("seed", "number", scenario.seed, whole=True)]
     for block in BLOCKS:
         hint = typing.get_type_hints(Scenario, include_extras=True)[block]
@@ -81,7 +94,8 @@ def fields_of(scenario: Scenario) -> list[Field]:
         now = getattr(scenario.camera, "distortion", None) or (0.0,) * 5
         end, step = DISTORTION_END, DISTORTION_END / STEPS
         found += [Field(f"camera.distortion.{i}", "slider", now[i], -end, end, step) for i in (0, 1)]
-    return found
+    rank = {path: i for i, path in enumerate(FIRST)}
+    return sorted(found, key=lambda f: rank.get(f.path, -1) if f.comes_first else len(FIRST))
 
 
 def _kinds(path: str, hint: Any, value: Any) -> list[Field]:
@@ -163,7 +177,7 @@ def _number(path: str, value: float, metadata: tuple[Any, ...], whole: bool) -> 
     high = min(max(high, value), top)
     step = _round_step(high / STEPS)
     left = -high if low < 0 else min(step, value) if _positive(metadata) else 0.0
-    return Field(path, "slider", value, low=left, high=high, step=step)
+    return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
 def _positive(metadata: tuple[Any, ...]) -> bool:

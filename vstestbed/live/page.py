@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ from vstestbed.live.transport import Sample
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
-SCENE_S, PLOTS_S, WORDS_S = 1 / 30, 1 / 4, 1 / 8
-"""Least time on the wall between two updates of the scene, of plots, of words [s]; of the picture: `live.run`."""
+SCENE_S, PLOTS_S = 1 / 30, 1 / 4
+"""Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`."""
 VIEW_WIDTH, PANEL_WIDTH = 340, 330
 """Widths of the panels beside the scene [px]."""
 
@@ -76,24 +77,25 @@ class LiveView:
         self.plots.add(sample)
         self.scene.extend_trail(sample.film.T_world_camera[:3, 3])
 
-    def draw(self, sample: Sample, now: bool = False) -> None:
-        """Send what is due; `now`: everything."""
+    def draw(self, sample: Sample, tell: Callable[[], None], now: bool = False) -> None:
+        """Send what is due; `now`: everything. tell: writes what the page says of the sample, which goes with its picture alone."""
         if not self._server.get_clients() and not now:  # nobody looks
             return
         pictured = now or self._has_picture(sample)
-        if pictured or self.due("scene", SCENE_S):
-            image = self.eye.draw(sample) if pictured else None
+        if pictured or self._due("scene", SCENE_S):
             with self._server.atomic():
-                self.scene.show(sample, image)
-        if now or self.due("plots", PLOTS_S):
+                self.scene.show(sample, self.eye.draw(sample) if pictured else None)
+                if pictured:
+                    tell()
+        if now or self._due("plots", PLOTS_S):
             self.plots.draw()
             self.scene.draw_trail()
 
     def _has_picture(self, sample: Sample) -> bool:
         """Whether a sample has a picture, or one is to be drawn for it."""
-        return sample.film.image is not None or (self._recorded and self.due("picture", PICTURE_S))
+        return sample.film.image is not None or (self._recorded and self._due("picture", PICTURE_S))
 
-    def due(self, what: str, period_s: float) -> bool:
+    def _due(self, what: str, period_s: float) -> bool:
         """Whether something was not sent for a while; it is to be sent now."""
         t = time.monotonic()
         if t - self._made_at.get(what, -np.inf) < period_s:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.live.app import IDLE_S
 from vstestbed.live.inbox import Served
 from vstestbed.live.page import LiveView
@@ -42,7 +42,7 @@ class Recorded:
         self.scenario = load(folder / "scenario.yaml", plugins=plugins)
         log = open_log(folder, self.scenario)
         if not len(log):
-            raise RunFolderError(folder, "has a log without frames")
+            raise RunFolderError(folder, "has a log without frames; there is nothing to show", NOTHING_RAN)
         self._columns, self._table = log.columns, log.table()
         self._ending = ending_of(folder)
         self.t = self._table[:, self._columns.index("t")]
@@ -96,7 +96,7 @@ class PlaybackApp(Served):
         self.go_to(0)
 
     def serve(self) -> None:
-        """Play the run and obey its pages, until `stop` or an interrupt."""
+        """Play the run while a page is open, and obey its pages, until `stop` or an interrupt."""
         try:
             while not self._stop.is_set():
                 self._once()
@@ -109,13 +109,16 @@ class PlaybackApp(Served):
         orders = self._inbox.take(IDLE_S if wait is None else min(wait, IDLE_S))
         for order in orders:
             order()
+        if orders:
+            self._view.draw(self._sample, self._tell, now=True)
         if self._wait_s() == 0.0:
             self._show(self.i + 1)
             self.transport.passed(self._sample.film.t)
-        self._status.show(self._sample, self.transport)
 
     def _wait_s(self) -> float | None:
-        return None if self.i + 1 >= len(self.recorded) else self.transport.wait_s(self._sample.film.t)
+        """How long the next frame is not due [s]; None where none is to come: paused, at the end, or nobody looks."""
+        ended = self.i + 1 >= len(self.recorded)
+        return None if ended or not self._server.get_clients() else self.transport.wait_s(self._sample.film.t)
 
     async def _asked(self, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
@@ -134,6 +137,9 @@ class PlaybackApp(Served):
     def _show(self, i: int, now: bool = False) -> None:
         self.i, self._sample = i, self.recorded.sample(i)
         self._view.add(self._sample)
-        self._view.draw(self._sample, now or i + 1 == len(self.recorded))
+        self._view.draw(self._sample, self._tell, now or i + 1 == len(self.recorded))
+
+    def _tell(self) -> None:
+        self._status.show(self._sample, self.transport)
         if not self._inbox.waits(SLIDER) and math.isfinite(self._sample.film.t):
             self._slider.value = self._sample.film.t

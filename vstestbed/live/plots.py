@@ -1,4 +1,4 @@
-"""Curves that grow with a run: the judged error, the ordered twist, the joints; of bounded length."""
+"""Curves that grow with a run: the judged error, the commanded twist, the joints; of bounded length."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ class Plots:
         self._curves = Curves(8 + joints)
         self._error = _plot(gui, f"judged error [{unit}]", ["error"], [LINE_COLORS[0]], log=True)
         key = " · ".join(f'<span style="color:{color}">{axis}</span>' for axis, color in zip("xyz", AXIS_COLORS, strict=True))
-        self._key = gui.add_html(f'<div style="font-size:12px;text-align:center">ordered twist: {key} of the camera</div>')
-        self._v = _plot(gui, "ordered speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
-        self._w = _plot(gui, "ordered rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)
+        self._key = gui.add_html(f'<div style="font-size:12px;text-align:center">commanded twist: {key} of the camera</div>')
+        self._v = _plot(gui, "commanded speed [m/s]", ["vx", "vy", "vz"], AXIS_COLORS)
+        self._w = _plot(gui, "commanded rate [rad/s]", ["wx", "wy", "wz"], AXIS_COLORS)
         names = list(scenario.robot.joints)
         self._q = _plot(gui, "joints [rad]", names, [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)]) if joints else None
 

@@ -1,25 +1,99 @@
-"""The web server of a live view: on this machine alone, for pages that it served itself."""
+"""The web server of a live view: on this machine alone, for those who have its address, which holds a secret, and for its own pages."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import errno
 import io
 import logging
+import re
+import secrets
 import socket
-from urllib.parse import urlsplit
+import threading
+import warnings
+from collections.abc import Awaitable, Callable, Iterator
+from http import HTTPStatus
+from typing import Any
 
 import viser
-import viser.infra
+import websockets.asyncio.server
+from websockets.asyncio.server import ServerConnection
+from websockets.http11 import Request, Response
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, short
 
 HOST = "127.0.0.1"
-OWN_NAMES = {"127.0.0.1", "localhost"}
+OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?", re.IGNORECASE)
+"""Header `Host` of a request by a name of this machine, at any port: a tunnel (`ssh -L`) may have another one."""
+SECRET_BYTES = 16
+_log = logging.getLogger(__name__)
+_web_log = logging.getLogger(f"{__name__}.web")
+_web_log.setLevel(logging.WARNING)  # below, websockets logs whole requests, and with them the secret
+_web_log.addFilter(lambda record: record.getMessage() != "opening handshake failed")  # of what is no request: it has had its answer
+_opening = threading.Lock()
 
 
-class ForeignPageError(Exception):
-    """A page of another site has asked to be connected."""
+class Gate:
+    """Who is served: requests that have the secret as the first part of their path, and come from nowhere or from a page of this server.
+
+    A page anywhere may ask for any address, and a name that its site owns may lead to this machine (DNS rebinding). So a request
+    names this machine (`Host`), and the scheme, host and port of its page (`Origin`), which browsers always state, are the very same;
+    one to open a socket has to state them.
+
+    Attributes:
+        secret: of this start of the server. stands: whether a server asks it.
+    """
+
+    def __init__(self) -> None:
+        self.secret, self.stands = secrets.token_urlsafe(SECRET_BYTES), False
+
+    def refusal(self, request: Request) -> str | None:
+        """Why a request is not served; None for one that is."""
+        hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
+        if len(hosts) != 1 or not OWN_HOST.fullmatch(hosts[0]):
+            return f"This server answers only to the names {HOST} and localhost."
+        first, _ = _parts(request.path)
+        if not secrets.compare_digest(first.encode(errors="surrogateescape"), self.secret.encode()):
+            return "Open the whole address that `vstestbed live` has printed: it holds a secret, which is another one after each start."
+        if origins != [f"http://{hosts[0]}"] and (origins or "Upgrade" in request.headers):
+            return "This server serves its own pages only."
+        if "Upgrade" in request.headers and f"viser-v{viser.__version__}" not in request.headers.get_all("Sec-WebSocket-Protocol"):
+            return f"This server speaks to pages of viser {viser.__version__} only."  # of others viser writes to standard output
+        return None
+
+    @contextlib.contextmanager
+    def before_next_server(self) -> Iterator[None]:
+        """Let the server that viser opens meanwhile ask this gate: viser has no way to say who is let in."""
+        module: Any = websockets.asyncio.server
+        with _opening:
+            serve = module.serve
+
+            def guarded(handler: Callable[[ServerConnection], Awaitable[None]], *place: Any, **options: Any) -> Any:
+                self.stands = True
+                own = {"process_request": self._before(options["process_request"]), "logger": _web_log}
+                return serve(_told(handler), *place, **options | own)
+
+            module.serve = guarded
+            try:
+                yield
+            finally:
+                module.serve = serve
+
+    def _before(self, answer: Callable[[ServerConnection, Request], Response | None]) -> Callable[..., Response | None]:
+        """Viser's answer to a request, for those who are served."""
+
+        def answered(connection: ServerConnection, request: Request) -> Response | None:
+            if (words := self.refusal(request)) is not None:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"{words}\n")
+            request.path = f"/{_parts(request.path)[1]}"
+            response = answer(connection, request)
+            if response is not None:
+                response.headers["Referrer-Policy"] = "no-referrer"  # the address of the page is the secret
+                response.headers["Cache-Control"] = "no-store"
+            return response
+
+        return answered
 
 
 class LocalServer(viser.ViserServer):
@@ -29,31 +103,28 @@ class LocalServer(viser.ViserServer):
         port: to listen at; None for a free one. label: title of the panel.
 
     Attributes:
-        address: of the page.
+        address: of the page, with the secret without which nothing is served.
 
     Raises:
-        ParameterError: the port is taken, or may not be used.
+        ParameterError: the port is taken, or may not be used. EnvironmentLackError: this version of viser cannot be guarded.
     """
 
     def __init__(self, port: int | None, label: str):
         if port is not None:
             _must_be_free(port)
-        with contextlib.redirect_stdout(io.StringIO()):  # its own table of addresses
+        warnings.filterwarnings("error", r"(?s)\[viser\].* does not match annotation", UserWarning)  # else of a malformed message
+        gate = Gate()
+        with contextlib.redirect_stdout(io.StringIO()), gate.before_next_server():  # its own table of addresses
             super().__init__(host=HOST, port=port or 0, label=label, verbose=False)
-        logging.getLogger("websockets.server").addFilter(_without_foreign)
-        self.address = f"http://{HOST}:{self.get_port()}"
-        self._websock_server.on_client_connect(self._refuse_foreign)
+        if not gate.stands:
+            self.stop()
+            raise EnvironmentLackError(f"viser {viser.__version__} opens its server in a new way", "pip install 'viser==1.1.1'")
+        self._event_loop.set_exception_handler(_tell_failed)
+        self.address = f"http://{HOST}:{self.get_port()}/{gate.secret}/"
         self.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Never: a page could ask for it."""
-
-    async def _refuse_foreign(self, connection: viser.infra.WebsockClientConnection) -> None:
-        """Raise, which closes the connection, where another site's page asks for it: browsers let any page connect to any address."""
-        request = self._websock_server._live_connections[connection.client_id].request
-        origin = request.headers.get("Origin") if request is not None else None
-        if origin is not None and urlsplit(origin).hostname not in OWN_NAMES:
-            raise ForeignPageError(origin)
 
     def stop(self) -> None:
         """Stop serving."""
@@ -61,9 +132,30 @@ class LocalServer(viser.ViserServer):
             super().stop()
 
 
-def _without_foreign(record: logging.LogRecord) -> bool:
-    """A filter: refusals need no traceback."""
-    return not (record.exc_info and isinstance(record.exc_info[1], ForeignPageError))
+def _parts(path: str) -> tuple[str, str]:
+    """The first part of a request's path, and the others."""
+    first, _, others = path.partition("?")[0].removeprefix("/").partition("/")
+    return first, others
+
+
+def _told(handler: Callable[[ServerConnection], Awaitable[None]]) -> Callable[[ServerConnection], Awaitable[None]]:
+    """Viser's handler of a connection, which lets pass whatever a malformed message raises."""
+
+    async def handled(connection: ServerConnection) -> None:
+        try:
+            await handler(connection)
+        except Exception as error:  # of a message that is none of viser's
+            _log.warning("a page was disconnected, since it sent a malformed message: %s", short(error))
+
+    return handled
+
+
+def _tell_failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Tell in a line what a message made fail, such as one with a text for a number."""
+    if (error := context.get("exception")) is None:
+        loop.default_exception_handler(context)
+    else:
+        _log.warning("a message of a page is without effect: %s", short(error))
 
 
 def _must_be_free(port: int) -> None:

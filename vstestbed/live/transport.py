@@ -23,7 +23,7 @@ class Sample:
     """What a page shows of one frame.
 
     Attributes:
-        number: of the frame. film: poses, markers, picture. twist: camera twist that was ordered (6,), NaN where unknown.
+        number: of the frame. film: poses, markers, picture. twist: commanded camera twist (6,), NaN where unknown.
         judged: the error by which the task is judged, in `unit`. verdict: how the run ended with it; None while it goes on.
         T_world_goal: the camera's pose (4, 4) at its goal, if it has one.
     """

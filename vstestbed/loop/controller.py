@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import DepthImage, Image, Look, Picture
-from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.errors import ParameterError, SessionError
+from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
@@ -26,24 +28,35 @@ from vstestbed.loop.own_rates import OwnRates
 from vstestbed.loop.scenario_observer import observer_of
 from vstestbed.loop.unseen import NO_PICTURE, detail, unseen
 from vstestbed.robots import Allocation, Mount, Reading
-from vstestbed.robots.orders import stop_order
+from vstestbed.robots.orders import Order
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import NOISE_STREAM
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision import Detector
 
+REST_S = 1e3
+"""Time after which a robot that stops has come to rest, whatever its way to stop [s]."""
+
 
 class Controller:
     """The controller of a scenario: detector, observer, reference, law, limits and supervisor, as the time loop has them.
 
-    It needs no simulator: with a real camera and robot, `step` turns each picture into a command.
+    It needs no simulator: with a real camera and robot, `step` turns each picture into one order, a velocity or a stop.
 
         controller = vs.Controller(vs.load("arm_ibvs"))
         cycle = controller.step(image, t, vs.Reading(q, qd))
-        robot.move(cycle.setpoint)
+        if cycle.stopped:
+            robot.stop(cycle.reason)
+        else:
+            robot.move(cycle.setpoint)
 
-    It holds the state of all its parts between pictures. A law that fails orders rest and sets `failure`; `supervisor.aborted`
-    says why the task was given up.
+    A stop ends with its cause: a law that measures again orders a velocity again. Once the supervisor has given the task up
+    (`cycle.latched`: the target was out of sight for too long, the law failed), `reset` alone ends it.
+
+    It holds the state of all its parts between pictures, and serves one thread at a time: a call while another thread is in one is
+    refused. Who watches it from a second thread, as for `without_picture`, holds a lock of their own round each call.
+
+    To make one takes a second, since it imports what the first step needs; to `reset` it takes a millisecond.
 
     Args:
         scenario: the experiment.
@@ -57,39 +70,69 @@ class Controller:
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self.scenario = scenario
+        scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        between, period = scenario.timing.interpolation, scenario.camera.period
-        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, between, period)
-        self._setpoint: Array | None = None
-        self._taken_over = False
-        self._at: tuple[float, Reading, Mount] | None = None
-        at_start = scenario.robot.start_joints()
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
-        self.rng = scenario.rng(NOISE_STREAM)
         self.observer = observer_of(scenario)
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
-        self.guarded = GuardedLaw(scenario.law)
-        self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(at_start), at_start))
-        views = with_images(scenario, goal_images)
-        self.detector_memory = scenario.detector.begin(views[0], self.seen_through, scenario.target)
+        self._start = scenario.robot.start_joints()
+        self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(self._start), self._start))
+        self._views = with_images(scenario, goal_images)
+        inputs = scenario.law.inputs
+        self._needs_motion, self._needs_sight, self._needs_robot = "motion" in inputs, "image" in inputs, "robot" in inputs
+        self._needs_own_state = "proprioception" in inputs and bool(scenario.robot.proprioception_names)
+        self._latest_s = scenario.timing.latest_s(scenario.camera)
+        self.spent = {"detect": 0.0, "law": 0.0}
+        self._busy = threading.Lock()
+        self._begin()
+
+    def reset(self) -> None:
+        """Begin the task anew, as a new controller would: all memories, the clock, and a stop that was latched.
+
+        The robot moves again with the next picture: call it when the cause is found, and nobody stands in its way.
+
+        Raises:
+            SessionError: another thread is in a call.
+        """
+        with self._alone():
+            self._begin()
+
+    def _begin(self) -> None:
+        """The state before the first picture."""
+        s = self.scenario
+        between, period = s.timing.interpolation, s.camera.period
+        self.rng = s.rng(NOISE_STREAM)
+        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, between, period)
+        self._own_rates = OwnRates(s.robot, period, between) if self._needs_robot else None
+        self._order: Order | None = None  # in force
+        self._taken_over = False
+        self._at: tuple[float, Reading, Mount] | None = None
+        self.guarded = GuardedLaw(self.law)
+        self.detector_memory = self.detector.begin(self._views[0], self.seen_through, s.target)
         self.observer_memory = self.observer.init()
-        self.reference_memory = scenario.goal.begin(scenario.setup, views)
-        self.law_memory = scenario.law.init(views[0])
-        self.supervisor = scenario.robot.supervisor(scenario.goal.lands, *scenario.stop.lost_after)
+        self.reference_memory = s.goal.begin(s.setup, self._views)
+        self.law_memory = self.law.init(self._views[0])
+        self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
         self.before: Exposure | None = None
         self.refused = 0
         self._failed, self._found, self._why = False, False, ""
         self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
-        self._needs_motion, self._needs_sight = "motion" in scenario.law.inputs, "image" in scenario.law.inputs
-        self._own_rates = OwnRates(scenario.robot, period, between) if "robot" in scenario.law.inputs else None
-        self._needs_own_state = "proprioception" in scenario.law.inputs and bool(scenario.robot.proprioception_names)
-        self._latest_s = scenario.timing.latest_s(scenario.camera)
-        self.inputs = Inputs(scenario)
+        self.inputs = Inputs(s)
         self._cycle: Cycle | None = None
-        self.spent = {"detect": 0.0, "law": 0.0}
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Refuse a call while another thread is in one: both would write to the same memories."""
+        if not self._busy.acquire(blocking=False):
+            words = "another thread is in a call of this controller, which serves one thread at a time"
+            raise SessionError(words, "hold a lock of your own round each call, or give each thread a controller")
+        try:
+            yield
+        finally:
+            self._busy.release()
 
     def step(
         self,
@@ -108,20 +151,29 @@ class Controller:
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
-        Returns the cycle, with `twist` and `setpoint`, which is due `timing.command_latency_s` later, and with `timing.interpolation` is
-        led to by whoever sends it (`robots.setpoints.Blend`); `notes` tell of pictures that
-        came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is returned again. So does one
-        that is older than the last, where `timing` has `out_of_order` or `camera_clock`.
+        Returns the cycle with its order: `stopped` with `reason`, or a velocity, as `setpoint` and as `twist`. It is due
+        `timing.command_latency_s` later, and with `timing.interpolation` is led to by whoever sends it (`robots.setpoints.Blend`).
+        `notes` tell of pictures that came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is
+        returned again, with the order now in force. So does one that is older than the last, where `timing` has `out_of_order` or
+        `camera_clock`.
 
         Raises:
-            ParameterError: a picture of another size or kind, a reading of another robot, a time that goes back, a detector that
-                needs the simulator's truth.
+            ParameterError: a picture of another size or kind, a reading of another robot or outside of its joints' ranges, a time that
+                goes back, a detector that needs the simulator's truth. Nothing has changed then, and the last order is still in force.
+            SessionError: another thread is in a call.
         """
+        with self._alone():
+            return self._step(picture, t, readings, arrived, depth)
+
+    def _step(
+        self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None, depth: DepthImage | None
+    ) -> Cycle:
         depth = self.inputs.depth(depth)
         (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
         if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
             self.refused += t < self._cycle.t
-            return replace(self._cycle, notes=notes)
+            assert self._order is not None
+            return replace(self._cycle, order=self._order.copy(), notes=notes)  # since then, `without_picture` may have stopped it
         at = t + self.scenario.camera.latency_s if arrived is None else arrived
         images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
         shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
@@ -134,8 +186,12 @@ class Controller:
         law: of the same kind, feature, modes and source of depth, which the memories and the observer belong to.
 
         Raises:
-            ParameterError: of another one, or a law that this scenario refuses.
+            ParameterError: of another one, or a law that this scenario refuses. SessionError: another thread is in a call.
         """
+        with self._alone():
+            self._retune(law)
+
+    def _retune(self, law: Law[Any]) -> None:
         for name in ("kind", "feature", "depth", "inputs", "modes"):
             before, after = getattr(self.law, name), getattr(law, name)
             if before != after:
@@ -144,8 +200,7 @@ class Controller:
         failure = self.guarded.failure
         self.law, self.guarded = law, GuardedLaw(law)
         self.guarded.failure = failure  # one that has failed is not asked again
-        at_start = self.scenario.robot.start_joints()
-        self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(at_start), at_start))
+        self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(self._start), self._start))
 
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""
@@ -178,18 +233,23 @@ class Controller:
         blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
         blind = blind and blind + detail(s, seen, self._found, self._why)
         moved = self._moved(now.t, reading, blind, mount)
-        allocation = self._supervised(shot.t, blind, self._allocate(command, reading, mount, rests=late), reading, moved)
-        self._order(now.t_cmd, allocation)
+        allocation = self._allocate(command, reading, mount)
+        rests = late or bool(command.rest_reason and not command.twist.any() and not command.free)
+        if rests:
+            allocation = replace(allocation, twist=np.zeros(6), rates=None)
+        order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
+        order = self._supervised(shot.t, blind, order, reading, basis, moved)
+        self._ordered(now.t_cmd, order)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
         if next_goal is not None:  # a law's memory belongs to one goal
-            self.law_memory = self.law.init(next_goal)
+            self.law_memory = self.guarded.init(next_goal, self.law_memory)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        return Cycle(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation)
+        return Cycle(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation, order=order)
 
-    def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation]:
-        """Another command in place of the law's in the last cycle: as it reads, and within the robot's limits.
+    def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
+        """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
 
         command: a camera twist (6,), or velocities along the robot's motions (n,). A supervisor that has taken over is obeyed first.
         """
@@ -199,18 +259,17 @@ class Controller:
         twist = command if len(command) == 6 else basis @ command
         u = np.linalg.pinv(basis) @ command if len(command) == 6 else command
         wanted = Command(u, twist)
-        allocation = self._allocate(wanted, reading, mount, rests=False)
-        if self._taken_over:
-            allocation = replace(allocation, setpoint=cycle.allocation.setpoint)
-        self._setpoint = allocation.setpoint
-        self._order(cycle.timing.t_cmd, allocation)
-        return wanted, allocation
+        allocation = self._allocate(wanted, reading, mount)
+        order = cycle.order if self._taken_over else Order.of(allocation)
+        self._ordered(cycle.timing.t_cmd, order)
+        return wanted, allocation, order
 
-    def _order(self, t_cmd: float, allocation: Allocation) -> None:
-        """An allocation takes effect at t_cmd [s]."""
-        self.ordered.add(t_cmd, allocation.twist)
+    def _ordered(self, t_cmd: float, order: Order) -> None:
+        """An order takes effect at t_cmd [s]."""
+        self._order = order.copy()
+        self.ordered.add(t_cmd, order.twist)
         if self._own_rates is not None:
-            self._own_rates.order(t_cmd, allocation)
+            self._own_rates.order(t_cmd, order)
 
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
@@ -255,8 +314,8 @@ class Controller:
         v = self.scenario.robot.measured_twist(before[1], reading, t - before[0], self.last_twist, mount)[:3]
         return float(np.linalg.norm(v)) * (t - before[0])
 
-    def _allocate(self, command: Command, reading: Reading, mount: Mount, rests: bool) -> Allocation:
-        """The setpoint for a command, within the robot's limits; the order to stop where the law has no measurement and no motion."""
+    def _allocate(self, command: Command, reading: Reading, mount: Mount) -> Allocation:
+        """The setpoint for a command, within the robot's limits."""
         robot, twist = self.scenario.robot, command.twist
         for share, free in command.free:
             twist = twist + share * robot.secondary_task(free, reading, mount)
@@ -265,34 +324,46 @@ class Controller:
             allocation = robot.allocate(twist, reading, mount, period)
         else:
             allocation = robot.allocate_rates(command.rates, reading, mount, period)
+        if not (all_finite(allocation.setpoint) and all_finite(allocation.twist)):
+            words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
+            self.guarded.failure = self.guarded.failure or words
+            allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
         self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
-        if rests or (command.rest_reason and not twist.any()):
-            return replace(allocation, setpoint=stop_order(allocation.setpoint), twist=np.zeros(6), rates=None)
         return allocation
 
-    def _supervised(self, t: float, blind: str, allocation: Allocation, reading: Reading, moved: float) -> Allocation:
-        """The allocation, unless the robot's supervisor overrides it."""
+    def _supervised(self, t: float, blind: str, order: Order, reading: Reading, basis: Array, moved: float) -> Order:
+        """The order, unless the robot's supervisor has another; of a stop with the setpoint at which the robot comes to rest."""
         if self.guarded.failure and not self._failed:
             self._failed = True
             self.supervisor.abort(t, Outcome.law_failed, self.guarded.failure)
-        self._setpoint = setpoint = self.supervisor.filter(t, blind, reading, allocation.setpoint, moved)
-        self._taken_over = setpoint is not allocation.setpoint
-        return replace(allocation, setpoint=setpoint) if self._taken_over else allocation
+        made = self.supervisor.filter(t, blind, reading, order, basis, moved)
+        self._taken_over = made is not order
+        if made.stop == "stop" and self._order is not None:
+            made = replace(made, setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
+        return made
 
-    def without_picture(self, t: float, reading: Reading) -> Array:
-        """The setpoint at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`).
+    def without_picture(self, t: float, reading: Reading) -> Order:
+        """The order at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`).
+
+        A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up.
 
         Raises:
-            ParameterError: a time that goes back, a reading of another robot.
+            ParameterError: a time that goes back, a reading of another robot or outside of its joints' ranges.
+            SessionError: another thread is in a call.
         """
-        t, reading = self.inputs.now(t), self.inputs.reading(reading)
+        with self._alone():
+            return self.lapsed(self.inputs.now(t), self.inputs.reading(reading))
+
+    def lapsed(self, t: float, reading: Reading) -> Order:
+        """The same, of what has been checked."""
         mount = self._mount_at(reading.q)
-        if self._setpoint is None:  # before the first picture: one of the right shape
-            self._setpoint = self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period).setpoint
+        basis = self.scenario.robot.motion_basis(mount, reading.q)
         moved = self._moved(t, reading, NO_PICTURE, mount)
-        self._setpoint = self.supervisor.filter(t, NO_PICTURE, reading, stop_order(self._setpoint), moved)
-        return self._setpoint
+        rest = Order.of(self.scenario.robot.allocate(np.zeros(6), reading, mount, self.scenario.camera.period)).halted(NO_PICTURE)
+        order = self._supervised(t, NO_PICTURE, rest, reading, basis, moved)
+        self._ordered(t, order)
+        return order
 
     @property
     def failure(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
@@ -12,17 +13,18 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
 from vstestbed.laws import Law
-from vstestbed.laws.solve import load_lapack
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.goal_image import take_goal_images
 from vstestbed.loop.judge import Judge
+from vstestbed.loop.lost_markers import LostMarkers
 from vstestbed.loop.plant_of import plant_of, shown_clean
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
+from vstestbed.loop.stability import Stability
 from vstestbed.loop.witness import Witness
-from vstestbed.robots import Allocation
+from vstestbed.robots.orders import Order
 from vstestbed.scenario.randomise import drawn
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.streams import LINK_STREAM
@@ -67,12 +69,11 @@ class Episode:
         supervisor = self.controller.supervisor
         self._witness = Witness(scenario, supervisor)
         own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
-        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own)
+        lost = LostMarkers(scenario, self.plant.names_before)
+        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own, Stability(scenario), lost)
         self._led = scenario.timing.interpolated(*scenario.clock)
-        self._commands: DelayLine[Allocation] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
+        self._commands: DelayLine[Order] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
-        if hasattr(scenario.law, "solve"):
-            load_lapack()  # before the loop's clock starts
         self.build_s, self.loop_s = time.perf_counter() - began, 0.0
 
     def advance(self, command: Array | None = None) -> Frame | None:
@@ -87,6 +88,11 @@ class Episode:
             raise
         finally:
             self.loop_s += time.perf_counter() - start
+
+    @property
+    def steps(self) -> bool:
+        """Whether it is under way to its next frame, in another thread."""
+        return inspect.getgeneratorstate(self._frames) == inspect.GEN_RUNNING
 
     def ended(self) -> Frame:
         """The last frame, with the outcome of a run that ended without another one."""
@@ -148,6 +154,7 @@ class Episode:
         """Go on with other parameters of the law."""
         self.controller.retune(law)
         self.scenario = self.controller.scenario
+        self._judge.stability = Stability(self.scenario)
         self.changed_by_hand("law")
 
     def _send(self, command: Array | None) -> None:
@@ -155,10 +162,11 @@ class Episode:
         assert self.frame is not None
         self._commanded = command is not None
         if command is not None:
-            wanted, allocation = self.controller.override(self.frame, command)
-            self.frame = replace(self.frame, command=wanted, allocation=allocation)
+            self._judge.stability = None  # of commands from outside neither gain nor delay is known
+            wanted, allocation, order = self.controller.override(self.frame, command)
+            self.frame = replace(self.frame, command=wanted, allocation=allocation, order=order)
         if self._to_robot is None or not self._to_robot.loses(self._step // self.plant.steps_per_frame):
-            self._commands.push(self._step, self.frame.allocation)
+            self._commands.push(self._step, self.frame.order)
         else:
             timing = self.frame.timing
             self.frame = replace(self.frame, timing=replace(timing, own={**(timing.own or {}), "command_lost": 1.0}))
@@ -193,15 +201,16 @@ class Episode:
                 if frame.outcome is not None:
                     return
             if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
-                plant.apply(controller.without_picture(step * plant.step_s, plant.reading()))
+                order = controller.lapsed(step * plant.step_s, plant.reading())
+                plant.apply(order.setpoint, order.stop)
                 if verdict := self._judge.without_picture(step * plant.step_s, plant.truth()):
                     return self._end(verdict, step * plant.step_s)
                 if controller.supervisor.aborted:  # orders still on their way must not set a robot that stops in motion again
                     commands.clear()
                 silent_at = step + plant.steps_per_frame
             # After the pictures: without latency, a command takes effect in the step in which its picture arrived.
-            for allocation in commands.pop_due(step):
-                plant.apply(allocation.setpoint)
+            for order in commands.pop_due(step):
+                plant.apply(order.setpoint, order.stop)
             # The physics runs to the next event in one call.
             due = commands.next_due()
             ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
@@ -236,7 +245,7 @@ class Episode:
         judged = self.frame
         # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
         if self._commanded and before is not None:
-            judged = replace(judged, command=before.command, allocation=before.allocation)
+            judged = replace(judged, command=before.command, allocation=before.allocation, order=before.order)
         self._waits = True
         if verdict := self._judge.verdict(judged):
             self._end(verdict, self.frame.t)

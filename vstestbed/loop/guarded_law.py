@@ -1,15 +1,17 @@
-"""The law's step with its result checked: a law that fails during a run orders rest from then on, and says why."""
+"""The law's step with its result checked: a law that fails in a step orders rest from then on, and says why."""
 
 from __future__ import annotations
 
+import math
 import traceback
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import short
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.modules import is_file_module
 from vstestbed.features.observation import Goal, Observation
@@ -30,34 +32,47 @@ class GuardedLaw:
     def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
         """One frame of the law; after a failure rest, with `failure` as its reason.
 
-        Raises:
-            ParameterError: the law returned something other than a memory and a command of six numbers.
+        Whatever the law raises is its failure, a ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
         """
         if not self.failure:
-            try:
-                memory, command = self._checked(self._law.step(memory, seen, goal, basis))
-            except (ParameterError, KeyboardInterrupt):
-                raise
-            except BaseException as error:  # also sys.exit: a law must not end the program
-                self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
-            else:
-                self._mode = command.mode
-                if all_finite(command.twist):
-                    return memory, command
-                self.failure = f"law {self._law.kind} gave a twist that is not finite, {np.round(command.twist, 3)}"
+            stepped = self._asked(self._law.step, memory, seen, goal, basis)
+            wrong = "" if self.failure else self._wrong(stepped)
+            self.failure = f"law {self._law.kind} {wrong}" if wrong else self.failure
+            if not self.failure:
+                self._mode = stepped[1].mode
+                return stepped
         return memory, replace(Command.rest(basis, self.failure), mode=self._mode)
 
-    def _checked(self, stepped: Any) -> tuple[Any, Command]:
-        """What `step` returned, if it is a memory and a command of six numbers."""
-        kind = self._law.kind
+    def init(self, goal: Goal, memory: Any) -> Any:
+        """The memory for another goal of a run; the one so far where the law fails at it."""
+        made = None if self.failure else self._asked(self._law.init, goal)
+        return memory if self.failure else made
+
+    def _asked(self, method: Callable[..., Any], *given: Any) -> Any:
+        """What a method of the law returns; None where it raises, which is its failure."""
+        try:
+            return method(*given)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also sys.exit: a law must not end the program
+            self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
+
+    def _wrong(self, stepped: Any) -> str:
+        """What is wrong with what `step` returned; "" for a memory and a command of finite numbers."""
         if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
-            names = [type(part).__name__ for part in stepped] if isinstance(stepped, tuple) else []
-            got = f"({', '.join(names)})" if names else type(stepped).__name__
-            raise ParameterError("law.kind", f"{kind}: step must return (memory, Command), got {got}")
-        twist = stepped[1].twist
-        if (twist.shape if isinstance(twist, np.ndarray) else np.shape(twist)) != (6,):
-            raise ParameterError("law.kind", f"{kind}: the twist of a Command must be six numbers, got {twist}")
-        return stepped
+            got = type(stepped).__name__
+            if isinstance(stepped, tuple):
+                got = f"({', '.join(type(part).__name__ for part in stepped)})"
+            return f"returned {got}; its step must return (memory, Command)"
+        twist, rates, free = stepped[1].twist, stepped[1].rates, stepped[1].free
+        if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
+            return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
+        if not all_finite(twist):
+            self._mode = stepped[1].mode
+            return f"gave a twist that is not finite, {np.round(twist, 3)}"
+        if rates is not None and not all_finite(rates):
+            return f"gave rates that are not finite, {np.round(rates, 3)}"
+        return "" if all(math.isfinite(share) and all_finite(twists) for share, twists in free) else "gave free motions that are not finite"
 
     def _where(self, error: BaseException) -> str:
         """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""

@@ -13,12 +13,15 @@ from vstestbed.camera import DepthImage, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Reading
+from vstestbed.robots.flight_reading import FlightReading
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
 """A robot's sensor readings: at the exposure, and when the picture has arrived."""
 MISSING = 1.5
 """A picture is missing where two are further apart than this [camera periods]."""
+OUTSIDE = 0.2
+"""A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
 
 
 class Inputs:
@@ -40,18 +43,31 @@ class Inputs:
         """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays.
 
         Raises:
-            ParameterError: a reading of another robot, or numbers that are not finite.
+            ParameterError: a reading of another robot, numbers that are not finite, or a joint that is outside of its range.
         """
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
             raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
         joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
         q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
+        self._check_ranges(q)
         if reading.heading is not None:
             _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
         if reading.tilt is not None:
             _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
+        if isinstance(reading, FlightReading):
+            _check_flight(reading)
         return replace(copy.deepcopy(reading), q=q, qd=qd)
+
+    def _check_ranges(self, q: Array) -> None:
+        """Refuse joint positions (n,) that the robot cannot have: they are of another unit, in another order, or of a failed encoder."""
+        low, high = self._robot.joint_limits.T
+        beyond = np.maximum(low - q, q - high)
+        if len(q) and beyond.max() > OUTSIDE:
+            i = int(beyond.argmax())
+            words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
+            works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"
+            raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
         """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
@@ -149,6 +165,16 @@ def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Ar
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ParameterError(field, words, repr(given) if given is None else given)
     return numbers
+
+
+def _check_flight(reading: FlightReading) -> None:
+    """Refuse a craft's range or estimates that are no numbers: its failsafe lives by them."""
+    if not reading.range_m >= 0:  # infinite over nothing
+        raise ParameterError("readings.range_m", "must be a distance in metres, infinite over nothing", reading.range_m)
+    for name in ("velocity", "rates"):
+        _finite(f"readings.estimate.{name}", "must be three finite numbers", getattr(reading.estimate, name), (3,))
+    if reading.tilt is None:
+        raise ParameterError("readings.tilt", "must be roll and pitch in radians", "None")
 
 
 def _seconds(field: str, words: str, t: object) -> float:

@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.link_figures import LinkFigures
 from vstestbed.loop.metric_parts import CameraPath, Convergence, Counts, ImagePaths, Modes, Peaks, Tracking
+from vstestbed.loop.stability import Swinging
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, OwnFigures, Part
 
@@ -71,6 +72,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         the shortest time between two such changes (None with fewer than two), and the share of the frames in each mode.
     pictures_lost, pictures_refused, commands_lost: only with `timing.link`, `out_of_order` or `camera_clock`: pictures up to the last
         one used that never arrived, or arrived after a later one (by its stamp); commands that the link lost.
+    swung_s, swing_frames: only of a run whose command swung: for how long without a break [s], and the period [frames].
     final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
@@ -86,6 +88,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
         Tracking(scenario),
         Modes(scenario),
         LinkFigures(scenario),
+        Swinging(scenario),
     ]
     own = OwnFigures(scenario.metrics, scenario.setup)
     for block in log.blocks():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from operator import mul
 
+from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.supervisor import Supervisor
 from vstestbed.sim.base import Truth
@@ -18,6 +19,8 @@ FAR_M = 200.0
 """Distance from the target beyond which the camera has diverged [m]."""
 FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
 CROSSED_WORDS = "the camera crossed the plane of the target"
+BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it cannot see; start in front of it, or turn target.pose"
+TURNED_WORDS = "the target turned its back to the camera, or moved past it"
 BLOCKED_S = 1.0
 """How long a limit must block the robot before the run ends [s]."""
 BLOCKED_SCALE = 0.02
@@ -60,12 +63,17 @@ class Divergence:
 class PlaneCrossed:
     """The camera is behind a target that has markers on its front only."""
 
+    def __init__(self) -> None:
+        self._T_world_target: Array | None = None
+
     def update(self, frame: Frame) -> Verdict | None:
         """Lost: from there no marker can be seen."""
-        normal = frame.truth.T_world_target[:3, 2].tolist()  # z points away from a camera in front of it
-        if sum(map(mul, _from_target(frame), normal)) >= 0:
-            return Outcome.target_lost, CROSSED_WORDS
-        return None
+        before, self._T_world_target = self._T_world_target, frame.truth.T_world_target
+        if not _is_behind(frame, self._T_world_target):
+            return None
+        if before is None:
+            return Outcome.target_lost, BEHIND_WORDS
+        return Outcome.target_lost, CROSSED_WORDS if _is_behind(frame, before) else TURNED_WORDS
 
 
 class LimitReached:
@@ -82,6 +90,12 @@ class LimitReached:
         if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
             return None
         return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
+
+
+def _is_behind(frame: Frame, T_world_target: Array) -> bool:
+    """Whether the camera is behind the front of a target at a pose (4, 4), whose z points away from a camera in front of it."""
+    away = (frame.truth.T_world_camera[:3, 3] - T_world_target[:3, 3]).tolist()
+    return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
 
 
 def _from_target(frame: Frame) -> list[float]:

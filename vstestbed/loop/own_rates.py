@@ -9,7 +9,8 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.loop.command_history import CommandHistory
 from vstestbed.loop.exposure import Arrival, Exposure
-from vstestbed.robots import Allocation, Mount, Reading, Robot
+from vstestbed.robots import Mount, Reading, Robot
+from vstestbed.robots.orders import Order
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.setpoints import Between
 
@@ -59,11 +60,11 @@ class OwnRates:
             return np.zeros(len(ordered))
         return self._robot.displacement(before, after, duration, self._J @ ordered / duration, mount)
 
-    def order(self, t_cmd: float, allocation: Allocation) -> None:
-        """An allocation takes effect at t_cmd [s]."""
+    def order(self, t_cmd: float, order: Order) -> None:
+        """An order takes effect at t_cmd [s]."""
         if self._ordered is not None:
-            rates = allocation.rates
+            rates = order.rates
             if rates is None:
-                rates = np.asarray(np.linalg.lstsq(self._J, allocation.twist, rcond=None)[0], dtype=float)
+                rates = np.asarray(np.linalg.lstsq(self._J, order.twist, rcond=None)[0], dtype=float)
             self._last = rates.copy()
             self._ordered.add(t_cmd, rates)

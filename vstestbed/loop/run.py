@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterable
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.outcome import Outcome
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Rows, Watcher
 from vstestbed.scenario.scenario import Scenario
@@ -31,3 +32,14 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
         while episode.outcome is None:
             episode.advance()
     return episode.recording()
+
+
+def uninterrupted(recording: Recording) -> Recording:
+    """The recording of a run in a study, which ends as a whole where the run was interrupted.
+
+    Raises:
+        KeyboardInterrupt: the outcome is `interrupted`; without it the study would go on with its next run.
+    """
+    if recording.outcome is Outcome.interrupted:
+        raise KeyboardInterrupt
+    return recording

@@ -197,6 +197,8 @@ class Session:
             raise SessionError(f"the run has ended: {episode.reason}", "call reset() for another one")
         if episode.closed:
             raise SessionError("the session is closed", "call reset() for another run")
+        if episode.steps:
+            raise SessionError("another thread steps this session, which serves one at a time", "step it from one thread, or hold a lock")
         return episode
 
     def _checked(self, command: ArrayLike | Twist3) -> Array:

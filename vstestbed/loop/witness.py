@@ -48,7 +48,8 @@ class Witness:
         if self._goal is not None:
             points = points_of(goal_of_points(self._goal, c.goal.uv))
             truth = replace(truth, p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
-        frame = Frame(c.timing, c.observation, c.goal, c.error, c.command, c.allocation, truth, image, row, depth_image=depth)
+        parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
+        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
         values = self.task.measure(frame)
         row[:] = (*self._robot_row(frame, shot), *values)
         return frame

@@ -11,6 +11,7 @@ from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
+from vstestbed.robots.orders import Order
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.reading import Reading
@@ -30,6 +31,7 @@ __all__ = [
     "Mjcf",
     "Mount",
     "Omni",
+    "Order",
     "Puma560",
     "Quadrotor",
     "Reading",

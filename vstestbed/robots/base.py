@@ -87,6 +87,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def joint_limits(self) -> Array:
+        """Lowest and highest position of each of its joints, (len(joints), 2) [rad, m]; infinite where there is none."""
+        ...
+
+    @property
     def proprioception_names(self) -> tuple[str, ...]:
         """Names of the entries of `proprioception`."""
         ...
@@ -133,7 +138,12 @@ class Robot(Protocol):
 
     @property
     def draws(self) -> bool:
-        """Whether the scenario's seed makes a difference to its body or its sensors, besides the start."""
+        """Whether the scenario's seed makes a difference to its body or its sensors, besides the start and its heading."""
+        ...
+
+    @property
+    def draws_heading(self) -> bool:
+        """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
         ...
 
     @property

@@ -168,6 +168,11 @@ class Car(WornVehicle):
         )
 
     @property
+    def joint_limits(self) -> Array:
+        """No wheel is steered across the car's way; the wheels turn without end."""
+        return np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
+
+    @property
     def turning_radius_m(self) -> float:
         """Of its tightest circle, of the middle of the rear axle: L / tan(steering) [m]."""
         return self.parameters.wheelbase_m / math.tan(self.limits.steering_rad)
@@ -200,6 +205,11 @@ class Car(WornVehicle):
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
         """(v, w), with the tightest circle."""
         return dataclasses.replace(super().own_model(reading, mount), turning_radius_m=self.turning_radius_m)
+
+    @property
+    def draws_heading(self) -> bool:
+        """The noise of its compass."""
+        return self.compass.sigma_deg > 0
 
     def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: np.random.Generator) -> Reading:
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""

@@ -83,6 +83,11 @@ class RobotBase:
         return ()
 
     @property
+    def joint_limits(self) -> Array:
+        """None."""
+        return np.tile([-np.inf, np.inf], (len(self.joints), 1))
+
+    @property
     def proprioception_names(self) -> tuple[str, ...]:
         """The joints."""
         return self.joints
@@ -113,6 +118,11 @@ class RobotBase:
 
     @property
     def draws(self) -> bool:
+        """No."""
+        return False
+
+    @property
+    def draws_heading(self) -> bool:
         """No."""
         return False
 

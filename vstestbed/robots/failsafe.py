@@ -16,7 +16,8 @@ from typing import ClassVar
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.robots.flight_reading import HOLD, ROTORS_OFF, FlightEstimate, FlightReading, descend
+from vstestbed.robots.flight_reading import FlightEstimate, FlightReading, descend
+from vstestbed.robots.orders import Order
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.supervisor import FOLLOWS, HOLDS, Supervisor
 
@@ -47,16 +48,22 @@ class Failsafe(Supervisor):
     off_at: float = math.nan
     _since: float = math.nan
 
-    def filter(self, t: float, blind: str, reading: Reading, setpoint: Array, moved_m: float = 0.0) -> Array:
-        """The setpoint (4,) that the flight loops get: the law's, or hold, descend, rotors off."""
+    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
+        """The order that the flight loops get: the law's, or a stop (hold, rotors off), or the velocity of the descent."""
         assert isinstance(reading, FlightReading)
         self._update_abort(t, blind, self._look(t, blind, moved_m), reading)
         self.mode = self._next_mode(t, blind, reading.estimate)
         if self.mode == OFF:
-            return ROTORS_OFF
+            return order.halted(f"{self._why}the craft stands: rotors off", latched=True, stop="off")
         if self.mode == SINKS:
-            return descend(SINK_MPS)
-        return HOLD if self.aborted else setpoint
+            down = descend(SINK_MPS)
+            return Order(down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final)
+        return order.halted(f"{self._why}the craft holds", latched=self._final) if self.aborted else order
+
+    @property
+    def _why(self) -> str:
+        """Why the task was given up, before what is done about it."""
+        return f"{self.aborted[1]}: " if self.aborted else ""
 
     @property
     def may_touch(self) -> bool:

@@ -14,8 +14,6 @@ from vstestbed.robots.reading import Reading
 
 HOLD = np.zeros(4)
 """The setpoint that levels the craft and holds it where it is."""
-ROTORS_OFF = np.array([0.0, 0.0, -math.inf, 0.0])
-"""The setpoint that switches the rotors off for good: no finite climb rate can be mistaken for it."""
 
 
 def descend(speed_mps: float) -> Array:

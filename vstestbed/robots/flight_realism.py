@@ -63,8 +63,8 @@ class FlightRealism(Realistic):
 
     @property
     def draws(self) -> bool:
-        """Motors, a wake that fluctuates, vibration."""
-        return not (self.motors is None and self.downwash is None and self.vibration is None)
+        """Motors that are not listed, a wake that fluctuates, vibration."""
+        return (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
 
     @property
     def imperfect(self) -> bool:

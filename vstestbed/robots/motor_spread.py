@@ -35,6 +35,11 @@ class MotorSpread:
     thrust: Factors | None = None
     limit: Factors | None = None
 
+    @property
+    def draws(self) -> bool:
+        """Whether factors are drawn."""
+        return (self.thrust is None and self.thrust_sigma > 0) or (self.limit is None and self.limit_sigma > 0)
+
     def drawn(self, rng: np.random.Generator) -> tuple[Four, Four]:
         """The factors f and l (4,) of a run."""
         off = np.clip(rng.standard_normal((2, 4)), -MOST_SIGMAS, MOST_SIGMAS)

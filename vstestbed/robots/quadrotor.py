@@ -131,10 +131,7 @@ class Quadrotor(FlightRealism):
     @property
     def body_changes(self) -> tuple[Change, ...]:
         """Those of its parameters; the drag that `rotor_drag` models is taken from the air drag."""
-        share = self.rotor_drag.body_share if self.rotor_drag else 1.0
-        return (
-            self.parameters.changes if share == 1.0 else replace(self.parameters, drag_area_m2=share * self.parameters.drag_area_m2).changes
-        )
+        return self.parameters.changes(self.rotor_drag.body_share if self.rotor_drag else 1.0)
 
     def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
         """Its imperfections."""
@@ -203,6 +200,12 @@ class Quadrotor(FlightRealism):
         """(vx, vy, vz, wz), with its tilt; a lag of first order would not describe its flight loops."""
         return replace(super().own_model(reading, mount), tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg))
 
+    @property
+    def draws(self) -> bool:
+        """Its imperfections, and the noise of its instruments."""
+        sigmas = (self.imu.gyro_sigma_radps, self.imu.accel_sigma_mps2, self.velocity.sigma_mps, self.range_sigma_m)
+        return super().draws or any(sigmas)
+
     def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
         """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
         return drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng)
@@ -246,7 +249,7 @@ class Quadrotor(FlightRealism):
     def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
-        A setpoint that is not finite means hover; ROTORS_OFF disarms the craft for good, and its rotors run out.
+        A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the craft for good: its rotors run out.
         """
         attitude, ground, loops, W, _, armed, limited_s = memory
         (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters

@@ -132,13 +132,12 @@ class QuadrotorParameters:
         """Yaw torque [Nm s^2] of a unit of y."""
         return 4 * self.drag_coefficient
 
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """What makes the craft of the file, the X-4, this one."""
+    def changes(self, body_share: float = 1.0) -> tuple[Change, ...]:
+        """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a model of the rotors has the rest."""
         b, k = self.thrust_coefficient, self.drag_coefficient
         wide, d = self.arm_m / X4.arm_m, self.arm_m
         found: list[Change] = [Set("body", "base", "mass", self.mass_kg), Set("body", "base", "inertia", self.inertia)]
-        found.append(Set("geom", "air", "fluid_coefs", (1.5915 * (self.drag_area_m2 / X4.drag_area_m2),)))
+        found.append(Set("geom", "air", "fluid_coefs", (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),)))
         for name, x, y, turn in (("front", 1, 0, -1), ("right", 0, -1, 1), ("back", -1, 0, -1), ("left", 0, 1, 1)):
             along, half = (d + HUB_M) / 2, (d - HUB_M) / 2
             found += [

@@ -1,4 +1,4 @@
-"""Supervisor: may override the law's setpoint for the robot's safety, from proprioception alone.
+"""Supervisor: may override the law's order for the robot's safety, from proprioception alone.
 
     follow --no measurement--> hold (the law rests, or drives on by what it knew) --lost_after_s, lost_after_m--> stop
     follow, hold --the law fails--> stop
@@ -17,7 +17,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.robots.orders import stop_order
+from vstestbed.robots.orders import Order
 from vstestbed.robots.reading import Reading
 
 FOLLOWS, HOLDS, STOPS = range(3)
@@ -28,7 +28,7 @@ STANDS_RADPS = 0.02
 
 @dataclass
 class Supervisor:
-    """Passes the law's setpoint on, until the target has been out of sight for too long, or the law has failed: then it stops the robot.
+    """Passes the law's order on, until the target has been out of sight for too long, or the law has failed: then it stops the robot.
 
     Attributes:
         lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own sensors [m], without a measurement.
@@ -46,23 +46,24 @@ class Supervisor:
     _seen_once: bool = False
     _stands: bool = False
 
-    def filter(self, t: float, blind: str, reading: Reading, setpoint: Array, moved_m: float = 0.0) -> Array:
-        """The setpoint that goes to the actuators; NaN: stop.
+    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
+        """The order that goes to the robot.
 
         Args:
             t: time of exposure [s].
             blind: why the law has no measurement ("" while it has one). Without one it may command motion by what it knew.
             reading: the robot's sensor reading.
-            setpoint: the law's, after allocation.
+            order: the law's, after allocation.
+            basis: camera twists (6, n) of the robot's motions.
             moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it counts while blind.
         """
         if (why := self._look(t, blind, moved_m)) and not self.aborted:
             self.abort(t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on")
         if not self.aborted:
             self.mode = HOLDS if blind else FOLLOWS
-            return setpoint
+            return order
         self.mode, self._stands = STOPS, bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
-        return stop_order(setpoint)
+        return order.halted(self.aborted[1], latched=True)
 
     def abort(self, t: float, outcome: Outcome, reason: str) -> None:
         """Give the task up at a time [s]."""

@@ -6,12 +6,12 @@ import dataclasses
 import functools
 import typing
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import Room, blocks_in, is_list
+from vstestbed.core.registry import Room, blocks_in, fields_of, is_list
 from vstestbed.core.spec import kind_of
 
 
@@ -40,10 +40,11 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
         owner, cls = waiting.popleft()
+        kinds = _kinds_of(found[owner]) if owner in found else [cls]
         for field, listed, room, inner in _blocks_of(cls):
             place = f"{field}[]" if listed else field
             if room is None:
-                name = _field_name(owner, field, cls, inner, found)
+                name = _field_name(owner if _alike(kinds, field) else kind_of(cls), field, cls, inner, found)
             else:
                 name = f"{room.what}.{kind_of(inner)}"
                 found.setdefault(room.what, Entry(room.what, None, room, place))
@@ -61,8 +62,14 @@ def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
             yield from ((field.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
 
 
+def _alike(classes: Iterable[type], field: str) -> bool:
+    """Whether a field holds the same blocks in all classes that have it; `start` is another one in each robot."""
+    held = [tuple(blocks_in(hint_of(cls, field))) for cls in classes if field in fields_of(cls)]
+    return all(blocks == held[0] for blocks in held)
+
+
 def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str, Entry]) -> str:
-    """The name of a block in a field: `stop.converged`; `quadrotor.start` where `robot.start` is the block of another kind."""
+    """The name of a block in a field: `stop.converged`; with its kind where the owner's is the name of another block."""
     name = f"{owner}.{field}".removeprefix(".")
     if name not in found or found[name].cls is inner:
         return name
@@ -104,9 +111,22 @@ def _hints(cls: type) -> dict[str, Any]:
 
 
 def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
-    """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`."""
+    """The lists of kinds of which the last field of a dotted path holds one: `depth` for `law.depth`; none where it holds something else
+    in some kinds of the owner, as `target.marker` does.
+    """
     owner, _, field = path.rpartition(".")
-    return [entry for entry in entries.values() if owner in entries and entry.cls is None and entry.field.removesuffix("[]") == field]
+    holders = _kinds_of(entries[owner]) if owner in entries else []
+    if not _alike(holders, field):
+        return []
+    rooms = {room.what for cls in holders if field in fields_of(cls) for room, _ in blocks_in(hint_of(cls, field)) if room is not None}
+    return [entry for entry in entries.values() if entry.cls is None and entry.name in rooms]
+
+
+def _kinds_of(entry: Entry) -> list[type]:
+    """The class of a block, or those of a list of kinds."""
+    if entry.cls is not None:
+        return [entry.cls]
+    return [] if entry.room is None else list(entry.room.members.values())
 
 
 def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:

@@ -6,7 +6,7 @@ import dataclasses
 import io
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.refusals import UNKNOWN
 from vstestbed.scenario.layers import put_over
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.randomise import drawn
@@ -115,7 +116,7 @@ def parse(
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
-        raise (_blame_settings(error, text, file, overrides, places) if overrides else error) from None
+        raise (_other_kinds(_blame_settings(error, text, file, overrides, places), overrides, places) if overrides else error) from None
     _refuse_drawn(scenario, overrides, places)
     refuse_stated(scenario, plain, marks, file, overrides)
     try:
@@ -156,6 +157,27 @@ def _blame_settings(
     return ScenarioError([dataclasses.replace(m, where=where) for m, where in zip(error.mistakes, places_found, strict=True)])
 
 
+def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> ScenarioError:
+    """The same mistakes, with one in place of those of fields that a block keeps though an override makes another kind of it."""
+    mistakes = list(error.mistakes)
+    for dotted, kind in overrides.items():
+        block, _, last = dotted.rpartition(".")
+        given = [other for other in overrides if other != dotted]
+        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not _within(m.field, given)]
+        if last != "kind" or not kept:
+            continue
+        names = ", ".join(dict.fromkeys(m.field.removeprefix(f"{block}.") for m in kept))
+        words = f"leaves the block's other fields as they are, and {kind} has no {names}; {block}={kind}, without .kind, replaces the block"
+        mistakes = [m for m in mistakes if m not in kept]
+        mistakes.append(Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words))
+    return ScenarioError(mistakes)
+
+
+def _within(field: str, paths: Iterable[str]) -> bool:
+    """Whether a field is at one of some paths, or below it."""
+    return any(f"{field}.".startswith(f"{path}.") for path in paths)
+
+
 def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> dict[tuple[str, str], str]:
     """For each mistake, by field and sentence, the position of the first override with which it is there; "" for the file's own."""
     origins = dict.fromkeys(_mistakes(text, file, {}), "")
@@ -178,14 +200,13 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with a start drawn from a seed, and its noise with it; without a random block the noise alone.
+    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone.
 
     Raises:
         ParameterError: nothing is random, or no start was found with the target in view.
     """
-    # A fixed start with noise is a fair experiment for many seeds, as in other scenes; without either, every seed would give the same run.
-    drawn = scenario.noise.draws() or scenario.draws_noise or scenario.draws_scene or scenario.timing.draws
-    if scenario.robot.start.random is None and drawn:
+    # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
+    if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
 

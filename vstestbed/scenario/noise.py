@@ -104,7 +104,7 @@ class Noise:
         """Whether a perturbation changes pictures."""
         return any("picture" in kind.changes for kind in self.perturb)
 
-    def draws(self, pictures: bool = True) -> bool:
-        """Whether a seed makes a difference; pictures: the detector works on them."""
-        on_pixels = self.pixel_sigma_px > 0 or any("pixels" in kind.changes for kind in self.perturb)
-        return on_pixels or (pictures and (self.image_sigma > 0 or self.on_pictures or not self.target.none))
+    def draws(self, pictures: bool, points: bool) -> bool:
+        """Whether a seed makes a difference; pictures: some are looked at, points: some are measured."""
+        on_pixels = self.pixel_sigma_px > 0 or self.dropout > 0 or any("pixels" in kind.changes for kind in self.perturb)
+        return (points and on_pixels) or (pictures and (self.image_sigma > 0 or self.on_pictures or not self.target.none))

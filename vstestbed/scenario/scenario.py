@@ -141,16 +141,24 @@ class Scenario:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
     @property
-    def draws_noise(self) -> bool:
-        """Whether a seed makes a difference to what is measured in the pictures."""
-        sensor = self.camera.depth_sensor if self.law.depth.measured else None
-        pictured = self.detector.needs_image and self.camera.sensor is not None
-        return pictured or self.noise.draws(self.detector.needs_image) or (sensor is not None and sensor.draws)
-
-    @property
-    def draws_scene(self) -> bool:
-        """Whether a seed makes a difference to the scenario itself, besides the start."""
-        return bool(self.randomise) or self.world.clutter is not None or self.robot.draws
+    def draws(self) -> bool:
+        """Whether another seed gives another run: some part of the experiment says that it draws from a stream of the seed."""
+        depth = self.camera.depth_sensor if self.law.depth.measured else None
+        pictured = self.needs_image and self.camera.sensor is not None
+        taught = self.needs_goal_image and any(picture.draws for picture in self.goal.pictures)
+        parts = [
+            self.robot,
+            self.target.motion,
+            self.detector,
+            self.world,
+            self.timing,
+            self.calibration,
+            *([] if depth is None else [depth]),
+        ]
+        seen = pictured or taught or self.noise.draws(self.needs_image, self.detector.rows != 0)
+        landmarks = not self.target.moves and self.target.painted_route is None
+        started = self.robot.start.random is not None or bool(self.randomise) or (landmarks and self.robot.draws_heading)
+        return started or seen or any(part.draws for part in parts)
 
     @property
     def clock(self) -> tuple[float, int]:

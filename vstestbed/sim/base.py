@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import DepthImage, Image, Look, Picture
 from vstestbed.core.geometry import Array
+from vstestbed.robots.orders import Stop
 from vstestbed.robots.reading import Reading
 from vstestbed.sim.row_weights import Contribution, Rows
 
@@ -119,12 +120,16 @@ class Plant(Protocol):
         """The truth, now."""
         ...
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by the name of its body; "" for nothing."""
+        ...
+
     def reading(self) -> Reading:
         """The robot's sensor reading, now."""
         ...
 
-    def apply(self, setpoint: Array) -> None:
-        """Set the setpoint, which stays in force until the next one, or until it has lasted its time; NaN: stop."""
+    def apply(self, setpoint: Array, stop: Stop = "") -> None:
+        """Set the setpoint, which stays in force until the next one, or until it has lasted its time; or a stop in its place."""
         ...
 
     def advance(self, steps: int) -> bool:

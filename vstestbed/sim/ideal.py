@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
-from vstestbed.robots.orders import Orders
+from vstestbed.robots.orders import Orders, Stop
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
@@ -92,6 +92,10 @@ class IdealPlant:
             T, self._T_world_target, self._twist, NONE, NONE, NONE, p_camera, hidden, contact="", feet="", act=NONE, wind=STILL_AIR
         )
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points (N, 3); nothing where there is no scene."""
+        return self._stage.names_before(T_world_camera, p_camera) if self._stage else ("",) * len(p_camera)
+
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture
@@ -128,9 +132,9 @@ class IdealPlant:
         """No joints."""
         return NO_JOINTS
 
-    def apply(self, setpoint: Array) -> None:
-        """Set the twist (6,) of the flange. NaN: stop."""
-        self._orders.give(self._steps, setpoint)
+    def apply(self, setpoint: Array, stop: Stop = "") -> None:
+        """Set the twist (6,) of the flange, or a stop in its place."""
+        self._orders.give(self._steps, setpoint, stop)
         self._actuate()
 
     def _actuate(self) -> None:

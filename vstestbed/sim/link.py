@@ -41,6 +41,11 @@ class BurstLoss:
     bad_loss: Annotated[float, Ge(0), Le(1)] = 1.0
     carries: Literal["pictures", "commands", "both"] = "both"
 
+    @property
+    def draws(self) -> bool:
+        """Whether anything is lost."""
+        return self.good_loss > 0 or (self.enter_probability > 0 and self.bad_loss > 0)
+
 
 class BurstyLink:
     """One direction of the link in a run.

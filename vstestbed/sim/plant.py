@@ -13,7 +13,7 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground
-from vstestbed.robots.orders import Orders
+from vstestbed.robots.orders import Orders, Stop
 from vstestbed.robots.reading import Reading
 from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
@@ -176,6 +176,10 @@ class MujocoPlant:
         act = stage.data.act[stage.at.act]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
 
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What stands now before each of points (N, 3)."""
+        return self._stage.names_before(T_world_camera, p_camera)
+
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none."""
         return self._eye.with_own(picture) if self._eye else picture
@@ -213,9 +217,9 @@ class MujocoPlant:
         """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
-    def apply(self, setpoint: Array) -> None:
-        """Set the setpoint; without an onboard controller these are the actuators' controls (n,). NaN: stop."""
-        self._orders.give(self._steps, setpoint)
+    def apply(self, setpoint: Array, stop: Stop = "") -> None:
+        """Set the setpoint, or a stop in its place; without an onboard controller these are the actuators' controls (n,)."""
+        self._orders.give(self._steps, setpoint, stop)
         self._actuate()
 
     def _actuate(self) -> None:

@@ -85,7 +85,7 @@ class Timing:
         """Whether the timing is random, so that it depends on the seed."""
         stamps_jitter = self.camera_clock is not None and self.camera_clock.jitter_s > 0
         jitter = self.exposure_jitter_s > 0 or self.latency_jitter_s > 0 or stamps_jitter
-        return jitter or self.drop_probability > 0 or self.link is not None
+        return jitter or self.drop_probability > 0 or (self.link is not None and self.link.draws)
 
     @property
     def stamps(self) -> bool:

@@ -58,12 +58,14 @@ class MotionBase:
     Attributes:
         moves: it does not stand still. by_itself: it follows `path`, whatever robots and vehicles do.
         on_gripper: the robot's gripper holds the target, and the camera stands in the room (eye to hand).
+        draws: `path` draws from its generator, so that another seed gives another path.
     """
 
     kind: Any  # the word in a scenario: a field of each motion
     moves: ClassVar[bool] = True
     by_itself: ClassVar[bool] = True
     on_gripper: ClassVar[bool] = False
+    draws: ClassVar[bool] = False
 
     @property
     def carrier(self) -> Carrier | None:
@@ -214,6 +216,7 @@ class RandomWalk(MotionBase):
     kind: Literal["random_walk"] = "random_walk"
     rms_m: Position
     corner_hz: Frequency = 0.2
+    draws: ClassVar[bool] = True
 
     def path(self, rng: np.random.Generator) -> Path:
         """The displacement as a function of time."""

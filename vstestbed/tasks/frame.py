@@ -14,6 +14,7 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
 from vstestbed.robots import Allocation
+from vstestbed.robots.orders import Order
 from vstestbed.sim.base import Truth
 
 
@@ -65,7 +66,8 @@ class Cycle:
 
     Attributes:
         timing: number and times. observation: the law's measurement. goal: its reference.
-        error: in the image. command: of the law. allocation: the command within the robot's limits.
+        error: in the image. command: of the law. allocation: the command within the robot's limits, whatever the robot is told.
+        order: what the robot is told: that, or what its supervisor has put in its place.
         notes: what was unusual about the picture's time, in words (`Controller.step`).
     """
 
@@ -75,6 +77,7 @@ class Cycle:
     error: ImageError
     command: Command
     allocation: Allocation
+    order: Order = field(kw_only=True)
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
@@ -84,13 +87,28 @@ class Cycle:
 
     @property
     def twist(self) -> Array:
-        """The camera twist (6,) that was ordered, (v, w) in the camera frame, within the robot's limits [m/s, rad/s]."""
-        return self.allocation.twist
+        """The camera twist (6,) that is ordered, (v, w) in the camera frame, within the robot's limits [m/s, rad/s]; of a stop zero."""
+        return self.order.twist
 
     @property
     def setpoint(self) -> Array:
-        """What goes to the actuators or the onboard controller (joint velocities [rad/s], a twist); NaN: stop."""
-        return self.allocation.setpoint
+        """What goes to the actuators or the onboard controller (joint velocities [rad/s], a twist); of a stop the robot's rest."""
+        return self.order.setpoint
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the order is a stop; why, `reason` says."""
+        return self.order.stopped
+
+    @property
+    def reason(self) -> str:
+        """Why the robot stops, or has another velocity than the law's; "" while it follows the law."""
+        return self.order.reason
+
+    @property
+    def latched(self) -> bool:
+        """Whether nothing but `Controller.reset` gives the robot back to the law."""
+        return self.order.latched
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +132,7 @@ class Frame(Cycle):
 
     def protected(self) -> Frame:
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""
-        for part in (self.observation, self.goal, self.command, self.allocation, self.truth):
+        for part in (self.observation, self.goal, self.command, self.allocation, self.order, self.truth):
             for name in part.__dataclass_fields__:
                 value = getattr(part, name)
                 if isinstance(value, np.ndarray):

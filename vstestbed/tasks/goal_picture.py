@@ -54,6 +54,11 @@ class GoalPicture:
         return (self.brightness, self.contrast, self.image_sigma) != (1.0, 1.0, 0.0)
 
     @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference to the picture: it has noise."""
+        return self.image_sigma > 0
+
+    @property
     def source(self) -> Path | None:
         """The file; None where the simulated camera takes the picture.
 

@@ -48,7 +48,9 @@ LINK_FIGURES = ("pictures_lost", "pictures_refused", "commands_lost")
 """Those of a run with wrong time stamps, pictures out of order or a link that loses."""
 GREY_FIGURES = ("final_error_grey",)
 """That of a law that works on grey levels."""
-SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES)
+SWING_FIGURES = ("swung_s", "swing_frames")
+"""Those of a run whose command swung."""
+SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES, *SWING_FIGURES)
 """Those that only some runs have."""
 TAKEN = frozenset(
     (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
@@ -51,13 +51,18 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
     with closing(plant):
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
-    true, memory = s.camera.project(truth.p_camera), detector.init()
+    true, memory, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
+    undrawn = rng.bit_generator.state
     shown = _shown(s, truth)
     for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
-        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, np.random.default_rng(0))
+        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, rng)
         assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
         error = np.linalg.norm(detection.uv - true, axis=1)[shown]
         assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
+    drew = rng.bit_generator.state != undrawn
+    assert drew is detector.draws, (
+        f"{detector.kind}: `draws` is {detector.draws}, and detect() {'draws' if drew else 'does not draw'} from rng"
+    )
     if detector.needs_image and picture is not None:
         _check_nothing(detector, s, picture)
 
@@ -72,7 +77,7 @@ def _shown(s: Scenario, truth: Truth) -> NDArray[np.bool_]:
 def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: float) -> None:
     """The points of a detector of its own points are where the scene has those of the goal's picture, and many enough."""
     s = replace(scenario, detector=detector, stop=replace(scenario.stop, duration_s=scenario.camera.period))
-    log = run(s)
+    log = uninterrupted(run(s))
     uv, true = (np.stack([[log[f"{axis}{at}_{i}"] for i in range(s.rows)] for axis in "uv"], axis=-1) for at in ("", "_true"))
     error = np.linalg.norm(uv - true, axis=-1)
     seen = np.isfinite(error).sum(axis=0)

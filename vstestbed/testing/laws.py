@@ -15,7 +15,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Observation
 from vstestbed.laws import Command, Law, Policy
 from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.timing import Timing
@@ -55,7 +55,7 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     # without latency the motions are those at the exposure, which the replay needs
     loop = replace(loop, law=law, camera=replace(loop.camera, latency_s=0.0), timing=Timing())
     frames = _Frames()
-    recording = run(loop, watch=[frames])
+    recording = uninterrupted(run(loop, watch=[frames]))
     words = f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
     assert recording.outcome.success, words + (_unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
     _check_commands(law, loop, frames.kept)

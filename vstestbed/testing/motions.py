@@ -16,6 +16,8 @@ FASTEST_MPS = 50.0
 def check_motion(motion: MotionBase) -> None:
     """The path is rigid, continuous, a function of time alone once its seed is given, and starts in one place whatever the seed.
 
+    `draws` says whether another seed gives another path: a motion that draws without saying so is refused more than one seed.
+
     Raises:
         AssertionError: it says what was expected and what was found.
     """
@@ -35,6 +37,10 @@ def check_motion(motion: MotionBase) -> None:
     backwards = _along(motion, times[::-500])[::-1]
     assert np.array_equal(backwards, D[::-500][::-1]), f"{motion.kind}: another path when the times are asked for backwards"
     _check_start(motion, rest, D[0])
+    drawn = not np.array_equal(_along(motion, times, seed=8), D)
+    assert drawn is motion.draws, (
+        f"{motion.kind}: `draws` is {motion.draws}, and another seed gives {'another' if drawn else 'the same'} path"
+    )
     still = bool(np.all(D[0] == D))
     assert still is not motion.moves, f"{motion.kind}: `moves` is {motion.moves}, and the path {'stands still' if still else 'moves'}"
 
@@ -48,9 +54,9 @@ def _check_start(motion: MotionBase, rest: Array, D: Array) -> None:
     assert off < 1e-9, f"{motion.kind}: start(pose) must be pose @ path(rng)(0), it is {off:.3g} off"
 
 
-def _along(motion: MotionBase, times: Array) -> Array:
+def _along(motion: MotionBase, times: Array, seed: int = 7) -> Array:
     """Displacements (n, 4, 4) of one seed at times (n,) [s]."""
-    at = motion.path(np.random.default_rng(7))
+    at = motion.path(np.random.default_rng(seed))
     return np.array([at(float(t)) for t in times])
 
 

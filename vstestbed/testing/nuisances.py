@@ -10,7 +10,7 @@ import numpy as np
 from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
@@ -40,7 +40,7 @@ def check_noise(perturbation: Perturbation) -> None:
         _check_draws(kind, "pixels", _UV, [_pixels(perturbation, seed) for seed in (0, 0, 1)])
     loop = load("ibvs_book", {"stop.duration_s": SHORT_S}) if "picture" in perturbation.changes else quick("view")
     loop = replace(loop, noise=Noise(perturb=(perturbation,)))
-    one, again = run(loop).table, run(loop).table
+    one, again = (uninterrupted(run(loop)).table for _ in range(2))
     assert np.array_equal(one, again, equal_nan=True), f"{kind}: two runs of one seed have different logs; keep no state in the object"
 
 
@@ -83,7 +83,7 @@ def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> No
     _check_titles(metric)
     check_metrics((metric,))
     loop = replace(scenario or quick("view"), metrics=(metric,))
-    recording = run(loop)
+    recording = uninterrupted(run(loop))
     whole = {name: recording.summary()[name] for name in metric.titles}
     for rows in (1, 7):
         parts = _in_blocks(metric, recording, rows)
@@ -125,7 +125,7 @@ def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> Non
     assert MONITORS.contract is not None
     MONITORS.contract.check(type(monitor))
     loop = ends or quick("view")
-    without, one, again = run(replace(loop, monitors=())), *(run(replace(loop, monitors=(monitor,))) for _ in range(2))
+    without, one, again = (uninterrupted(run(replace(loop, monitors=those))) for those in ((), (monitor,), (monitor,)))
     assert (one.outcome, one.reason) == (again.outcome, again.reason), (
         f"{kind}: {one.outcome.name} and then {again.outcome.name}; what a run remembers belongs into the object that `monitor` makes"
     )

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.core.contract import Contract
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.recording import Recording
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks import Task, TaskBase
 
@@ -37,9 +37,9 @@ def check_task(scenario: Scenario) -> None:
 
 def _check_ends(scenario: Scenario) -> None:
     task, period = scenario.goal, scenario.camera.period
-    short = run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * period)))
+    short = uninterrupted(run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * period))))
     assert short.outcome is Outcome.timed_out, f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
-    whole = run(scenario)
+    whole = uninterrupted(run(scenario))
     expected = Outcome.landed if task.lands else Outcome.completed if task.continuing else Outcome.converged
     assert whole.outcome is expected, f"{task.kind}: must end {expected.name}, ended {whole.outcome.name}: {whole.reason}"
     own = [name for name in scenario.own_columns if name not in whole.columns]

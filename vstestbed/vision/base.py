@@ -76,6 +76,8 @@ class Detector(Protocol[M]):
     """It finds the picture of a target `picture`."""
     needs_goal: ClassVar[bool]
     """It finds the goal picture's points, not the target's markers."""
+    draws: ClassVar[bool]
+    """`detect` draws from its generator, so that another seed gives other points."""
 
     @property
     def rows(self) -> int | None:
@@ -118,6 +120,7 @@ class DetectorBase:
     markers: ClassVar[tuple[str, ...]] = ()
     needs_sheet: ClassVar[bool] = False
     needs_goal: ClassVar[bool] = False
+    draws: ClassVar[bool] = False
     rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
     changing: Any = False
     fleeting: Any = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ from vstestbed.experiments.basin.batch import fly
 from vstestbed.experiments.basin.setup import ideal, start_of, started_at
 from vstestbed.features import FEATURES, Ellipse, Feature, LineFeature, Moments, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
-from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned
+from vstestbed.features.observation import Observation
+from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned, Predictive
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.visibility import Visibility
@@ -271,3 +273,18 @@ def test_a_law_that_leaves_motions_open_does_not_make_them(law: IBVS, markers: i
         assert (found.outcome[i], found.steps[i]) == (r.outcome, len(r["t"]) - 1)
         # Normal equations against a factorisation: a few digits less than rounding.
         assert inverse(found.T_camera_target[i])[:3, 3] == pytest.approx([r[f"cam_{n}"][-1] for n in "xyz"], abs=1e-6)
+
+
+def test_a_law_that_fails_in_one_run_ends_that_run_alone(monkeypatch: pytest.MonkeyPatch):
+    """As in the time loop: what a step raises, a ParameterError too, is the outcome of the run."""
+    step = Predictive.step
+
+    def failing(self: Predictive, memory: object, observation: Observation, *given: Any) -> Any:
+        if observation.T_camera_target is not None and observation.T_camera_target[2, 3] > 1.5:
+            raise ParameterError("damping", "must be <= 1000", 2e3)
+        return step(self, memory, observation, *given)
+
+    monkeypatch.setattr(Predictive, "step", failing)
+    starts = from_(Pose(xyz=(0.1, 0, -1)), Pose(xyz=(0.1, 0, -2)), Pose(xyz=(-0.1, 0.1, -1.2)))
+    found = fly(scenario(Predictive()), starts)
+    assert list(found.outcome) == [vs.Outcome.converged, vs.Outcome.law_failed, vs.Outcome.converged] and found.steps[1] == 0

@@ -91,6 +91,15 @@ def test_what_a_map_leaves_out_is_told_in_one_sentence(caplog: pytest.LogCapture
     assert arm.startswith("the dynamics and limits of robot puma560, robot.encoders")
 
 
+def test_points_of_a_detectors_own_are_told_and_refused_where_the_corners_do_not_stand_for_them(caplog: pytest.LogCaptureFixture):
+    assert "the points that detector keypoints finds" in told_of(caplog, "arm_keypoints")
+    for name in ("camera_cns", "camera_keypoints", "camera_vitvs"):
+        with pytest.raises(
+            ParameterError, match=r"^detector\.kind keypoints finds points of its own in pictures.*sweep and compare --vary"
+        ):
+            laws(chosen([name], {}, {}, None))
+
+
 def test_a_target_that_moves_has_no_map():
     for name, kind in (("arm_track_circle", "circle"), ("arm_eye_to_hand", "held")):
         with pytest.raises(ParameterError, match=f"target.motion must be still in a batch, got '{kind}'"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,8 +20,8 @@ import pytest
 
 import vstestbed as vs
 from tests.shortcuts import Here, run_here
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.experiments.comparison import Campaign, Comparison, compare, controllers, jobs
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+from vstestbed.experiments.comparison import Campaign, Comparison, Job, compare, controllers, jobs
 from vstestbed.experiments.comparison.folder import table_of
 from vstestbed.experiments.comparison.pools import LocalPool, WorkerLostError
 from vstestbed.experiments.comparison.worker import RunRequest, crashed, execute, request_of
@@ -336,6 +337,37 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: 
     assert 3 <= len(done) < 200
     assert f"interrupted: {len(done)} of 200 runs are done; go on with: vstestbed compare --resume --out {out}" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("keep", [0, 2])
+def test_runs_that_are_gone_when_all_are_done_are_told(quick: Path, tmp_path: Path, here: None, keep: int):
+    kept: list[str] = []
+
+    def lose(job: Job, summary: dict[str, Any]) -> None:
+        kept.append(job.folder)
+        if len(kept) > keep:
+            shutil.rmtree(tmp_path / "c" / job.folder)
+
+    with pytest.raises(OutputError, match=rf"c: {3 - keep} of 3 runs are not there any more.*--resume") as lost:
+        compare([quick], seeds=3, out=tmp_path / "c", film=False, on_done=lose)
+    assert lost.value.exit_code == 4
+    assert len(compare([], out=tmp_path / "c", resume=True, film=False, report=False)) == 3
+
+
+def test_the_name_of_a_case_is_no_path(command: Any, quick: Path, tmp_path: Path, here: None, one_figure: None):
+    """It wrote runs outside of --out; or, with many slashes, found none of them again, and ended with 0."""
+    (tmp_path / "deep").mkdir()
+    cases = {"../../../../esc": {"../a": {"law.gain": 3}, "con": {"law.gain": 6}}, "a/b/c/d/e/f": {"x": {}}}
+    plan = {"base": ["quick.yaml"], "cases": cases, "seeds": 1}
+    (tmp_path / "hostile.yaml").write_text(json.dumps(plan), encoding="utf-8")
+    before = {p.name for p in tmp_path.iterdir()}
+    ended = command("compare", "hostile.yaml", "--out", "deep/c", "--no-film")
+    assert ended.code == 0, ended.err
+    assert {p.name for p in tmp_path.iterdir()} == before and [p.name for p in (tmp_path / "deep").iterdir()] == ["c"]
+    assert sorted(p.name for p in tmp_path.glob("deep/c/runs/quick/*")) == ["esc=_con,a_b_c_d_e_f=x", "esc=a,a_b_c_d_e_f=x"]
+    table = pl.read_parquet(tmp_path / "deep/c/comparison.parquet")
+    assert table["../../../../esc"].to_list() == ["../a", "con"]  # the names themselves stay
+    assert (tmp_path / "deep/c/report.html").is_file()
 
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):

@@ -158,7 +158,7 @@ def test_a_law_that_overrides_its_step_alone_has_no_batch():
 def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whatever is missing, and in groups of any size, the bytes are those of a comparison that was never cut off."""
     run_here(monkeypatch)
-    monkeypatch.setattr("vstestbed.experiments.comparison.folder_names.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.experiments.comparison.runs.SIDE_BY_SIDE", 8)
     monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST

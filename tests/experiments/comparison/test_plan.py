@@ -46,7 +46,7 @@ def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(q
 
 
 def test_seeds_that_draw_nothing_are_refused_with_the_reason():
-    with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and there is no noise: every seed would"):
+    with pytest.raises(ParameterError, match=r"polar_book.*robot.start.random is missing, and nothing else is random: every seed would"):
         controllers(Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None}))
     unseen = {"robot.start.random": None, "noise.image_sigma": 2, "detector": "oracle"}
     with pytest.raises(ParameterError, match="every seed would"):
@@ -55,6 +55,12 @@ def test_seeds_that_draw_nothing_are_refused_with_the_reason():
     first, second = (j.scenario() for j in jobs(controllers(noisy), 2))
     assert (first.seed, second.seed) == (0, 1)
     np.testing.assert_array_equal(first.robot.configuration(), second.robot.configuration())
+
+
+@pytest.mark.parametrize("name", ["quadrotor_hover", "quadrotor_gust", "car_pbvs", "arm_track_random"])
+def test_sensor_noise_turbulence_and_random_walks_are_draws(name: str):
+    made = controllers(Comparison(base=(name,), seeds=2, set={"robot.start.random": None}))
+    assert [j.scenario().seed for j in jobs(made, 2)] == [0, 1]
 
 
 def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):

@@ -9,7 +9,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.experiments.comparison import Comparison, chosen, controllers, jobs
-from vstestbed.experiments.comparison.runs import MOST_RUNS, must_be_few
+from vstestbed.experiments.comparison.runs import MOST_RUNS, Variants, must_be_few
 from vstestbed.experiments.comparison.starts import StartTable
 
 TENTHS = tuple(i / 10 for i in range(1, 11))
@@ -115,3 +115,24 @@ def test_a_setting_that_the_file_writes_over_is_refused(name: str, field: str, w
     with pytest.raises(ScenarioError, match=rf"^--set: {field}: has no effect: .*--vary {field}=VALUE is applied last") as found:
         chosen([name], {field: "nope"}, {}, None)
     assert where in str(found.value)
+
+
+HOSTILE = ("../../../esc", "/abs", "a/b/c/d/e/f/g/h", "..", "con", "x" * 300, "\u00e9" * 200, "a b", "a_b")
+
+
+def test_names_of_cases_and_tasks_lead_nowhere_else(quick: Path, tmp_path: Path):
+    cases = {name: {each: {"law.gain": 3 + i} for i, each in enumerate(HOSTILE)} for name in HOSTILE[:8]}
+    comparison = Comparison(base=(str(quick),), cases=cases, tasks={"../t": StartTable(seeds=1), ".. t": StartTable(seeds=1)})
+    made = Variants(comparison)
+    for i in (0, 1, 2, 9, len(made) // 2, len(made) - 1):
+        place = made[i].folder
+        assert len(Path(place).parts) == 4 and Path(place).parts[:2] == ("runs", "quick")  # the thousand, and the variant
+        assert (tmp_path / place).resolve().is_relative_to(tmp_path.resolve())
+        (tmp_path / place).mkdir(parents=True)
+    near = [made[i].folder.casefold() for i in range(400)]
+    assert len(set(near)) == len(near)
+
+
+def test_two_scenarios_of_one_folder_are_refused():
+    with pytest.raises(ParameterError, match="no two of one file name"):
+        Comparison(base=("a/Arm.yaml", "b/arm.yaml"))

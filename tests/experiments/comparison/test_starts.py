@@ -142,6 +142,7 @@ class TestFile:
             ("reading it failed", '{"camera_from_goal": [{"xyz": [0, 0]}]}'),
             ("may have each, camera_from_goal, target_from_goal and about; it also has starts", '{"starts": []}'),
             ("must hold one or more of each, camera_from_goal, target_from_goal", "{}"),
+            pytest.param("is nested too deeply; must be JSON like", "[" * 100_000, id="nested"),
         ],
     )
     def test_what_is_refused(self, tmp_path: Path, words: str, lists: str):

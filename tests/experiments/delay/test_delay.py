@@ -12,10 +12,21 @@ import pytest
 import vstestbed as vs
 from vstestbed import Timing
 from vstestbed.cli import app as cli
+from vstestbed.cli.delay import _summary_line
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.delay.lag import measure_lags
-from vstestbed.experiments.delay.measure import OFF, OFF_WITH_FRICTION, displaced, find_limit, find_limits, growth, prepared
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, led_form
+from vstestbed.experiments.delay.lag import Lag, measure_lags
+from vstestbed.experiments.delay.measure import (
+    OFF,
+    OFF_WITH_FRICTION,
+    Limit,
+    delays_of,
+    displaced,
+    find_limit,
+    find_limits,
+    growth,
+    prepared,
+)
+from vstestbed.loop.theory import closed_form, gain_limit, led_form
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.time_stamps import CameraStamps
 
@@ -70,6 +81,22 @@ def test_bisection_lands_on_the_limit(free):
     limit = find_limit(free, 1)
     assert limit.g == pytest.approx(1.0, rel=0.003)  # the bracket that is left
     assert limit.gain == pytest.approx(25.0, rel=0.003) and limit.g_lag is None and limit.runs == 11
+
+
+@pytest.mark.parametrize(("d", "timing"), [(0.6, Timing()), (1.5, Timing()), (1, Timing(command_latency_s=0.02))])
+def test_a_delay_of_part_of_a_frame_and_of_commands_goes_unstable_where_theory_says(free, d, timing):
+    at_goal = replace(free, timing=timing)
+    limit = find_limit(at_goal, d)
+    assert limit.g / limit.g_theory == pytest.approx(1.0, rel=0.004)
+    assert limit.g < 0.9 * closed_form(int(d))  # the part of a frame, or the command's latency, lowers it
+
+
+def test_the_scenarios_own_latency_comes_first_in_seconds(free):
+    late = replace(free, camera=replace(free.camera, latency_s=0.06))
+    assert delays_of(late, [0, 1]) == [1.5, 0, 1] and delays_of(free, [0, 1]) == [0, 1]
+    assert delays_of(replace(free, camera=replace(free.camera, latency_s=PERIOD)), [0, 1, 2]) == [1, 0, 2]
+    with pytest.raises(ParameterError, match=r"camera\.latency_s must be at most 2 s, which are 50 frames at 25 Hz, got 3"):
+        delays_of(replace(free, camera=replace(free.camera, latency_s=3.0)), [0])
 
 
 def test_an_arm_with_ideal_servos_goes_unstable_where_theory_says(arm):
@@ -130,6 +157,21 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "gain limit [1/s]" in page and "data:image/png" in page
     assert command(words) == 2  # never over an older study
     assert command(["gain-limit", "ibvs_book", "--frames", "one"]) == 2
+
+
+def test_the_command_names_the_answer_in_seconds_first_and_says_why_the_theory_is_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    words = ["gain-limit", "ibvs_book", "--frames", "1", "--set", "camera.rate_hz=25", "--set", "camera.latency_s=0.06"]
+    assert command([*words, "--out", str(tmp_path / "study")]) == 0
+    first, second = capsys.readouterr().err.splitlines()[:2]
+    assert first.startswith("0.06 s (1.5 frames): unstable from 20.7") and second.startswith("0.04 s (1 frame): unstable from 25.0")
+    lags = (Lag("a", (0.4, 0.6), 0.028, 1.0, 0.16), Lag("b", (0.9, 0.1), 0.004, 1.0, 0.16))
+    panda = Limit(0, 0.0, 29.6, 1.184, 2.0, 1.57, lags, 11, g_linear=1.19)
+    told = _summary_line(panda)
+    assert (
+        "0.592 of theory for the delay alone, since its servos lag; 0.754 of theory with their lag (a by 28.0 ms), 0.995 of a linear"
+        in told
+    )
+    assert "not explained" not in told and "not explained" in _summary_line(replace(panda, g_linear=1.9))
 
 
 @pytest.mark.study

@@ -80,9 +80,10 @@ def test_an_interrupted_search_goes_on_to_the_same_end(quick: Path, tmp_path: Pa
     assert vs.tune(out=tmp_path / "whole", resume=True, listener=done).trials == whole.trials and done.left == 1
     more = vs.tune(out=tmp_path / "whole", resume=True, trials=4)
     assert more.trials[:3] == whole.trials and len(more.trials) == 4
-    (tmp_path / "whole/trials.json").write_text("[{}]")
-    with pytest.raises(RunFolderError, match="is damaged"):
-        vs.tune(out=tmp_path / "whole", resume=True)
+    for damaged in ("[{}]", "[" * 100_000):
+        (tmp_path / "whole/trials.json").write_text(damaged)
+        with pytest.raises(RunFolderError, match="is damaged"):
+            vs.tune(out=tmp_path / "whole", resume=True)
 
 
 def test_choices_and_whole_numbers_are_tried_once_each(quick: Path, tmp_path: Path, here: None, no_page: None) -> None:

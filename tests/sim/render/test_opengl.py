@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
@@ -59,6 +61,37 @@ def test_the_distorted_case_is_really_distorted():
     corner = np.array([[0.0, 0.0]])
     # k1 r^2 = -.13 at the corner's r = .8 (384 px focal length): tens of pixels.
     assert np.linalg.norm(lens.normalise(corner) - plain.normalise(corner)) * plain.f > 30
+
+
+def scenery_of(folder: Path, materials: int, textures: int) -> Path:
+    """An MJCF file with a ball of so many materials and textures."""
+    made = [f'<material name="m{i}"/>' for i in range(materials)]
+    made += [f'<texture name="t{i}" type="2d" builtin="flat" width="1" height="1"/>' for i in range(textures)]
+    ball = '<geom name="ball" type="sphere" size="0.01" pos="0 0 0.5" material="m0"/>'
+    path = folder / f"{materials}_{textures}.xml"
+    path.write_text(f"<mujoco><asset>{''.join(made)}</asset><worldbody>{ball}</worldbody></mujoco>")
+    return path
+
+
+@pytest.mark.opengl
+@pytest.mark.parametrize(("what", "most"), [("materials", 997), ("textures", 1000)])
+def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(tmp_path: Path, caplog: pytest.LogCaptureFixture, what: str, most: int):
+    plain = Stage(_parts_with(scenery_of(tmp_path, 1, 1)))
+    others = {"materials": plain.model.nmat, "textures": plain.model.ntex}[what] - 1
+    plain.close()
+    full, over = (scenery_of(tmp_path, *((n, 1) if what == "materials" else (1, n))) for n in (most - others, most - others + 1))
+    drawn = vs.run(vs.load("arm_ibvs", {"world.scenery": str(full), "stop.duration_s": 0.05}))
+    assert "rays" not in drawn.versions["renderer"] and "OpenGL does not work" not in caplog.text
+    words = f"^world.scenery makes a scene of {most + 1} {what}, and MuJoCo draws at most {most} by OpenGL; .* camera.renderer=rays$"
+    with pytest.raises(ParameterError, match=words):
+        vs.run(vs.load("arm_ibvs", {"world.scenery": str(over), "stop.duration_s": 0.05}))
+    by_rays = {"world.scenery": str(over), "camera.renderer": "rays", "stop.duration_s": 0.05}
+    assert "rays" in vs.run(vs.load("arm_ibvs", by_rays)).versions["renderer"]
+
+
+def _parts_with(scenery: Path) -> Parts:
+    s = vs.load("arm_ibvs", {"world.scenery": str(scenery)})
+    return Parts(s.robot, s.camera, s.target, s.world, step=0.002)
 
 
 def test_mujocos_own_projection_agrees():

@@ -33,7 +33,8 @@ class MyMotion(vs.MotionBase):
     def path(self, rng):
         """The displacement (4, 4) from the pose at rest, along the target's own axes, as a function of time [s].
 
-        What is random is drawn from `rng`, the run's own, and must be the same whenever a time is asked for again.
+        What is random is drawn from `rng`, the run's own, and must be the same whenever a time is asked for again; a motion that draws
+        has the line `draws = True`.
         """
         a, w = self.amplitude_m, 2 * math.pi * self.frequency_hz
 

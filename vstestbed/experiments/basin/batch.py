@@ -12,13 +12,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array, exp
+from vstestbed.core.geometry import Array, exp, inverse, rigid_error
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.basin.one_by_one import OneByOne
 from vstestbed.experiments.basin.setup import BatchSetup
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import Views
 from vstestbed.loop.monitors import FAR_M
+from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.reached import REST
 from vstestbed.tasks.visible import PLANE_INPUTS
@@ -49,6 +50,7 @@ class Batch:
         T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's origin (M,) [m].
         error_px: RMS error at the end over the visible markers (M,) [px].
         crossed: whether a run with lost target crossed the target's plane (M,); the others lost it out of the field of view.
+        unstable: how a run's loop is unstable, in words (M,); "" of the others.
         run_steps: steps of all runs together.
     """
 
@@ -59,6 +61,7 @@ class Batch:
     farthest_m: Array
     error_px: Array
     crossed: NDArray[np.bool_]
+    unstable: NDArray[np.object_]
     run_steps: int
 
 
@@ -131,9 +134,14 @@ def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
     runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
     outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
     final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
+    words, watched = np.full(m, "", dtype=object), _LastHalf(setup.scenario, last)
     for step in range(last + 1):
         p = setup.scenario.target.points_at(runs.T)
         now = _frame(setup, runs, p, step, last)
+        watched.add(now)
+        if step == last:
+            words[runs.index] = watched.unstable(now)
+            now.code[words[runs.index] != ""] = _CODE[Outcome.unstable]
         watch(now)
         twist, code = now.twist, now.code
         over = code != GOING
@@ -150,7 +158,46 @@ def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
             break
         done += len(runs.index)
         runs.T = exp(-setup.scenario.camera.period * twist) @ runs.T
-    return Batch(outcome, steps, near, final, farthest, errors, crossed, done)
+    return Batch(outcome, steps, near, final, farthest, errors, crossed, words, done)
+
+
+class _LastHalf:
+    """The last half of the runs that take the whole time, for `loop.stability`.
+
+    Args:
+        scenario: of the runs. last: the number of their last frame.
+    """
+
+    def __init__(self, scenario: Scenario, last: int):
+        self._scenario, self._from = scenario, last + 1 - min(window(scenario), (last + 1) // 2)
+        self._first, self._T = np.empty(0), np.empty((0, 4, 4))
+        self._kept: list[tuple[NDArray[np.int_], Array, Array]] = []
+
+    def add(self, now: Instant) -> None:
+        """One more frame."""
+        if now.step == 0:
+            self._first = now.error
+        if now.step >= self._from:
+            self._T = self._T if self._kept else now.T
+            self._kept.append((now.index, now.twist, now.error))
+
+    def unstable(self, now: Instant) -> NDArray[np.object_]:
+        """The words of each run of the last frame (m,); "" of those that have not timed out."""
+        s, out = self._scenario, np.full(len(now.index), "", dtype=object)
+        over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
+        if not len(over) or not self._kept:
+            return out
+        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]  # a run of the last frame is in all of them
+        twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
+        error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
+        frames = np.arange(self._from, self._from + len(rows), dtype=float)
+        for k, i in enumerate(over):
+            ends = self._T[rows[0][k]], now.T[i]
+            away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
+            limited, still = s.law.limits.reached(twist[:, k]), np.zeros((len(rows), 1))
+            part = LastPart(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
+            out[i] = sentence(s, part, float(self._first[now.index[i]]))
+        return out
 
 
 def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Instant:
@@ -171,6 +218,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
     gone = step + setup.frames(s.stop.lost_after[0])
+    failed = setup.law.failed(memory) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
@@ -178,6 +226,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
         (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
         (_behind(s, runs.T), Outcome.target_lost),
         (distance > FAR_M, Outcome.diverged),
+        (failed, Outcome.law_failed),
         (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
     ):
         if which.any():  # later entries overwrite earlier ones: they take precedence

@@ -16,8 +16,10 @@ THAT_HIDE = "plates", "scenery"
 
 
 def left_out(scenario: Scenario) -> list[str]:
-    """The dotted paths of what `ideal` takes out of a scenario that has it: a robot's body, and effects on pictures and timing."""
+    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
     found = [] if scenario.robot.model is None else [*_of_robot(scenario.robot)]
+    if scenario.detector.rows is not None:
+        found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
     found += [f"camera.{name}" for name in OF_CAMERAS if getattr(scenario.camera, name) not in (0.0, None)]
     for block in ("noise", "timing"):
         found += [f"{block}.{name}" for name in _changed(getattr(scenario, block))]

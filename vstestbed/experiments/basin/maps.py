@@ -24,7 +24,7 @@ from vstestbed.experiments.basin.left_out import tell_left_out
 from vstestbed.experiments.basin.setup import BatchSetup, ideal, start_of, started_at
 from vstestbed.experiments.comparison import Comparison, controllers
 from vstestbed.experiments.comparison.plan import changed
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Oracle
 
@@ -241,7 +241,7 @@ def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
 def _different(scenario: Scenario, poses: Array, expected: list[Outcome]) -> Iterator[tuple[int, str, str]]:
     """Indices of the starts (M, 4, 4) whose single runs end otherwise than expected, and both outcomes."""
     for i, outcome in enumerate(expected):
-        found = run(started_at(scenario, poses[i])).outcome
+        found = uninterrupted(run(started_at(scenario, poses[i]))).outcome
         if found is not outcome:
             yield i, outcome.name, found.name
 

@@ -12,6 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation, Relative
 from vstestbed.laws import Law
 from vstestbed.laws.views import Views
+from vstestbed.loop.guarded_law import GuardedLaw
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.vision.pose.homography import relative_view
 
@@ -33,6 +34,7 @@ class OneByOne:
     def __init__(self, law: Law[Any], camera: Camera):
         self._law, self._camera, self._memories = law, camera, []
         self._moved: list[Array] = []
+        self._guarded: list[GuardedLaw] = []
 
     def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
         """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
@@ -49,13 +51,18 @@ class OneByOne:
                 memory[i, 0] = len(self._memories)
                 self._memories.append(self._law.init(goal))
                 self._moved.append(np.zeros(6))
+                self._guarded.append(GuardedLaw(self._law))
             k = int(memory[i, 0])
             observation = self._observation(views, i, seen[i], uv[i], goal, self._moved[k])
-            self._memories[k], command = self._law.step(self._memories[k], observation, goal, SIX)
+            self._memories[k], command = self._guarded[k].step(self._memories[k], observation, goal, SIX)
             if not command.rest_reason:
                 twist[i] = command.twist
                 self._moved[k] = command.twist * self._camera.period
         return memory, twist
+
+    def failed(self, memory: Array) -> NDArray[np.bool_]:
+        """In which runs, by the numbers of their memories (m, 1), the law has failed (m,)."""
+        return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
 
     def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
         """What the law is shown of run i."""

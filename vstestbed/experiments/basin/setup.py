@@ -54,13 +54,18 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
         raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
     robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    field_of_view = field_of_view or (detector.field_of_view if isinstance(detector, Oracle) else "limited")
     if scenario.target.moves:
         raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
-    if field_of_view is None:
-        field_of_view = detector.field_of_view if isinstance(detector, Oracle) else "limited"
+    if detector.rows is not None and field_of_view == "limited" and not _shows_markers(scenario):
+        words = (
+            f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their place:"
+        )
+        words = f"{words} the goal's view does not show them all; sweep and compare --vary run it start by start"
+        raise ParameterError("detector.kind", words)
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
         scenario,
@@ -71,6 +76,12 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         noise=Noise(),
         world=World(),
     )
+
+
+def _shows_markers(scenario: Scenario) -> bool:
+    """Whether the goal's view has all points of the target within the picture."""
+    camera, p = scenario.camera, scenario.target.points_at(scenario.goal_view.T_camera_target)
+    return bool(camera.inside(camera.project(p)).all())
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.experiments.basin.batch import fly
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.stop import Stop
@@ -121,7 +121,7 @@ def _starts(runs: int) -> Array:
 
 def _one_run(scenario: Scenario) -> tuple[int, float]:
     """Steps of a single run, and its steps a second."""
-    recording = run(scenario)
+    recording = uninterrupted(run(scenario))
     steps = len(recording.table) - 1  # no motion follows the last frame
     return steps, steps / recording.loop_s
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.speed_baseline import BaselineCost, measure_baseline
@@ -81,7 +81,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
 
 def _pair(scenario: Scenario) -> tuple[Recording, BaselineCost]:
     """A run, and at once its floor, so that both meet the same load of the machine."""
-    recording = run(scenario)
+    recording = uninterrupted(run(scenario))
     return recording, _floor(scenario, recording)
 
 

@@ -23,7 +23,7 @@ from vstestbed.experiments.bench.scenario import loop_and_floor
 from vstestbed.experiments.comparison import compare
 from vstestbed.experiments.run_folder import Films, run_into
 from vstestbed.features import Point
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 
@@ -113,7 +113,7 @@ def _short(name: str) -> Scenario:
 def _ideal() -> tuple[float, float]:
     """A single ideal run, and the same number of bare steps: v = -gain pinv(L) e, then the camera moves by exp(v dt)."""
     scenario = endless(IDEAL_STEPS)
-    loop_s = run(scenario).loop_s
+    loop_s = uninterrupted(run(scenario)).loop_s
     points, T, feature, gain = scenario.target.points, np.eye(4), Point(), 0.5
     T[2, 3] = 1.5
     goal = points[:, :2] / 1.0
@@ -129,9 +129,9 @@ def _ideal() -> tuple[float, float]:
 def _folder(scenario: Scenario) -> tuple[float, float]:
     """A run with its folder, without films and report; and without a folder."""
     with _folder_of_its_own() as folder, _timed() as whole:
-        run_into(folder, scenario, "none", report=False)
+        uninterrupted(run_into(folder, scenario, "none", report=False))
     with _timed() as alone:
-        run(scenario)
+        uninterrupted(run(scenario))
     return whole[0], alone[0]
 
 
@@ -140,7 +140,7 @@ def _filmed(scenario: Scenario, films: Films) -> tuple[float, float]:
     taken = []
     for which in (films, "none"):
         with _folder_of_its_own() as folder, _timed() as one:
-            run_into(folder, scenario, which, report=False)
+            uninterrupted(run_into(folder, scenario, which, report=False))
         taken += one
     return taken[0], taken[1]
 
@@ -151,7 +151,7 @@ def _report(scenario: Scenario) -> tuple[float, float]:
 
     with _folder_of_its_own() as folder:
         with _timed() as alone:
-            run_into(folder, scenario, "none", report=False)
+            uninterrupted(run_into(folder, scenario, "none", report=False))
         with _timed() as report:
             write_report(folder)
     return report[0], alone[0]
@@ -162,7 +162,7 @@ def _comparison() -> tuple[float, float]:
     name, settings = "ibvs_book", IDEAL
     with _timed() as alone:
         for seed in range(RUNS):
-            run(replace(load(name, settings), seed=seed))
+            uninterrupted(run(replace(load(name, settings), seed=seed)))
     with _folder_of_its_own() as folder, _timed() as whole:
         compare([name], set=settings, seeds=RUNS, jobs=JOBS, out=folder / "comparison", film=False)
     return whole[0], alone[0] / JOBS

@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
 from vstestbed.core.folders import only_writer, study_folder
 from vstestbed.core.planar import block_of
 from vstestbed.core.registry import ROOMS
@@ -92,7 +92,11 @@ def carry_out(
     report: bool = True,
     baseline: Baseline | None = None,
 ) -> ComparisonTable:
-    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs."""
+    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
+
+    Raises:
+        EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
+    """
     with ExitStack() as stack:
         pool = None
         try:
@@ -104,6 +108,10 @@ def carry_out(
         finally:  # also an interrupted comparison has its table
             table = table_of(campaign.folder, campaign.jobs)
             write_table(campaign.folder, table)
+        if lost := len(campaign.jobs) - len(table):
+            words = f"{lost} of {len(campaign.jobs)} runs are not there any more, though each was stored when it was done"
+            advice = "see what else writes there, then do them again with --resume"
+            raise OutputError(campaign.folder, words, advice, EnvironmentLackError.exit_code)
         changes = None
         if baseline is not None:
             changes = baseline.changes(comparison, table, campaign.folder)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -15,18 +15,18 @@ from vstestbed.core.errors import UnreachableError, VstestbedError
 from vstestbed.core.outcome import Outcome
 from vstestbed.experiments.comparison.flights import BatchRequest, batches, flies_in_batch
 from vstestbed.experiments.comparison.folder import finished, store
-from vstestbed.experiments.comparison.pools import Done, Pool, WorkerLostError
+from vstestbed.experiments.comparison.pools import MOST_TRIES, Pool, WorkerLostError, completed
 from vstestbed.experiments.comparison.runs import Job
 from vstestbed.experiments.comparison.worker import Files, Request, RunRequest, crashed, request_of
 from vstestbed.scenario.scenario import Scenario
 
-MOST_TRIES = 2
-"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
 WINDOW = 1024
 """Runs among which those that fly together are found; their scenarios are in memory, some kB each."""
 WRITERS = 8
 """Threads that write folders: the disk serves what several of them flush at once, in the time of one."""
-Work = tuple[Sequence[Job | None], Request]
+Done = list[Files | None]
+"""What a worker returns: the folder of each run; None for one that must be requested by itself."""
+Work = tuple[Sequence[Job | None], Request[Done]]
 """A request with its jobs, None for those that are done."""
 OnDone = Callable[[Job, dict[str, Any]], None]
 """Called after every finished run with the job and its summary."""
@@ -61,21 +61,10 @@ class Campaign:
         Raises:
             EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
         """
+        again = list[Work]()
         with ThreadPoolExecutor(WRITERS) as writers:
-            self._run(pool, on_done, writers)
-
-    def _run(self, pool: Pool, on_done: OnDone, writers: ThreadPoolExecutor) -> None:
-        waiting, again, going = self._requests(), list[Work](), dict[Future[Done], Work]()
-        ended: list[tuple[Work, Future[Done]]] = []
-        while True:
-            # lost runs first; the pool is kept full, but never gets more than it has room for: scenarios are drawn only when needed
-            while len(going) < pool.room and (next_ := again.pop() if again else next(waiting, None)):
-                going[pool.submit(next_[1])] = next_
-            for work, future in ended:  # after the pool has been filled, which goes on while folders are written
-                again += self._keep(work, future, pool, on_done, writers)
-            if not (going or again):
-                return
-            ended = [(going.pop(future), future) for future in wait(going, return_when=FIRST_COMPLETED).done]
+            for jobs, request, future in completed(pool, self._requests(), again):
+                again += self._keep((jobs, request), future, pool, on_done, writers)
 
     def _keep(self, work: Work, future: Future[Done], pool: Pool, on_done: OnDone, writers: ThreadPoolExecutor) -> list[Work]:
         """Store the folders of a request's runs; returns those that are to be done by themselves, or again."""
@@ -133,7 +122,7 @@ class Campaign:
             self._done.add(job.folder)
             raise
 
-    def _files(self, future: Future[Done], request: Request, runs: int, pool: Pool) -> Done:
+    def _files(self, future: Future[Done], request: Request[Done], runs: int, pool: Pool) -> Done:
         """Content of the runs' folders; None for a run that is to be done by itself, or again."""
         try:
             return future.result()

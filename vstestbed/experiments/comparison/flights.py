@@ -22,7 +22,7 @@ from vstestbed.experiments.run_folder import files_of
 from vstestbed.laws.views import Views
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.episode import PARTS
-from vstestbed.loop.monitors import CROSSED_WORDS, FAR_WORDS
+from vstestbed.loop.monitors import BEHIND_WORDS, CROSSED_WORDS, FAR_WORDS
 from vstestbed.loop.recording import MemoryRows, Recording
 from vstestbed.robots import Robot
 from vstestbed.robots.supervisor import FOLLOWS
@@ -212,7 +212,9 @@ def _reason(scenario: Scenario, flight: Batch, i: int) -> str:
         case Outcome.diverged:
             return FAR_WORDS
         case Outcome.target_lost:  # of a law that measures all markers
-            return CROSSED_WORDS
+            return CROSSED_WORDS if flight.steps[i] else BEHIND_WORDS
+        case Outcome.unstable:
+            return str(flight.unstable[i])
         case _:
             return timed_out_words(stop.duration_s)
 

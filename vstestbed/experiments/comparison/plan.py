@@ -65,11 +65,11 @@ class Comparison:
     def __post_init__(self) -> None:
         """Refuse controllers that could not be distinguished, and metrics that no run has."""
         # the stem is the folder of the scenario's runs
-        if len({Path(name).stem for name in self.base}) < len(self.base):
+        if len({Path(name).stem.casefold() for name in self.base}) < len(self.base):
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         self._check_axes()
         for name, cases in self.cases.items():
-            if name in (*self.axes, *OWN_COLUMNS, *own_titles()) or not cases:
+            if name in (*self.axes, *OWN_COLUMNS, *own_titles(), "") or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         self._check_runs()
         for name in self.metrics:

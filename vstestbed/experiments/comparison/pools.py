@@ -1,4 +1,4 @@
-"""Pools of workers: processes of this machine, or of a dask cluster. Both take requests and return futures."""
+"""Pools of workers for all studies: processes of this machine, or of a dask cluster. Both take requests and return futures."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import logging
 import os
 import re
 import shutil
+import signal
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
-from vstestbed.core.shares import at_once
-from vstestbed.experiments.comparison.worker import Files, Request, begin, perform, process_id
+from vstestbed.core.shares import STOPS, at_once, some_done
+from vstestbed.experiments.comparison.worker import Request, begin, perform, process_id
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
@@ -27,8 +28,11 @@ KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(1 << 25), "MALLOC_TRIM_THRESHOLD_":
 """The same for glibc: freed memory stays with the process, since SIFT's pyramids, 5 MB an image, otherwise cost a page fault for each
 page of each picture: an eighth of the time of a run with SIFT in every picture."""
 DASK = "dask://"
-Done = list[Files | None]
-"""What a worker returns (`Request.perform`)."""
+Done = TypeVar("Done")
+Of = TypeVar("Of")
+Asked = TypeVar("Asked", bound=Request[Any])
+MOST_TRIES = 2
+"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
 RUNNING = ".running"
 """Folder of the workers' temporary files in a comparison's folder."""
 
@@ -44,11 +48,11 @@ class Pool(Protocol):
         """How many runs may be in progress now."""
         ...
 
-    def submit(self, request: Request) -> Future[Done]:
+    def submit(self, request: Request[Done]) -> Future[Done]:
         """Start a run."""
         ...
 
-    def tries(self, request: Request) -> int:
+    def tries(self, request: Request[Any]) -> int:
         """How often a run has been started."""
         ...
 
@@ -63,6 +67,28 @@ class Pool(Protocol):
 
 class WorkerLostError(Exception):
     """The worker process of a run has died: killed, out of memory, or a crash in a library."""
+
+
+def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]) -> Iterator[tuple[Of, Asked, Future[Any]]]:
+    """Do requests; each is given back with its future as it is done, in any order, those with a result before those with an error.
+
+    Args:
+        pool: is kept full, but never gets more than it has room for.
+        work: requests, each with what it is of; made when they are asked for, one of them ahead, while the workers are busy.
+        again: work that the caller adds while this goes on, which comes first.
+    """
+    rest, going, ended = iter(work), dict[Future[Any], tuple[Of, Asked]](), list[tuple[Of, Asked, Future[Any]]]()
+    following = next(rest, None)
+    while True:
+        while len(going) < pool.room and (now := again.pop() if again else following):
+            going[pool.submit(now[1])] = now
+            if now is following:
+                following = next(rest, None)
+        yield from ended  # after the pool has been filled, which goes on while the caller keeps what is done
+        if not (going or again or following):
+            return
+        done = sorted(some_done(going), key=lambda future: future.exception() is not None)
+        ended = [(*going.pop(future), future) for future in done]
 
 
 @contextmanager
@@ -81,6 +107,23 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
                 os.environ[name] = value
 
 
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """A process that is started meanwhile receives no Ctrl-C, which the terminal sends to all, before `begin` ignores it.
+
+    Its imports take a second or more, and would end with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where console processes cannot hold it back
+        yield
+        return
+    resource_tracker.ensure_running()  # here, since it lets the signals pass again when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _Slot:
     """One worker process, restarted after it has died.
 
@@ -94,13 +137,13 @@ class _Slot:
 
     def start(self) -> None:
         """Start the process; its temporary files go to the pool's folder, which is removed also if the process is killed."""
-        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(True,))
+        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(self._place,))
         self.broken = False
-        # the process starts with the first submission, so that it inherits these variables
-        with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}):
+        # the process starts with the first submission, so that it inherits these variables, and what is held back
+        with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():
             self.pid = self.executor.submit(process_id)
 
-    def run(self, request: Request) -> Future[Done]:
+    def run(self, request: Request[Done]) -> Future[Done]:
         """Start a run, in a new process if the last one has died."""
         try:
             if not self.broken:
@@ -140,12 +183,19 @@ class LocalPool:
         with writing(folder):
             place.mkdir(exist_ok=True)
             self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
-        self._slots = [_Slot(self._place) for _ in range(jobs)]
-        self._free = list(self._slots)
+        self._slots: list[_Slot] = []
         self._tries: dict[str, int] = {}
         self._callers = ThreadPoolExecutor(jobs)
+        self._closed = False
+        try:
+            for _ in range(jobs):
+                self._slots.append(_Slot(self._place))
+        except BaseException:  # Ctrl-C while they start
+            self.close()
+            raise
+        self._free = list(self._slots)
 
-    def submit(self, request: Request) -> Future[Done]:
+    def submit(self, request: Request[Done]) -> Future[Done]:
         """Start a run in a free worker."""
         slot = self._free.pop()
         self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
@@ -166,7 +216,7 @@ class LocalPool:
         else:
             outer.set_result(inner.result())
 
-    def tries(self, request: Request) -> int:
+    def tries(self, request: Request[Any]) -> int:
         """How often a run has been started."""
         return self._tries.get(request.folder, 0)
 
@@ -178,26 +228,32 @@ class LocalPool:
         slot = self._free.pop()  # there is one: as many threads as slots call
         try:
             return slot.executor.submit(function, *arguments).result()
-        except BrokenProcessPool:  # killed, after its last run or now
+        except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
             slot.broken = True
+            if self._closed:  # else what is interrupted would go on in this process, which could not end
+                raise WorkerLostError("the pool is closed") from None
             return function(*arguments)
         finally:
             self._free.append(slot)
 
     def close(self) -> None:
         """Kill all workers and remove their temporary files."""
+        self._closed = True
         self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
             slot.end()
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
 
 
-NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call compare under `if __name__ == '__main__':`"
+NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call it under `if __name__ == '__main__':`"
 
 
 def _answered(slot: _Slot) -> bool:
     """Whether a slot's process has ever answered: one that never did cannot start at all."""
     return slot.pid.done() and slot.pid.exception() is None
+
+
+SCHEDULER_GONE = "the dask scheduler is gone", "start it again, then go on with --resume"
 
 
 class DaskPool:
@@ -226,28 +282,70 @@ class DaskPool:
             logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
 
     def _threads(self) -> int:
-        threads: Any = self._client.nthreads()
+        with self._scheduler_there():
+            threads: Any = self._client.nthreads()
         return sum(threads.values())
+
+    @contextmanager
+    def _scheduler_there(self) -> Iterator[None]:
+        """Turn errors of a client whose scheduler does not answer any more into one with a remedy.
+
+        Raises:
+            EnvironmentLackError: the scheduler has ended, or no network leads to it.
+        """
+        try:
+            yield
+        except OSError as error:
+            raise EnvironmentLackError(*SCHEDULER_GONE) from error
+        except Exception as error:
+            if self._client.status == "running":
+                raise
+            raise EnvironmentLackError(*SCHEDULER_GONE) from error
 
     @property
     def room(self) -> int:
         """Two runs per worker of the cluster as it is now, so that a worker that becomes free has its next run at hand."""
         return 2 * max(1, self._threads())
 
-    def submit(self, request: Request) -> Future[Done]:
+    def submit(self, request: Request[Done]) -> Future[Done]:
         """Start a run on some worker; if that dies, the scheduler passes the run on to another one."""
         keys = self._begun.setdefault(request.folder, [])
         keys.append(f"{self._name}-{request.folder}-{len(keys)}")
-        future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
+        with self._scheduler_there():
+            future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
         outer: Future[Done] = Future()
         outer.set_running_or_notify_cancel()
-        future.add_done_callback(lambda inner: _hand_over_from_dask(inner, outer))
+        future.add_done_callback(lambda inner: self._hand_over(inner, outer))
         return outer
 
-    def tries(self, request: Request) -> int:
-        """How often a run has been started: every worker that starts it logs an event under the run's key."""
-        # get_events is typed for asynchronous clients as well, where it is a coroutine
-        return sum(len(self._client.get_events(key)) for key in self._begun.get(request.folder, []))  # type: ignore[arg-type]
+    def _hand_over(self, inner: Any, outer: Future[Done]) -> None:
+        """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
+        from distributed.scheduler import KilledWorker
+
+        try:
+            if inner.status == "cancelled":
+                raise EnvironmentLackError(*SCHEDULER_GONE)
+            with self._scheduler_there():
+                error: Any = None if inner.status == "finished" else inner.exception()
+                result: Any = None if error is not None else inner.result()
+            if error is not None:
+                raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
+            outer.set_result(result)
+        except BaseException as error:
+            outer.set_exception(error)
+
+    def tries(self, request: Request[Any]) -> int:
+        """How often a run has been started: every worker that starts it logs an event under the run's key.
+
+        Of a run whose result is there when the scheduler ends: how often it was submitted.
+        """
+        keys = self._begun.get(request.folder, [])
+        try:
+            with self._scheduler_there():
+                # get_events is typed for asynchronous clients as well, where it is a coroutine
+                return sum(len(self._client.get_events(key)) for key in keys)  # type: ignore[arg-type]
+        except EnvironmentLackError:
+            return len(keys)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Call it in this process: the cluster's workers need not see its files."""
@@ -258,27 +356,13 @@ class DaskPool:
         self._client.close()
 
 
-def _execute_on_dask(request: Request, key: str) -> Done:
+def _execute_on_dask(request: Request[Done], key: str) -> Done:
     """`perform`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
     from distributed import get_worker
 
     worker = get_worker()
     worker.log_event(key, "begun")
     return perform(request, worker.local_directory)
-
-
-def _hand_over_from_dask(inner: Any, outer: Future[Done]) -> None:
-    """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
-    from distributed.scheduler import KilledWorker
-
-    try:
-        if inner.status == "cancelled":
-            raise EnvironmentLackError("the dask scheduler is gone", "start it again, then go on with --resume")
-        if (error := inner.exception()) is not None:
-            raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
-        outer.set_result(inner.result())
-    except BaseException as error:
-        outer.set_exception(error)
 
 
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:

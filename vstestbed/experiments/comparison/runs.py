@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, UnreachableError
-from vstestbed.experiments.comparison.folder_names import among, distinct, file_word
+from vstestbed.core.folders import allowed, distinct, file_word
 from vstestbed.experiments.comparison.lazy import Lazy, Starts
 from vstestbed.experiments.comparison.plan import TASK, Comparison, merged
 from vstestbed.experiments.comparison.starts import StartTable
@@ -26,6 +26,16 @@ MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
+
+
+SIDE_BY_SIDE = 1000
+"""Most folders in one: file browsers, and some file systems, are slow with more."""
+
+
+def among(number: int, of: int, name: str = "") -> str:
+    """The name of a folder with a number; of more than SIDE_BY_SIDE, in one that holds as many: `12000/12345`."""
+    name = name or str(number)
+    return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
 class Placed(NamedTuple):
@@ -121,7 +131,8 @@ class Variants(Lazy[Variant]):
         blocks += [_settings(c, c.cases[name][case], ("cases", name, case)) for name, case in cases.items()]
         values = cases | {path: setting.value for path, setting in axes.items()} | ({TASK: task} if task else {})
         words = [words[place] for words, place in zip(self._words, varied, strict=False)]  # without tasks the last place has no word
-        variant = ",".join(f"{path}={word}" for path, word in zip(values, words, strict=True)) or AS_IT_IS
+        # paths of fields are words of files, but the name of a case may be anything
+        variant = allowed(",".join(f"{file_word(name, 150)}={word}" for name, word in zip(values, words, strict=True)) or AS_IT_IS)
         variants = math.prod(self._sizes[1:])
         place = f"runs/{self._bases[base]}/{among(i % variants, variants, variant)}"
         outer_first = dict(sorted(axes.items(), key=lambda axis: axis[0].count(".")))  # a whole block would overwrite its fields
@@ -197,7 +208,7 @@ def _controller(
     if task.file is None:  # written by hand: mistakes are told before anything runs
         for _ in starts:
             pass
-    return Variant(scenario, values, folder, draws(scenario), starts, task.labels(), task.runs)
+    return Variant(scenario, values, folder, scenario.draws, starts, task.labels(), task.runs)
 
 
 def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Placed], task_name: str, i: int) -> tuple[Scenario, str]:
@@ -222,21 +233,12 @@ def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
     return load(name, values, places={path: setting.marks for path, setting in settings.items()}, plugins=c.plugins)
 
 
-def draws(scenario: Scenario) -> bool:
-    """Whether anything of a scenario is random: its start, fields of `randomise`, clutter, pixel or image noise, delays, or the
-    calibration of depth.
-    """
-    noise = scenario.draws_noise or scenario.draws_scene
-    return scenario.robot.start.random is not None or noise or scenario.timing.draws or scenario.calibration.depth_spread > 0
-
-
 def _seeds_draw(scenario: Scenario, runs: int) -> bool:
-    """As `draws`, but an error where several runs would all be the same."""
-    drawn = draws(scenario)
-    if runs > 1 and not drawn:
-        problem = "is missing, and there is no noise: every seed would give the same run; add one of them, or leave --seeds out"
+    """Whether a seed draws anything, but an error where several runs would all be the same."""
+    if runs > 1 and not scenario.draws:
+        problem = "is missing, and nothing else is random: every seed would give the same run; add it, or noise, or leave --seeds out"
         raise ParameterError(f"{scenario.name}: robot.start.random", problem)
-    return drawn
+    return scenario.draws
 
 
 class Jobs(Lazy[Job]):

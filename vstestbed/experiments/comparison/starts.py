@@ -23,6 +23,10 @@ class StartLists(NamedTuple):
     target_from_goal: tuple[Pose, ...] = ()
 
 
+MUST_BE = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
+"""What a file of starts holds."""
+
+
 @spec
 class StartTable:
     """The starts of a task: run i has the i-th value of every list in `each`, the i-th displacement, or the start that seed i draws.
@@ -120,7 +124,10 @@ def _read_lists(file: str) -> StartLists:
             raise ParameterError("file", f"may have {', '.join(StartLists._fields)} and about; it also has {', '.join(unknown)}", file)
         poses = {name: tuple(Pose(**pose) for pose in found.get(name, ())) for name in StartLists._fields[1:]}
         each = {str(key): tuple(values) for key, values in found.get("each", {}).items()}
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError("file", f"cannot be read ({getattr(error, 'strerror', None) or error})", file) from None
+    except RecursionError:
+        raise ParameterError("file", f"is nested too deeply; {MUST_BE}", file) from None
     except (ValueError, TypeError, AttributeError) as error:  # a Pose of something else raises a ValueError, too
-        words = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
-        raise ParameterError("file", f"{words}; reading it failed: {error}", file) from None
+        raise ParameterError("file", f"{MUST_BE}; reading it failed: {error}", file) from None
     return StartLists(each, **poses)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
+import signal
 import tempfile
+import threading
 import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from vstestbed.core.errors import EnvironmentLackError, UnreachableError
 from vstestbed.core.outcome import Outcome
+from vstestbed.core.shares import STOPS
 from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.recording import Rows
 from vstestbed.scenario.dump import dump
@@ -20,6 +24,7 @@ from vstestbed.scenario.scenario import Scenario
 
 Files = dict[str, bytes]
 """Content of a run's folder by file name."""
+Done_co = TypeVar("Done_co", covariant=True)
 TILE_PX = (480, 270)
 """Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
 
@@ -42,20 +47,20 @@ class RunRequest:
         return [execute(self, place)]
 
 
-class Request(Protocol):
+class Request(Protocol[Done_co]):
     """One run or several, as they are sent to a worker."""
 
     @property
     def folder(self) -> str:
-        """Identifies it: of a single run its path below the comparison's folder."""
+        """Identifies it: of a single run of a comparison its path below the comparison's folder."""
         ...
 
-    def perform(self, place: str | None = None) -> list[Files | None]:
-        """The folder of each run; None for one that must be requested by itself. Arguments and errors as of `execute`."""
+    def perform(self, place: str | None = None) -> Done_co:
+        """Do it; `place`: of temporary files, None where TMPDIR says."""
         ...
 
 
-def perform(request: Request, place: str | None = None) -> list[Files | None]:
+def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
     """Do what a request asks for: a function, as pools need it."""
     return request.perform(place)
 
@@ -115,24 +120,25 @@ def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     return RunRequest(folder, dump(scenario, defaults=True), filmed)
 
 
-def begin(parent_must_live: bool) -> None:
-    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone."""
-    import signal
+def begin(place: str) -> None:
+    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
 
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):  # Windows has no SIGHUP
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if parent_must_live:
-        import multiprocessing
-        import threading
+    Args:
+        place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    """
+    tempfile.tempdir = place
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # held back while it started
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
 
-        def follow() -> None:  # a killed parent cannot end its workers
-            parent = multiprocessing.parent_process()
-            if parent is not None:
-                parent.join()
-                os._exit(1)  # not sys.exit, which in a thread ends only the thread
+    def follow() -> None:  # a killed parent cannot end its workers
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)  # not sys.exit, which in a thread ends only the thread
 
-        threading.Thread(target=follow, daemon=True).start()
+    threading.Thread(target=follow, daemon=True).start()
 
 
 def process_id() -> int:

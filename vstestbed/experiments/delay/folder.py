@@ -13,7 +13,7 @@ import polars as pl
 
 from vstestbed.core.files import write_whole, writing
 from vstestbed.experiments.delay.measure import Limit
-from vstestbed.experiments.delay.theory import NO_LAG, locus
+from vstestbed.loop.theory import NO_LAG, locus
 from vstestbed.report.studies.delay import Branches, write_page
 
 BEYOND = 1.3

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.experiments.delay.theory import closed_form, gain_limit, roots
+from vstestbed.loop.theory import closed_form, gain_limit, roots
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
@@ -34,7 +34,7 @@ class Lag:
     swing_s: float
 
 
-def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]:
+def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[Lag]:
     """Measure the response of each joint of an arm at the frequency at which the loop oscillates at its gain limit.
 
     One joint after the other gets the velocity command u(k) = off gain cos(w k), held over each frame (or led to, with
@@ -56,7 +56,7 @@ def measure_lags(scenario: Scenario, delay_frames: int, off: float) -> list[Lag]
         plant.close()
 
 
-def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: int, off: float) -> Lag:
+def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: float, off: float) -> Lag:
     w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)  # first guess: a robot without lag
     for _ in range(ROUNDS):
         w = min(w, 0.9 * math.pi)

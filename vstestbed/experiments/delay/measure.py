@@ -12,13 +12,13 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.experiments.delay.elastic import elastic_gain_limit
 from vstestbed.experiments.delay.lag import Lag, measure_lags
-from vstestbed.experiments.delay.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
+from vstestbed.experiments.delay.linear import linear_gain_limit
 from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.visibility import Visibility
-from vstestbed.loop.run import run
+from vstestbed.loop.run import run, uninterrupted
+from vstestbed.loop.theory import NO_LAG, closed_form, gain_limit, loop_shares, swing_frames
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import linear_arm
@@ -35,6 +35,8 @@ loop to be linear and its actuators unsaturated; for joints with friction large 
 GROWN = 20.0
 """Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
 the second half of the run."""
+MOST_FRAMES = 50
+"""The longest delay of a study [frames]."""
 MOST_G = 8.0
 """A loop that is stable at this gain * period has no limit that matters: two are deadbeat control with overshoot of the whole error."""
 SETTLED = 0.01
@@ -49,16 +51,16 @@ class Limit:
     """The gain limit at one delay.
 
     Attributes:
-        delay_frames: d. latency_s: the same delay [s].
+        delay_frames: d, also a part of a frame. latency_s: the same delay [s].
         gain: largest stable gain, measured [1/s]; g: gain * period [1]; of an `unlimited` loop, which no gain up to MOST_G makes
             unstable, the largest one that was tried.
         g_theory: g of a robot without lag, with the exposure, readout and interpolation of the scenario. g_lag: g with the measured
             lag of the joint that becomes unstable first; None for a robot without joints, and for elastic ones.
-        g_elastic: g of the linear arm with its gears' elasticity; None for one without.
+        g_linear: g of the linear arm with its servos and the elasticity of its gears; None for a robot without joints.
         lags: lag of each joint at the frequency of the limit. runs: number of runs that the search took.
     """
 
-    delay_frames: int
+    delay_frames: float
     latency_s: float
     gain: float
     g: float
@@ -67,7 +69,7 @@ class Limit:
     lags: tuple[Lag, ...]
     runs: int
     unlimited: bool = False
-    g_elastic: float | None = None
+    g_linear: float | None = None
 
     @property
     def joint(self) -> str | None:
@@ -82,7 +84,7 @@ class Limit:
     def row(self) -> dict[str, float | int | str | None]:
         """The limit as a row of the table."""
         first = next((lag for lag in self.lags if lag.joint == self.joint), None)
-        elastic = {} if self.g_elastic is None else {"g_elastic": self.g_elastic, "measured_to_elastic": self.g / self.g_elastic}
+        linear = {} if self.g_linear is None else {"g_linear": self.g_linear, "measured_to_linear": self.g / self.g_linear}
         return {
             "delay_frames": self.delay_frames,
             "latency_s": self.latency_s,
@@ -97,7 +99,7 @@ class Limit:
             "joint_gain": None if first is None else first.gain,
             "runs": self.runs,
             "unlimited": self.unlimited,
-            **elastic,
+            **linear,
         }
 
 
@@ -124,7 +126,7 @@ def prepared(scenario: Scenario) -> Scenario:
     if settled.robot.base != "fixed":
         words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
         raise ParameterError("robot.kind", words, settled.robot.kind)
-    flown = run(replace(settled, robot=settled.robot.idealised()))
+    flown = uninterrupted(run(replace(settled, robot=settled.robot.idealised())))
     if not flown.outcome.success:
         raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
     q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
@@ -161,7 +163,7 @@ def _off(robot: Robot) -> float:
     return OFF_WITH_FRICTION if robot.actuator_set is not None and robot.actuator_set.friction else OFF
 
 
-def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
+def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
     """Growth of the oscillation over the second half of a run; above 1 the loop is unstable.
 
     Args:
@@ -169,18 +171,16 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
     """
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
-    recording = run(
-        replace(
-            at_start,
-            law=replace(at_start.law, gain=gain),
-            camera=replace(at_start.camera, latency_s=delay_frames * period),
-            stop=Stop(
-                duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)
-            ),  # a hold time of the whole run: reaching the goal does not end it
-        )
+    scenario = replace(
+        at_start,
+        law=replace(at_start.law, gain=gain),
+        camera=replace(at_start.camera, latency_s=delay_frames * period),
+        # a hold time of the whole run: reaching the goal does not end it
+        stop=Stop(duration_s=frames * period, converged=Converged(error_px=1e-9, hold_s=frames * period)),
     )
+    recording = uninterrupted(run(scenario))
     size = recording["error_px"]
-    if not recording.outcome.success and recording.outcome is not Outcome.timed_out:
+    if not recording.outcome.success and not recording.outcome.out_of_time:
         return 0.0 if recording.outcome in CALM else math.inf
     half = len(size) // 2
     if np.nanmax(size) > GROWN * size[0] or (recording["scale"][half:] < UNSATURATED).any():
@@ -190,7 +190,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: int) -> float:
     return float(late / early) if late > SETTLED * size[0] else 0.0
 
 
-def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
+def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """The gain limit at one delay, by bisection.
 
     Raises:
@@ -198,12 +198,13 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     """
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
-    g_elastic = _elastic(at_goal, delay_frames)
-    lags = _lags(at_goal, delay_frames) if g_elastic is None else ()  # at a resonance two shares of a command do not describe a joint
+    g_linear, mechanics = _linear(at_goal, delay_frames), at_goal.robot.mechanics
+    elastic = mechanics is not None and bool(mechanics.stiffness.any())
+    lags = () if elastic else _lags(at_goal, delay_frames)  # at a resonance two shares of a command do not describe a joint
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction
     expected, count = (theory if g_lag is None else g_lag), 0
-    expected = min(expected, g_elastic or expected)
+    expected = min(expected, g_linear) if elastic and g_linear is not None else expected
     low, high = 0.5 * expected, 1.5 * expected
     # a bracket without the limit would make the bisection converge to one of its ends
     count += 1
@@ -214,16 +215,16 @@ def find_limit(at_goal: Scenario, delay_frames: int) -> Limit:
     while growth(at_start, high / period, delay_frames) <= 1:  # a law that predicts is stable beyond the theory of one that does not
         low, high, count = high, 2 * high, count + 1
         if high > MOST_G:
-            return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, True, g_elastic)
+            return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, True, g_linear)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
         count += 1
         low, high = (low, middle) if growth(at_start, middle / period, delay_frames) > 1 else (middle, high)
     g = (low + high) / 2
-    return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count, g_elastic=g_elastic)
+    return Limit(delay_frames, delay_frames * period, g / period, g, theory, g_lag, lags, count, g_linear=g_linear)
 
 
-def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
+def _lags(at_goal: Scenario, delay_frames: float) -> tuple[Lag, ...]:
     """Those of a robot with joints, and of its pictures; interpolation is in the measured ones."""
     if not at_goal.robot.joints:
         return ()
@@ -233,34 +234,50 @@ def _lags(at_goal: Scenario, delay_frames: int) -> tuple[Lag, ...]:
 
 
 def _late_frames(at_goal: Scenario) -> float:
-    """Age of a complete picture beside its latency [frames]: half its exposure and readout."""
-    return (at_goal.timing.first_s(at_goal.camera) + at_goal.camera.readout_s) / 2 / at_goal.camera.period
+    """Age of a picture when its command acts, beside its latency [frames]: half its exposure and readout, and the command's latency."""
+    late = (at_goal.timing.first_s(at_goal.camera) + at_goal.camera.readout_s) / 2 + at_goal.timing.command_latency_s
+    return late / at_goal.camera.period
 
 
-def _theory(at_goal: Scenario, delay_frames: int) -> float:
+def _theory(at_goal: Scenario, delay_frames: float) -> float:
     """The g of a robot without lag."""
     shares = loop_shares(at_goal.timing.interpolation != "hold", _late_frames(at_goal))
-    return closed_form(delay_frames) if shares == NO_LAG else gain_limit(delay_frames, shares)
+    whole = int(delay_frames)
+    return closed_form(whole) if shares == NO_LAG and whole == delay_frames else gain_limit(delay_frames, shares)
 
 
-def _elastic(at_goal: Scenario, delay_frames: int) -> float | None:
-    """The g of the linear arm; None for a robot without elastic joints."""
-    mechanics = at_goal.robot.mechanics
-    if mechanics is None or not mechanics.stiffness.any():
+def _linear(at_goal: Scenario, delay_frames: float) -> float | None:
+    """The g of the linear arm; None for a robot without joints, and with commands that are led to, which it does not have."""
+    if not at_goal.robot.joints or at_goal.timing.interpolation != "hold":
         return None
-    return elastic_gain_limit(linear_arm(at_goal.robot), delay_frames, at_goal.camera.period)
+    return linear_gain_limit(linear_arm(at_goal.robot), delay_frames + _late_frames(at_goal), at_goal.camera.period)
 
 
-def find_limits(scenario: Scenario, delays: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
-    """The gain limit at each delay [frames]; `on_limit` is called with each as it is found.
+def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
+    """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it.
 
     Raises:
-        ParameterError: as `prepared` and `find_limit`; or a delay is negative or above 50 frames.
+        ParameterError: one is negative or above MOST_FRAMES.
     """
-    if bad := [d for d in delays if not 0 <= d <= 50]:
-        raise ParameterError("--frames", "must be whole numbers from 0 to 50", bad[0])
+    if bad := [d for d in frames if not 0 <= d <= MOST_FRAMES]:
+        raise ParameterError("--frames", f"must be whole numbers from 0 to {MOST_FRAMES}", bad[0])
+    latency, period = scenario.camera.latency_s, scenario.camera.period
+    own = round(latency / period, 9)
+    if own > MOST_FRAMES:
+        most = f"{MOST_FRAMES * period:g} s, which are {MOST_FRAMES} frames at {1 / period:g} Hz"
+        raise ParameterError("camera.latency_s", f"must be at most {most}", latency)
+    return [own, *(d for d in frames if d != own)] if own else list(frames)
+
+
+def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
+    """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found.
+
+    Raises:
+        ParameterError: as `prepared`, `find_limit` and `delays_of`.
+    """
+    delays = delays_of(scenario, frames)
     at_goal, limits = prepared(scenario), []
     for d in delays:
-        limits.append(find_limit(at_goal, d))
+        limits.append(find_limit(at_goal, int(d) if d == int(d) else d))
         on_limit(limits[-1])
     return limits

@@ -15,7 +15,7 @@ from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
 from vstestbed.experiments.comparison.folder import kept_base
 from vstestbed.experiments.comparison.plan import Comparison, changed, chosen
-from vstestbed.experiments.comparison.runs import controllers, draws
+from vstestbed.experiments.comparison.runs import controllers
 from vstestbed.experiments.tuning.space import OPTION, Parameter, SearchSpace, checked, parameter
 from vstestbed.report.comparison.columns import Metric
 from vstestbed.scenario.dump import as_yaml, flow_text
@@ -139,7 +139,7 @@ def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, 
     bare = changed(comparison, axes={}, seeds=seeds)
     scenario = controllers(bare)[0].scenario
     _check_metric(plan, scenario.metrics)
-    return bare, space, seeds if seeds is not None else SEEDS if draws(scenario) else None
+    return bare, space, seeds if seeds is not None else SEEDS if scenario.draws else None
 
 
 def _check_metric(plan: Tuning, own: Sequence[Any]) -> None:

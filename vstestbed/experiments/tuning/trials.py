@@ -90,7 +90,7 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
         return []
     try:
         found = [one["values"] for one in json.loads(read_file(path, works))]
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise RunFolderError(path, f"is damaged ({error})", works) from None
     if any(set(values) != set(paths) for values in found):
         raise RunFolderError(path, "has settings of other fields than tuning.yaml varies", works)

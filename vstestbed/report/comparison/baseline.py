@@ -205,7 +205,7 @@ def read_changes(folder: Path) -> BaselineChanges | None:
         return None
     try:
         return _built(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, KeyError) as error:
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise RunFolderError(path, f"is damaged ({error})", "remove it, or compare again with --baseline") from None
 
 

@@ -30,7 +30,7 @@ DEFAULT_METRICS: Final = (
     "saturated_fraction",
 )
 
-_SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS, *numbers.LINK_ROWS)
+_SOMETIMES: Final = (*numbers.TRACKING_ROWS, *numbers.MODE_ROWS, *numbers.LINK_ROWS, *numbers.SWING_ROWS)
 # Titles and units are those of the single-run report, so that a number is called the same on both pages.
 _TILES: Final = (*numbers.CONTINUING_TILES, *numbers.TILES, numbers.GREY_TILE)
 _TITLES: Final = {name: (title, unit) for name, title, unit in (*_TILES, *numbers.ROWS, *_SOMETIMES)}

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
-from vstestbed.core.shares import Call, at_once
+from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.comparison import baseline_section, profiles, robust_tables, strip_plots, summary_text
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
@@ -146,7 +146,7 @@ def write_comparison_report(
         baseline_section.section(folder),
         *_tables(comparison, means, all_pairs),
         f"<section><h2>Figures</h2>{figures}</section>",
-        _film(film.result() if isinstance(film, Future) else film),
+        _film(result_of(film) if isinstance(film, Future) else film),
         comparison_failures.section(folder, comparison),
         _provenance(comparison, command),
         comparison_tables.SCRIPT,
@@ -228,10 +228,10 @@ def _soft(words: str) -> str:
 def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str:
     """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
     on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
-    drawn = [(PLOTS[i][3], made.result()) for i, made in zip(numbers, on_page, strict=True)]
+    drawn = [(PLOTS[i][3], result_of(made)) for i, made in zip(numbers, on_page, strict=True)]
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f] for wanted in (1, 2))
     for paper in papers:
-        paper.result()
+        result_of(paper)
     above = _sampled(data.series.sampled)
     return f'{above}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
 

@@ -17,7 +17,7 @@ import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
-from vstestbed.core.shares import Call, at_once
+from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.comparison import baseline_section, robust_tables
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import tables as comparison_tables
@@ -250,7 +250,7 @@ def write_task_report(
         "and each failure by its outcome.</p>",
         _html(found, _td),
         baseline_section.section(folder),
-        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", drawn[0].result(), caption)}</div></section>',
+        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", result_of(drawn[0]), caption)}</div></section>',
         _spreads(found, metrics),
         *_statistics(folder, over_all_tasks(table, axes, metrics)),
         comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
@@ -264,7 +264,7 @@ def write_task_report(
         description=f"<p>{escape(description)}</p>",
         body="\n".join(body),
     )
-    drawn[1].result()
+    result_of(drawn[1])
     return write_whole(folder / "report.html", page)
 
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 from vstestbed.scenario.scenario import Scenario
 
 Whose = Literal["clock", "measured", "command", "truth", "own"]
-"""`clock`: times and counters; `measured`: what camera and robot know; `command`: what they order; `truth`: the simulator's alone;
+"""`clock`: times and counters; `measured`: what camera and robot know; `command`: what they command; `truth`: the simulator's alone;
 `own`: of the robot's kind or the task."""
 
 
@@ -40,8 +40,8 @@ _PATTERNS: tuple[tuple[str, Meaning], ...] = (
     ("command_lost", Meaning("", "clock", "1: the link lost the command of this row")),
     ("exposure_s", Meaning("s", "measured", "exposure time of the picture, as the camera reports it")),
     ("gain", Meaning("", "measured", "gain of its sensor's amplifier")),
-    (r"cmd_v[xyz]", Meaning("m/s", "command", "camera twist that the law orders, camera axes")),
-    (r"cmd_w[xyz]", Meaning("rad/s", "command", "camera twist that the law orders, camera axes")),
+    (r"cmd_v[xyz]", Meaning("m/s", "command", "commanded camera twist, camera axes")),
+    (r"cmd_w[xyz]", Meaning("rad/s", "command", "commanded camera twist, camera axes")),
     (r"applied_v[xyz]", Meaning("m/s", "command", "the same within the robot's limits")),
     (r"applied_w[xyz]", Meaning("rad/s", "command", "the same within the robot's limits")),
     (r"act_v[xyz]", Meaning("m/s", "truth", "camera twist, camera axes")),

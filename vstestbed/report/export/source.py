@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from vstestbed.camera import Image
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.summary_file import read_summary
@@ -68,7 +68,7 @@ class RecordedRun:
         log = open_log(folder, scenario)
         summary = read_summary(folder, "run the scenario again") if (folder / "summary.json").is_file() else None
         if not len(log):
-            raise RunFolderError(folder, "has a log without frames; there is nothing to export")
+            raise RunFolderError(folder, "has a log without frames; there is nothing to export", NOTHING_RAN)
         return cls(folder, scenario, log, summary)
 
     @property

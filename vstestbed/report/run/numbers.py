@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any, Final
 
+from vstestbed.loop.stability import reversal
 from vstestbed.report.html.canvas import LINE_COLORS
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 from vstestbed.tasks.metrics import own_titles
@@ -60,13 +61,26 @@ LINK_ROWS: Final = (
     ("commands_lost", "Commands lost", ""),
 )
 """Rows of a run with wrong time stamps, pictures out of order or a link that loses."""
+SWING_ROWS: Final = (
+    ("swung_s", "Longest time for which the command swung", "s"),
+    ("swing_frames", "Period of that swing, in frames", ""),
+)
+"""Rows of a run whose command swung."""
 
 
 def headline(summary: Summary) -> str:
     """The outcome as a box, coloured by success, with the reason in a sentence."""
     good = " good" if summary.get("success") else ""
-    words = " ".join(filter(None, (_sentence(str(summary.get("reason") or "")), judged_text(summary))))
+    words = " ".join(filter(None, (_sentence(str(summary.get("reason") or "")), swing_text(summary), judged_text(summary))))
     return f'<div class="outcome{good}"><strong>{escape(outcome_text(summary))}</strong>{escape(words)}</div>'
+
+
+def swing_text(summary: Summary) -> str:
+    """That the command of a run swung for long, whatever its end; "" where it did not, or the outcome says so."""
+    swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
+    if not (_is_number(swung_s) and _is_number(frames)) or summary.get("outcome") == "unstable":
+        return ""
+    return f"On the way its command {reversal(float(frames or 0))}, for {plain(swung_s)} s without a break: it is badly damped."
 
 
 def judged_text(summary: Summary) -> str:
@@ -97,7 +111,9 @@ def table(summary: Summary) -> str:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
     items = []
     own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
-    for key, name, unit in ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS if summary.get(row[0]) is not None) + own:
+    for key, name, unit in (
+        ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS + SWING_ROWS if summary.get(row[0]) is not None) + own
+    ):
         value = summary.get(key)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value

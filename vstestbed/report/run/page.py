@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import polars as pl
 
-from vstestbed.core.errors import RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.summary_file import read_summary
@@ -134,7 +134,8 @@ def write_report(
         plugins: files or modules, besides those that `scenario.yaml` names.
 
     Raises:
-        RunFolderError: the folder holds no run, or a damaged one. ScenarioError, PluginError: its scenario cannot be loaded.
+        RunFolderError: the folder holds no run, a damaged one, or one without a frame. ScenarioError, PluginError: its scenario cannot be
+            loaded.
         OutputError: the page cannot be written.
     """
     from vstestbed.scenario.load import load, text_of  # here: the figures themselves need no scenario
@@ -145,7 +146,10 @@ def write_report(
     if log is None or setting is None:
         scenario = load(path, plugins=plugins)
         setting = setting or Setting.of(scenario)
-        log = _in_reach(run_dir, open_log(run_dir, scenario)) if log is None else log
+        if log is None:
+            log = _in_reach(run_dir, open_log(run_dir, scenario))
+            if not len(log):
+                raise RunFolderError(run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN)
     goals = [path.read_bytes() for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))]
     return write_whole(run_dir / "report.html", render_page(log, summary, scenario_text, videos, setting, goals))
 

@@ -25,9 +25,10 @@ AxisLabels = tuple[str, str, float, float]
 """Name, unit, low, high."""
 ENDINGS: Final = {
     "target_lost": ("#f3c04b", "target out of sight"),
-    "plane_crossed": ("#d55e00", "target's plane crossed"),
+    "plane_crossed": ("#d55e00", "behind the target's plane"),
     "local_minimum": ("#a0287a", "local minimum"),
     "diverged": ("#33150a", "diverged"),
+    "unstable": ("#4f7a1e", "unstable"),
     "timed_out": ("#9c9c9c", "timed out"),
 }
 """Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind

@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LETTERS: Final = {"target_lost": "L", "local_minimum": "M", "diverged": "D", "timed_out": "T"}
+LETTERS: Final = {
+    "target_lost": "L",
+    "local_minimum": "M",
+    "diverged": "D",
+    "timed_out": "T",
+    "unstable": "U",
+    "unreachable": "R",
+    "crashed": "C",
+}
 """Letter of the most frequent outcome of a cell's failures."""
 NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
 """Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
@@ -37,7 +45,7 @@ class ConvergenceMap:
 
     Attributes:
         label: name of the law.
-        share: share of the seeds that converged.
+        share: share of the seeds that converged; NaN where no run is done.
         others: most frequent outcome of the others; empty if all converged.
         away_m: median distance from the true goal of those that converged [m]; NaN if none did.
     """
@@ -65,10 +73,11 @@ def draw(maps: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels) -> Figure
 
 
 def _draw(axes: Axes, one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> None:
-    axes.imshow(NONE + one.share[..., None] * (ALL - NONE), origin="lower", aspect="auto")
+    axes.imshow(np.where(np.isnan(one.share)[..., None], 1.0, NONE + one.share[..., None] * (ALL - NONE)), origin="lower", aspect="auto")
     for (i, j), share in np.ndenumerate(one.share):
         letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
-        axes.text(j, i, f"{100 * share:.0f}{letter}", ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
+        words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
+        axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
     axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
     axes.set_yticks(range(len(y[1])), y[1])
     axes.grid(visible=False)
@@ -76,9 +85,16 @@ def _draw(axes: Axes, one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> None
 
 
 def write_page(
-    folder: Path, maps: Sequence[ConvergenceMap], x: AxisLabels, y: AxisLabels, seeds: int, description: str, command: str
+    folder: Path,
+    maps: Sequence[ConvergenceMap],
+    x: AxisLabels,
+    y: AxisLabels,
+    seeds: int,
+    description: str,
+    command: str,
+    caution: str = "",
 ) -> Path:
-    """Write `convergence.png`, `convergence.pdf` and `report.html`; returns the page's path.
+    """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path.
 
     Raises:
         OutputError: a file cannot be written.
@@ -90,7 +106,8 @@ def write_page(
     picture = f'<img src="{data_url("image/png", png.read_bytes())}" alt="Convergence maps" style="width: 100%; height: auto">'
     letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items())
     caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
-    body = figure("Where it converges", picture, caption) + "".join(_table(one, x, y) for one in maps)
+    body = f"<p><strong>{escape(caution)}</strong></p>" if caution else ""
+    body += figure("Where it converges", picture, caption) + "".join(_table(one, x, y) for one in maps)
     if command:
         body += f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>"
     page = PAGE.format(title="Convergence", style=STYLE + TABLES, heading="Convergence", description=escape(description), body=body)
@@ -98,8 +115,8 @@ def write_page(
 
 
 def _table(one: ConvergenceMap, x: AxisLabels, y: AxisLabels) -> str:
-    head = "".join(f"<th>{escape(value)}</th>" for value in x[1])
     """Distances from the true goal as a table, its rows from top to bottom as in the figure."""
+    head = "".join(f"<th>{escape(value)}</th>" for value in x[1])
     rows = []
     for i in reversed(range(len(y[1]))):
         cells = "".join("<td>-</td>" if np.isnan(a) else f"<td>{number(1e3 * float(a))}</td>" for a in one.away_m[i])

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Rows = Sequence[Mapping[str, Any]]
 DPI = 200
 COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("delay_frames", "delay [frames]", "d"),
+    ("delay_frames", "delay [frames]", "g"),
     ("latency_s", "delay [s]", ".3g"),
     ("gain_limit", "gain limit [1/s]", ".4g"),
     ("g_measured", "g measured", ".4f"),
@@ -34,6 +34,8 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("measured_to_lag", "measured / with lag", ".3f"),
     ("joint", "unstable first", "s"),
     ("joint_lag_s", "its lag [s]", ".4f"),
+    ("g_linear", "g of the linear arm", ".4f"),
+    ("measured_to_linear", "measured / linear arm", ".3f"),
 )
 """Columns of the table: name in the data, head, format."""
 
@@ -42,7 +44,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
 class Branches:
     """Root locus of one delay: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
 
-    delay_frames: int
+    delay_frames: float
     poles: NDArray[np.complexfloating]
     at_limit: NDArray[np.complexfloating]
 
@@ -57,16 +59,19 @@ def draw(rows: Rows, loci: Sequence[Branches]) -> Figure:
 
 
 def _draw_limits(axes: Axes, rows: Rows) -> None:
+    rows = sorted(rows, key=lambda row: row["delay_frames"])
     d = [row["delay_frames"] for row in rows]
-    axes.plot(d, [row["g_theory"] for row in rows], color=INK, label=r"theory, $2\,\sin\frac{\pi}{2(2d+1)}$")
+    axes.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
     if any(row["g_with_lag"] for row in rows):
         axes.plot(d, [row["g_with_lag"] for row in rows], "--", color=LINE_COLORS[1], label="theory, servos' measured lag")
+    if any(row.get("g_linear") for row in rows):
+        axes.plot(d, [row["g_linear"] for row in rows], ":", color=LINE_COLORS[2], label="linear model of the arm")
     axes.plot(d, [row["g_measured"] for row in rows], "o", color=LINE_COLORS[0], markersize=5, label="measured")
     axes.set_xlabel("delay d [frames]")
     axes.set_ylabel("largest stable gain x period")
     axes.set_ylim(bottom=0)
     axes.set_xticks(d)
-    axes.legend(loc="upper right")
+    axes.legend(loc="best")
 
 
 def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
@@ -79,7 +84,7 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
         crossing = one.at_limit[one.at_limit.imag >= -1e-9]
         axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
         # an empty line for the legend: `upper` is a matrix with a line for each pole
-        axes.plot([], [], color=color, label=f"d = {one.delay_frames}")
+        axes.plot([], [], color=color, label=f"d = {one.delay_frames:g}")
     axes.set_aspect("equal")
     axes.set_xlim(-1.35, 1.35)
     axes.set_ylim(-0.06, 1.6)
@@ -111,9 +116,9 @@ def write_page(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], co
 
 def _table(rows: Rows) -> str:
     """The limits as a table; columns without any value are left out (a robot without joints has no lag)."""
-    shown = [column for column in COLUMNS if any(row[column[0]] is not None for row in rows)]
+    shown = [column for column in COLUMNS if any(row.get(column[0]) is not None for row in rows)]
     heads = "".join(f"<th>{escape(head)}</th>" for _, head, _ in shown)
-    cells = ["".join(f"<td>{_cell(row[key], form)}</td>" for key, _, form in shown) for row in rows]
+    cells = ["".join(f"<td>{_cell(row.get(key), form)}</td>" for key, _, form in shown) for row in rows]
     body = "".join(f"<tr>{row}</tr>" for row in cells)
     return f'<h2>In numbers</h2><div class="wide"><table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Look, Perspective, Window
 from vstestbed.camera.depth_sensor import EDGE
-from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.lacks import lack_of
 from vstestbed.sim.lens.cube import cube_of, drawn_for
 from vstestbed.sim.lens.pinhole import pixel_grid, resampling_maps
 from vstestbed.sim.render import gl_probe as gl
@@ -33,6 +34,9 @@ DISC_FACETS = 96, 2
 
 With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off by .03 px; with 96 by .01 px."""
 
+MOST_MATERIALS, MOST_TEXTURES = 997, 1000
+"""Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it refuses 998 materials (and says 999), and
+1001 textures."""
 SKY = 0.69
 """Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured: 0.699)."""
 
@@ -48,11 +52,12 @@ class SceneCamera:
         style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything.
 
     Raises:
-        EnvironmentLackError: OpenGL does not work on this machine.
+        EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
     """
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
         gl.require()
+        _must_be_drawable(stage)
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
         vis = stage.model.vis.global_
         vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
@@ -70,7 +75,7 @@ class SceneCamera:
             made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
             self._camera, self.renderer = made
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
-            raise EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy()) from error
+            raise (lack_of(error) or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())) from error
 
     @property
     def size(self) -> tuple[int, int]:
@@ -98,6 +103,20 @@ class SceneCamera:
     def depth(self) -> DepthImage:
         """Depth (H, W) [m] of the last image that was drawn with it; inf where there is nothing."""
         return self._camera.depth()
+
+
+def _must_be_drawable(stage: Stage) -> None:
+    """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the context.
+
+    Raises:
+        ParameterError: it has more.
+    """
+    model = stage.model
+    for what, found, most in (("materials", model.nmat, MOST_MATERIALS), ("textures", model.ntex, MOST_TEXTURES)):
+        if found > most:
+            where = "world.scenery" if stage.parts.world.scenery is not None else "world"
+            words = f"makes a scene of {found} {what}, and MuJoCo draws at most {most} by OpenGL"
+            raise ParameterError(where, f"{words}; let its parts share {what}, or set camera.renderer=rays")
 
 
 class OpenGLRenderer:

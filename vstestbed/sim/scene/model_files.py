@@ -52,6 +52,7 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
     if not name:
         return ""
     path = model_path(str(file)).parent / folder / name
-    new = f"{prefix.strip('/')}_{len(taken)}_{path.with_suffix('.png').name if path.suffix.lower() in JPEG else path.name}"
+    own = path.with_suffix(".png").name if path.suffix.lower() in JPEG else path.name
+    new = f"{prefix.strip('/')}_{len(taken)}_{own[-60:]}"  # its end: file systems take 255 bytes, of which its own name may have all
     taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
     return new

@@ -151,6 +151,15 @@ class Stage:
 
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
+        return self._before(T_world_camera, p_camera) >= 0
+
+    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
+        """What occludes each of marker centres (N, 3), by the name of its body; "" where nothing does."""
+        geoms = self._before(T_world_camera, p_camera).tolist()
+        return tuple(self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms)
+
+    def _before(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.int_]:
+        """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
         marker = self.parts.target.marker
         slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
         groups = np.ones(6, dtype=np.uint8)
@@ -160,8 +169,12 @@ class Stage:
         geom = np.zeros(1, dtype=np.int32)
         origin = np.ascontiguousarray(T_world_camera[:3, 3])
         rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
-        hits = [mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom) for d in rays]
-        return np.array([0 <= hit < r - slack for hit, r in zip(hits, reach, strict=True)])
+        found = np.full(len(rays), -1)
+        for i, d in enumerate(rays):
+            hit = mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom)
+            if 0 <= hit < reach[i] - slack:
+                found[i] = geom[0]
+        return found
 
     @property
     def body_names(self) -> list[str]:

@@ -162,6 +162,11 @@ class World:
         return self.decoys if self.clutter is None else self.decoys + self.clutter.placed
 
     @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference: to the clutter, or to the turbulence that a craft meets."""
+        return self.clutter is not None or self.wind.turbulence_mps > 0
+
+    @property
     def movers(self) -> dict[str, Path]:
         """Poses (4, 4) as functions of time [s] of what may have another place at another time, by the names of their bodies."""
         found = {f"plate_{i}": plate_path(plate) for i, plate in enumerate(self.plates)}

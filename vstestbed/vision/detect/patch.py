@@ -14,6 +14,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.detect.esm import Fit, align, normalised, similarity
@@ -75,6 +76,12 @@ class PatchDetector(DetectorBase):
     def init(self) -> PatchMemory:
         """Nothing seen yet."""
         return PatchMemory()
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> PatchMemory:
+        """Nothing seen yet; the target's picture and its keypoints are read now, not while a robot waits for the first picture."""
+        if target.sheet is not None:
+            self._template(target)
+        return self.init()
 
     def look(self, memory: PatchMemory, camera: Camera, target: Target) -> Look | None:
         """The window of the next picture; None for everything, always so in a camera with panels."""

@@ -1,12 +1,12 @@
-"""Linear model of the visual servo loop of an arm with elastic joints: gain limit.
+"""Linear model of the visual servo loop of an arm: gain limit with its servos, its coupled inertia and its elastic joints.
 
 Near the goal, with the joints' positions as the error, the law commands the speeds v(k) = -g / T q(k - d), held for a period T, and
 the arm answers as `sim.linear.LinearArm`, whose links the camera sees and whose rotors the servos turn. It is sampled exactly; the
-poles are those of the loop over x = (z, z', r) and the d positions that are under way. Coulomb friction, which damps small motions, is
-left out.
+poles are those of the loop over x = (z, z', r) and the d positions that are under way. Of a delay of d + f frames with 0 < f < 1 a command
+begins at f of a frame, before which the last one holds. Coulomb friction, which damps small motions, is left out.
 
 References: Spong 1987, doi:10.1115/1.3143860 (the plant); Franklin, Powell & Workman, Digital Control of Dynamic Systems
-(zero-order hold).
+(zero-order hold; a delay of part of a period).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def sampled(arm: LinearArm, period_s: float) -> tuple[Array, Array]:
     return both[:states, :states], both[:states, states:]
 
 
-def elastic_gain_limit(arm: LinearArm, delay_frames: int, period_s: float) -> float:
-    """The g = gain * period at which a pole first leaves the unit circle."""
+def linear_gain_limit(arm: LinearArm, delay_frames: float, period_s: float) -> float:
+    """The g = gain * period at which a pole first leaves the unit circle; delay_frames: also a part of a frame."""
     F, G = _loop(arm, delay_frames, period_s)
 
     def unstable(g: float) -> bool:
@@ -54,16 +54,28 @@ def elastic_gain_limit(arm: LinearArm, delay_frames: int, period_s: float) -> fl
     return (low + high) / 2
 
 
-def _loop(arm: LinearArm, delay: int, period_s: float) -> tuple[Array, Array]:
-    """(F, G): the loop's matrix is F + g G, over x and the last `delay` positions q (n,)."""
+def _loop(arm: LinearArm, delay_frames: float, period_s: float) -> tuple[Array, Array]:
+    """(F, G): the loop's matrix is F + g G, over x and the last positions q (n,) that are under way."""
+    whole, part = divmod(delay_frames, 1.0)
+    delay = int(whole)
     A, B = sampled(arm, period_s)
     states, n = B.shape
-    F = np.zeros((states + delay * n,) * 2)
+    kept = delay + (part > 0)
+    F = np.zeros((states + kept * n,) * 2)
     G = np.zeros_like(F)
     F[:states, :states] = A
-    if delay:
+    if kept:
         F[states : states + n, :n] = np.eye(n)
-        F[states + n :, states:-n] = np.eye((delay - 1) * n)
-    seen = slice(len(F) - n, len(F)) if delay else slice(0, n)
-    G[:states, seen] = -B / period_s
+        F[states + n :, states:-n] = np.eye((kept - 1) * n)
+    late = np.zeros_like(B)
+    if part:  # the last command holds until this one comes: x(k+1) = A x(k) + late v(k-1) + (B - late) v(k)
+        early = sampled(arm, part * period_s)[1]
+        late = sampled(arm, (1 - part) * period_s)[0] @ early
+        G[:states, _seen(delay + 1, states, n)] = -late / period_s
+    G[:states, _seen(delay, states, n)] += -(B - late) / period_s
     return F, G
+
+
+def _seen(age: int, states: int, n: int) -> slice:
+    """Where the loop's vector has the positions (n,) of `age` frames ago."""
+    return slice(states + (age - 1) * n, states + age * n) if age else slice(0, n)

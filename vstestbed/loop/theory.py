@@ -28,7 +28,7 @@ NO_LAG = (1.0,)
 """Impulse response of a robot without lag."""
 
 
-def closed_form(delay_frames: int) -> float:
+def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
     There a pair of poles crosses the unit circle at the angle pi / (2 d + 1): the loop oscillates with a period of
@@ -60,27 +60,33 @@ def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
     return tuple(np.convolve(late, (0.5, 0.5) if led else (1.0,)).tolist())
 
 
-def swing_frames(delay_frames: int) -> int:
-    """Period of the oscillation at the gain limit of a robot without lag [frames]."""
-    return 2 * (2 * delay_frames + 1)
+def swing_frames(delay_frames: float) -> int:
+    """Period of the oscillation at the gain limit of a robot without lag [frames]; about that, of a part of a frame."""
+    return math.ceil(2 * (2 * delay_frames + 1))
 
 
-def polynomial(g: float, delay_frames: int, shares: Sequence[float] = NO_LAG) -> Array:
-    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,)."""
-    n = delay_frames + len(shares) - 1
-    out = np.zeros(n + 2)
+def polynomial(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Array:
+    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,).
+
+    Of a delay of d + f frames with 0 < f < 1 a command begins at f of a frame: it is executed with 1 - f of each share in that frame, and
+    with f in the next one.
+    """
+    whole, part = divmod(delay_frames, 1.0)
+    d = int(whole)
+    b = np.convolve(shares, (1 - part, part)) if part else np.asarray(shares, dtype=float)
+    out = np.zeros(d + len(b) + 1)
     out[0], out[1] = 1.0, -1.0
-    out[1 + delay_frames :] += g * np.asarray(shares, dtype=float)
+    out[1 + d :] += g * b
     return out
 
 
-def roots(g: float, delay_frames: int, shares: Sequence[float] = NO_LAG) -> Poles:
+def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Poles:
     """Poles of the loop in the z plane, complex, shape (n + 1,), by decreasing magnitude."""
     found = np.roots(polynomial(g, delay_frames, shares)).astype(complex)
     return found[np.argsort(-np.abs(found))]
 
 
-def gain_limit(delay_frames: int, shares: Sequence[float] = NO_LAG) -> float:
+def gain_limit(delay_frames: float, shares: Sequence[float] = NO_LAG) -> float:
     """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot without lag.
 
     Raises:
@@ -103,7 +109,7 @@ def gain_limit(delay_frames: int, shares: Sequence[float] = NO_LAG) -> float:
     return (low + high) / 2
 
 
-def locus(delay_frames: int, gains: Array, shares: Sequence[float] = NO_LAG) -> Poles:
+def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -> Poles:
     """The poles for each g of `gains` (m,), complex, shape (m, n + 1), each branch continued from one gain to the next."""
     out = np.array([roots(float(g), delay_frames, shares) for g in gains])
     for before, now in itertools.pairwise(out):

@@ -1,0 +1,89 @@
+"""Lost markers in the reason of a run: which, where they left the picture, when, and what would help."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vstestbed as vs
+from tests.tasks.frames import frame
+from vstestbed.core.geometry import Pose, inverse
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.lost_markers import LostMarkers
+
+SOON = {"stop.lost_after_s": 0.2, "stop.duration_s": 3.0, "camera.rate_hz": 25}
+SIDEWAYS = {"robot.start.nominal": {"xyz": [0, 0, -1], "rpy_deg": [0, 0, 0]}, "target.pose.xyz": [0, 0, 0], "detector": "oracle"}
+PLATE = {"world.plates": [{"pose": {"xyz": [1.0, 0, 0.7], "rpy_deg": [0, 90, 0]}, "from_s": 0.4}]}
+
+
+def reason(name: str, **changes: object) -> str:
+    recording = vs.run(vs.load(name, SOON | changes))
+    assert recording.outcome is Outcome.target_lost
+    return recording.reason
+
+
+@pytest.mark.parametrize(
+    ("xyz", "border"), [([0.45, 0, -1], "left"), ([-0.45, 0, -1], "right"), ([0, 0.45, -1], "top"), ([0, -0.45, -1], "bottom")]
+)
+def test_the_border(xyz: list[float], border: str):
+    said = reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": xyz})
+    assert re.search(rf"; markers \d, \d were beyond the {border} border of the picture from the start on; a wider camera", said)
+
+
+def test_what_hides_them_and_from_when_on():
+    for detector in ("oracle", "blobs"):  # blobs know nothing of a plate: the judge does
+        said = reason("arm_ibvs", **PLATE, detector=detector)
+        assert "markers 0, 1, 2, 3 were hidden by plate_0 from 0.40 s on; move what hides them" in said
+        assert said.endswith("; the robot stands")
+
+
+def test_too_small_with_the_radius_and_the_least_that_is_found():
+    said = reason("arm_ibvs", **{"target.marker.radius": 0.002})
+    assert "markers 0, 1, 2, 3 were too small (a radius of 0.85 px; blobs finds 1.7 px and more, of full colour) from the start on" in said
+    assert "larger markers (target.marker.radius)" in said
+
+
+def test_a_cause_that_is_not_known_is_not_named():
+    said = reason("arm_ibvs", **{"noise.dropout": 0.99, "detector": "oracle"})
+    assert "not found although in the picture (with a radius of " in said and "why is not known" in said
+
+
+class TestStart:
+    def test_behind_the_target(self):
+        said = reason("ibvs_book", **{"robot.start.nominal.xyz": [0, 0, 4]})
+        assert said.startswith("the camera starts behind the plane of the target") and "start in front of it" in said
+
+
+class TestFrames:
+    """One marker after the other, without a run."""
+
+    S = vs.load("ibvs_book", SIDEWAYS)
+
+    def given(self, t: float, *unseen: int, x: float = 0.0):
+        T = Pose(xyz=(x, 0, -1)).T
+        one = frame(t, T_world_camera=T)
+        p = self.S.target.points_at(inverse(T))
+        uv = np.where(np.isin(np.arange(4), unseen)[:, None], np.nan, self.S.camera.project(p))
+        truth = replace(one.truth, p_camera=p, hidden=np.zeros(4, dtype=bool))
+        return replace(one, observation=replace(one.observation, uv=uv), truth=truth)
+
+    def test_each_has_its_time_and_comes_back(self):
+        lost = LostMarkers(self.S, lambda T, p: ("",) * len(p))
+        lost.add(self.given(0.0))
+        assert lost.sentence() == ""
+        lost.add(self.given(0.04, 3, x=0.45))
+        lost.add(self.given(0.08, 0, 3, x=0.45))
+        lost.add(self.given(0.12, 0, 2, 3, x=0.45))
+        assert lost.sentence().startswith(
+            "markers 0, 3 were beyond the left border of the picture from 0.04 s on, the last one from 0.08 s on; "
+        )
+        assert "marker 2 was not found although in the picture" in lost.sentence()
+        lost.add(self.given(0.16, 2))
+        assert "markers" not in lost.sentence().split(";")[0] and "marker 2" in lost.sentence()
+
+    def test_a_marker_that_does_not_count_is_not_missed(self):
+        lost = LostMarkers(self.S, lambda T, p: ("",) * len(p))
+        one = self.given(0.0, 3)
+        lost.add(replace(one, goal=replace(one.goal, counted=np.array([True, True, True, False]))))
+        assert lost.sentence() == ""

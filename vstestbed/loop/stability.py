@@ -1,0 +1,275 @@
+"""Whether a loop that did not reach its goal swings or grows: from the commands and errors of the last half of its run.
+
+A loop with too high a gain for its sampling and delay commands back and forth: commands are opposite after half a period, and alike
+after a whole one. Other loops that take long are not like that:
+
+- a slow approach has no period, and its error falls;
+- a swing that decays is stable, only badly damped;
+- pixel noise at the goal gives commands that are not alike from one period to the next;
+- stick-slip of a joint with friction does not either (0.1 to 0.6, measured, against 0.8 to 1.0), and is of less than a pixel or two;
+- a loop that follows a target which itself goes to and fro has the target's period.
+
+Reference: the limit of the gain and the period at it are those of `loop.theory`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import islice, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array, inverse, rigid_error
+from vstestbed.laws import Law
+from vstestbed.laws.base import AdaptiveGain, ConstantGain
+from vstestbed.loop.theory import gain_limit, loop_shares, swing_frames
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.base import Log as Columns
+from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.metrics import TWIST, Figures
+
+FEWEST, MOST = 24, 2048
+"""Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not be kept in constant memory."""
+PERIODS = 4
+"""How many periods of a swing must fit in the frames that are looked at."""
+ALIKE, OPPOSITE = 0.75, -0.45
+"""Cosine between the commands of a swing and those a period later, and at most that of commands in between; -0.5 for three frames."""
+LEAST_PX, LEAST_LIMITS = 1.0, 5.0
+"""Error under which a loop stands at its goal, where friction and noise move it [px]; of grey levels, by the goal's limit [1]."""
+KEPT, KEPT_LIMITED = 0.9, 0.5
+"""Share of its size that a swing keeps from the first third of the frames to the last, else it decays; the second of a swing that the
+limits of law and robot hold: its size changes from one period to the next (measured: by 0.7 to 1.4)."""
+LIMITED, LIMITED_SHARE = 0.999, 0.05
+"""A command scaled under this is limited; a swing of whose commands so many are is held by the limits."""
+SAME_PERIOD = 0.2
+"""Difference from the period of the goal's own motion up to which a swing is that motion [1]."""
+GREW = 2.0
+"""Growth of an error that does not swing, over the frames, so that it counts as one."""
+
+
+def period(x: Array) -> float:
+    """Frames after which x (n, m) comes back, in between being opposite; 0 where it does not.
+
+    With r(k) = sum_j x_j . x_(j+k) / sqrt(sum |x_j|^2 sum |x_(j+k)|^2) it is the first peak of r over ALIKE with an r
+    under OPPOSITE before it. Normalised so, swings that grow or decay have r = 1 after a period, too. A period that is no whole number
+    of frames may have its peak after several: it is divided by the number of valleys before it.
+    """
+    r = [1.0]
+    for k in range(1, len(x) // PERIODS + 2):
+        a, b = x[:-k], x[k:]
+        size = math.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b)))
+        r.append(float(np.vdot(a, b)) / size if size > 0 else 0.0)
+        if k > 2 and r[-2] >= max(ALIKE, r[-1]) and min(r) <= OPPOSITE:
+            return (k - 1) / sum(r[i - 1] > r[i] <= r[i + 1] for i in range(1, k - 1))
+    return 0.0
+
+
+class LastPart(NamedTuple):
+    """The last half of a run, n frames.
+
+    Attributes:
+        t: times (n,) [s]. error: in the image (n,) [px], or of a law of grey levels [grey levels]; NaN where nothing was measured.
+        twist: commands (n, 6). limited: those that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
+        away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
+    """
+
+    t: Array
+    error: Array
+    twist: Array
+    limited: NDArray[np.bool_]
+    reference: Array
+    away: Array
+
+    def last_half(self) -> LastPart:
+        """The last half of it; `away` stays that of the whole."""
+        n = len(self.t) // 2
+        return LastPart(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
+
+
+def swings(part: LastPart, least: float) -> float:
+    """Period of a swing that does not decay, in frames; 0 for none. least: error that counts."""
+    third, x = len(part.t) // 3, part.twist
+    if not _median(part.error[-third:]) >= least:
+        return 0.0
+    moves = bool(np.ptp(part.reference, axis=0).any())
+    if moves:  # the swing is about the motion that the target, or the way, asks for
+        x = x - x.mean(axis=0)
+    early, late = float(np.linalg.norm(x[:third])), float(np.linalg.norm(x[-third:]))
+    held = float(np.mean(part.limited[-third:])) > LIMITED_SHARE
+    if late < (KEPT_LIMITED if held else KEPT) * early:
+        return 0.0
+    found = period(x)
+    of_goal = period(part.reference - part.reference.mean(axis=0)) if moves else 0.0
+    return 0.0 if of_goal and abs(of_goal - found) <= SAME_PERIOD * found else found
+
+
+def _median(error: Array) -> float:
+    """Of what was measured; NaN where nothing was."""
+    known = error[np.isfinite(error)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def grows(part: LastPart, least: float) -> bool:
+    """Whether error and command grow all the time, and the camera truly leaves its goal, which stands still."""
+    if np.ptp(part.reference, axis=0).any() or not (part.away[1] > part.away[0]).any() or not np.isfinite(part.error).all():
+        return False
+    quarters = [float(np.median(each)) for each in np.array_split(part.error, 4)]
+    ordered = [float(np.linalg.norm(each)) / math.sqrt(len(each)) for each in np.array_split(part.twist, 4)]
+    rises = all(b > a for a, b in pairwise(quarters))
+    return rises and quarters[-1] > max(least, GREW * quarters[0]) and ordered[-1] > LIMITED * ordered[0]
+
+
+def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
+    """How the loop is unstable, by what numbers, and what would help; "" for one that is not.
+
+    Where the last half of the run does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
+
+    Args:
+        scenario: the experiment. part: its last half. first_error: at the start of the run, in the unit of the part's.
+    """
+    return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
+
+
+def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
+    least, unit = _least(scenario)
+    if len(part.t) < FEWEST or math.isnan(part.error[-1]):
+        return ""
+    frames, third = swings(part, least), len(part.t) // 3
+    early, late = _median(part.error[:third]), _median(part.error[-third:])
+    over = f"over the last {part.t[-1] - part.t[0]:.3g} s"
+    if frames:
+        how = f"grew from {early:.3g} to {late:.3g} {unit}" if late > GREW * early else f"stayed at about {late:.3g} {unit}"
+        return f"{over} the command {reversal(frames, scenario.camera.period)}, and the error {how}; {_cause(scenario)}"
+    if late > first_error and grows(part, least):
+        return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
+    return ""
+
+
+def _least(scenario: Scenario) -> tuple[float, str]:
+    """The error under which a loop stands at its goal, and its unit."""
+    limit = scenario.stop.converged.error_grey
+    return (LEAST_PX, "px") if limit is None else (LEAST_LIMITS * limit, "grey levels")
+
+
+def reversal(frames: float, period_s: float | None = None) -> str:
+    """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be told."""
+    half = frames / 2
+    return (
+        "reversed in every frame"
+        if half == 1
+        else f"reversed every {half:.3g} frames" + (f" ({half * period_s:.2g} s)" if period_s else "")
+    )
+
+
+def _gain(law: Law[Any]) -> tuple[float | None, bool]:
+    """The gain of a law at its goal [1/s], None where it has none or several; and whether commands are minus gain times the error."""
+    while hasattr(law, "law"):  # of a program round a law
+        law = law.law  # pyright: ignore[reportAttributeAccessIssue] - it has one
+    gain = None if hasattr(law, "gain_z") else getattr(law, "gain", None)
+    if isinstance(gain, ConstantGain | AdaptiveGain):
+        return (gain.value if isinstance(gain, ConstantGain) else gain.at_zero), law.feedforward.kind == "none"
+    return (gain, False) if isinstance(gain, float | int) else (None, False)
+
+
+def _delay_s(scenario: Scenario) -> float:
+    """From the middle of a picture's exposure to the effect of its command [s]."""
+    camera, timing = scenario.camera, scenario.timing
+    return camera.latency_s + timing.command_latency_s + (timing.first_s(camera) + camera.readout_s) / 2
+
+
+def _cause(scenario: Scenario) -> str:
+    """Sampling, gain and delay in numbers; where the theory of the loop applies, its limit, and what would help."""
+    camera, timing, T = scenario.camera, scenario.timing, scenario.camera.period
+    delay_s = _delay_s(scenario)
+    delay = f"a delay of {delay_s:g} s ({delay_s / T:.3g} frames)" if delay_s else "no delay"
+    gain, proportional = _gain(scenario.law)
+    if gain is None:
+        return f"it is sampled at {camera.rate_hz:g} Hz with {delay}; try lower gains, a higher rate, or less latency"
+    said = f"a gain of {gain:.4g} 1/s at {camera.rate_hz:g} Hz is {gain * T:.4g} a frame, with {delay}"
+    if not proportional:
+        return f"{said}; try a lower gain, a higher rate, or less latency"
+    limit = gain_limit(0, loop_shares(timing.interpolation != "hold", delay_s / T))
+    bound = f"{limit:.4g} a frame ({limit / T:.4g} 1/s)"
+    if gain * T > limit:
+        return f"{said}: without lag a loop with that delay is unstable over {bound}; lower law.gain, or the delay"
+    rest = "we do not know what makes the difference (the lag and the limits of the robot, the calibration, the noise)"
+    return f"{said}: without lag it would be stable up to {bound}, and {rest}; try a lower law.gain, or less delay"
+
+
+def window(scenario: Scenario) -> int:
+    """How many frames are looked at, of a run that takes its whole time; of a shorter one half of those that it has."""
+    return int(min(max(scenario.stop.duration_s / scenario.camera.period / 2, FEWEST), MOST))
+
+
+class Stability:
+    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`.
+
+    Args:
+        scenario: the experiment.
+    """
+
+    def __init__(self, scenario: Scenario):
+        self._scenario, self._first, self._frames = scenario, math.nan, 0
+        # No frames: they hold pictures.
+        self._last: deque[tuple[float, float, Array, float, Array, Array, Array]] = deque(maxlen=window(scenario))
+        self._grey = scenario.stop.converged.error_grey is not None
+
+    def add(self, frame: Frame) -> None:
+        """One more frame, whose command is the law's."""
+        error, truth = frame.command.error_grey if self._grey else frame.error.rms_px, frame.truth
+        scale, goal = frame.allocation.scale * frame.command.scale, frame.goal.T_camera_target
+        self._last.append((frame.t, error, frame.command.twist, scale, goal, truth.T_world_target, truth.T_world_camera))
+        self._frames += 1
+        if math.isnan(self._first):
+            self._first = error
+
+    def unstable(self, seen: bool = False) -> str:
+        """How the loop is unstable, in words; "" where it is not. seen: how it was until the last frame with a measurement."""
+        last = list(islice(self._last, max(0, len(self._last) - self._frames // 2), None))
+        while seen and last and math.isnan(last[-1][1]):
+            last.pop()
+        if len(last) < FEWEST:
+            return ""
+        t, error, twist, scale, goal, target, camera = map(np.array, zip(*last, strict=True))
+        at_goal = target[[0, -1]] @ inverse(goal[[0, -1]])
+        away = np.array([rigid_error(T, T_goal) for T, T_goal in zip(camera[[0, -1]], at_goal, strict=True)])
+        # A target in the gripper moves with the robot.
+        moved = goal if self._scenario.target.on_gripper else np.concatenate([goal, target], axis=1)
+        return sentence(self._scenario, LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away), self._first)
+
+
+class Swinging:
+    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames.
+
+    It is a part of the metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for
+    PERIODS of the swing at the gain limit, of a robot that lags by a frame.
+    """
+
+    LONG_SPANS = 2
+
+    def __init__(self, scenario: Scenario):
+        self._period_s, self._waiting = scenario.camera.period, np.empty((0, 7))
+        self._least, unit = _least(scenario)
+        self._error = "error_px" if unit == "px" else "error_grey"
+        self._span = max(FEWEST, PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)))
+        self._now: list[float] = []
+        self._longest: list[float] = []
+
+    def add(self, log: Columns) -> None:
+        """See `Part`."""
+        rows = np.vstack([self._waiting, np.column_stack([log[self._error], *(log[f"cmd_{name}"] for name in TWIST)])])
+        whole = len(rows) // self._span * self._span
+        for span in rows[:whole].reshape(-1, self._span, 7):
+            found = period(span[:, 1:]) if np.isfinite(span).all() and np.median(span[:, 0]) >= self._least else 0.0
+            self._now = [*self._now, found] if found else []
+            self._longest = max(self._longest, self._now, key=len)
+        self._waiting = rows[whole:]
+
+    def figures(self) -> Figures:
+        """See `Part`; none for a run that did not swing for long."""
+        if len(self._longest) < self.LONG_SPANS:
+            return {}
+        return {"swung_s": len(self._longest) * self._span * self._period_s, "swing_frames": float(np.median(self._longest))}
