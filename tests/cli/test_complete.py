@@ -8,6 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.cli import complete
+from vstestbed.core.errors import ParameterError
 from vstestbed.scenario.catalogue import catalogue
 from vstestbed.scenario.field_paths import looked_up
 from vstestbed.scenario.validation import KINDS
@@ -45,9 +46,14 @@ def test_kinds_are_those_that_describe_knows() -> None:
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
     assert complete.kinds("camera.s") == ["camera.sensor", "camera.shadows", "camera.spherical", "camera.stream"]
-    assert complete.kinds("stop.l") == ["stop.lost_after_m", "stop.lost_after_s"]
+    assert complete.kinds("stop.") == ["stop.converged", "stop.duration_s", "stop.lost_after_m", "stop.lost_after_s", "stop.rest_after_s"]
     assert complete.kinds("robot.gears.s") == ["robot.gears.stiffness_nmprad"]
     entries = catalogue(scenario=vs.Scenario)
+    for word in complete.kinds(""):
+        try:
+            assert looked_up(word, entries)
+        except ParameterError as several:
+            assert str(several).endswith("give one of these names")
     assert all(looked_up(word, entries) for owner in complete.kinds("") for word in complete.kinds(f"{owner}."))
     assert complete.kinds("nope.") == []
     assert complete.kinds("metr") == ["metrics"]

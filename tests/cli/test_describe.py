@@ -121,6 +121,7 @@ def test_colours_only_where_they_are_wanted() -> None:
         ("law.depth", "depth"),
         ("law.depth.pnp", "depth.pnp"),
         ("detector.features.sift", "keypoint.sift"),
+        ("stripe", "lines.marker"),
     ],
 )
 def test_the_words_for_an_entry(word: str, name: str) -> None:

@@ -156,7 +156,7 @@ class LostMarkers:
 
 
 def _minding(scenario: Scenario) -> str:
-    """What else would help at the border: a nearer start, and of the law's fields and the laws that mind it those that the scenario takes."""
+    """What else would help at the border: a nearer start, and those fields and laws that mind it and that the scenario takes."""
     law, found = scenario.law, list[str]()
     if isinstance(law, IBVS | Partitioned | Hybrid) and law.visibility.margin_px == 0:
         least = replace(law, visibility=replace(law.visibility, margin_px=1.0))

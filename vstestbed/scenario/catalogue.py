@@ -88,7 +88,10 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
     if "." in word:
         held = _held_in(word, entries) or _kind_held_in(word, entries)
         return held[0] if len(held) == 1 else None
-    things = list({entry.cls: entry for entry in reversed(entries.values()) if named(entry) == word}.values())
+    by_name = [entry for entry in entries.values() if named(entry) == word]
+    # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the field's name
+    by_kind = [entry for entry in entries.values() if getattr(entry.cls, "kind", None) == word]
+    things = list({entry.cls: entry for entry in reversed(by_name or by_kind)}.values())
     if len(things) > 1:
         names = sorted(entry.name for entry in things)
         raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")

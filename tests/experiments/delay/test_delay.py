@@ -115,6 +115,12 @@ def test_an_arm_with_industrial_servos_goes_unstable_where_their_lag_says(arm):
     assert growth(start, 0.95 * g / PERIOD, 2) < 1 < growth(start, 1.05 * g / PERIOD, 2)
 
 
+def test_servos_that_move_against_a_fast_swing_are_measured_at_a_slower_one():
+    """Without delay the first guess is a swing of two frames; these servos lag by nearly one: b_0 + b_1 is below 0 there."""
+    lags = measure_lags(prepared(vs.load("arm_docking")), 0, OFF_WITH_FRICTION)
+    assert all(0.85 < sum(lag.shares) < 1.05 and 0.5 * PERIOD < lag.lag_s < PERIOD for lag in lags)
+
+
 def test_ideal_servos_hardly_lag(arm):
     for lag in measure_lags(arm("ideal"), 2, OFF):
         assert lag.shares == pytest.approx((1.0, 0.0), abs=0.01) and abs(lag.lag_s) < 0.5e-3

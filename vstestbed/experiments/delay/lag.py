@@ -15,6 +15,8 @@ from vstestbed.sim.build import build_plant
 
 SWINGS, SETTLING, ROUNDS = 10, 4, 4
 """Periods for which a joint is excited; how many of them pass before its motion is used (transient); iterations of the frequency."""
+LEAST_W = 0.05
+"""A joint that does not follow a swing of this frequency follows none [rad per frame]."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ def _lag_of(plant: Plant, name: str, joint: int, period: float, delay_frames: fl
     w, g, b = math.pi / (2 * delay_frames + 1), closed_form(delay_frames), (1.0, 0.0)  # first guess: a robot without lag
     for _ in range(ROUNDS):
         w = min(w, 0.9 * math.pi)
-        b = _shares(plant, joint, period, w, off * g / period)
+        while sum(b := _shares(plant, joint, period, w, off * g / period)) <= 0 and w > LEAST_W:
+            w /= 2  # so fast a swing the joint answers by moving against it: the loop swings more slowly
         g = gain_limit(delay_frames, b)
         w = abs(float(np.angle(roots(g, delay_frames, b)[0])))
     w = min(w, 0.9 * math.pi)
