@@ -19,6 +19,7 @@ from typing import Any
 from dm_control import _render
 from dm_control._render import base, executor
 
+from vstestbed.core.lacks import shortage
 from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render import gl_probe
 
@@ -105,9 +106,15 @@ class _OnRenderingThread(base.ContextBase):
 
 
 def context() -> Any:
-    """The process's context (a dm_control `ContextBase`), made when first asked for; it lives as long as the process."""
+    """The process's context (a dm_control `ContextBase`), made when first asked for; it lives as long as the process.
+
+    Raises:
+        EnvironmentLackError: the process is short of memory or of open files.
+    """
     with _making:
         if not _contexts:
+            if (lack := shortage()) is not None:
+                raise lack  # a driver that loads its libraries without memory may end the process
             backend: Any = _render.Renderer
             kind: Any = type("Context", (backend, _OnRenderingThread), {})
             made = kind(max_width=64, max_height=64)  # its own size does not matter: images are rendered offscreen
