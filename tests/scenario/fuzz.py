@@ -338,7 +338,7 @@ def _bug(error: Exception) -> str:
 UNKNOWN = re.compile(
     r"(u|v|u_true|v_true|u_goal|v_goal|depth|theta|phi)_\d+|error_px|level_error_px|touch_mps|est_(position_m|rotation_rad|x|y|heading)"
 )
-"""Columns that may be unknown: measured or estimated while nothing is seen, pixels outside the lens's field of view, a touch-down to come."""
+"""Columns that may be unknown: measured or estimated while nothing is seen, pixels outside the lens's field of view, a landing to come."""
 
 
 def _not_numbers(recording: vs.Recording) -> Iterator[str]:
