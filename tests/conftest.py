@@ -17,7 +17,7 @@ import pytest
 
 import vstestbed.sim  # noqa: F401 - chooses MUJOCO_GL before any test imports mujoco
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.sim.render.gl_probe import require
+from vstestbed.sim.gl_probe import require
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # tests side by side: Mesa draws with a core each
     os.environ.setdefault("LP_NUM_THREADS", "0")

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from vstestbed.core.shares import at_once
-from vstestbed.experiments.comparison.worker import perform
 from vstestbed.report.comparison import page
+from vstestbed.studies.comparison.pools import perform
 
 
 class Here:
@@ -34,7 +34,7 @@ class Here:
 def run_here(patch: pytest.MonkeyPatch) -> None:
     """Runs of comparisons and searches are done in this process."""
     for user in ("comparison", "tuning.search", "convergence"):
-        patch.setattr(f"vstestbed.experiments.{user}.pool_of", lambda *_: Here())
+        patch.setattr(f"vstestbed.studies.{user}.pool_of", lambda *_: Here())
 
 
 def draw_one_figure(patch: pytest.MonkeyPatch) -> None:

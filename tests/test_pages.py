@@ -99,7 +99,7 @@ def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
 @pytest.mark.opengl
 def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("vstestbed.scenario.described.schema_of", whole_schema)  # made once for all tests
+    monkeypatch.setattr("vstestbed.scenario.catalogue.schema_of", whole_schema)  # made once for all tests
     given = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}
     found = {words for words in given if words[0] in SHORT and not words[-1].endswith((".xml", ".py"))}
     assert found

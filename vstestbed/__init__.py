@@ -42,16 +42,12 @@ if TYPE_CHECKING:
     from vstestbed.core.outcome import Outcome
     from vstestbed.core.planar import GroundPose
     from vstestbed.core.spec import spec
-    from vstestbed.experiments.comparison import compare
-    from vstestbed.experiments.run_folder import run_into
-    from vstestbed.experiments.tuning import tune
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation, Sight
     from vstestbed.laws import LAWS, Command, Law, LawBase
     from vstestbed.loop.controller import Controller
     from vstestbed.loop.recording import Recording
-    from vstestbed.loop.run import run
-    from vstestbed.loop.session import Session
+    from vstestbed.loop.session import Session, run
     from vstestbed.robots import ROBOTS, Allocation, Mount, Order, Reading, Robot, RobotBase
     from vstestbed.scenario.dump import dump
     from vstestbed.scenario.load import load
@@ -60,9 +56,11 @@ if TYPE_CHECKING:
     from vstestbed.sim.clock import Clock
     from vstestbed.sim.scene.world import World
     from vstestbed.sim.timing import Timing
+    from vstestbed.studies.comparison import compare
+    from vstestbed.studies.run_folder import run_into
+    from vstestbed.studies.tuning import tune
     from vstestbed.targets import TARGETS, Target
-    from vstestbed.targets.attached import MOTIONS
-    from vstestbed.targets.motion import MotionBase
+    from vstestbed.targets.motion import MOTIONS, MotionBase
     from vstestbed.tasks import GOALS, Task, TaskBase
     from vstestbed.tasks.frame import Cycle, Frame
     from vstestbed.tasks.metrics import METRICS
@@ -77,16 +75,15 @@ _HOMES = {
     "vstestbed.core.outcome": ("Outcome",),
     "vstestbed.core.planar": ("GroundPose",),
     "vstestbed.core.spec": ("spec",),
-    "vstestbed.experiments.comparison": ("compare",),
-    "vstestbed.experiments.run_folder": ("run_into",),
-    "vstestbed.experiments.tuning": ("tune",),
+    "vstestbed.studies.comparison": ("compare",),
+    "vstestbed.studies.run_folder": ("run_into",),
+    "vstestbed.studies.tuning": ("tune",),
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation", "Sight"),
     "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
     "vstestbed.loop.controller": ("Controller",),
     "vstestbed.loop.recording": ("Recording",),
-    "vstestbed.loop.run": ("run",),
-    "vstestbed.loop.session": ("Session",),
+    "vstestbed.loop.session": ("Session", "run"),
     "vstestbed.robots": ("ROBOTS", "Allocation", "Mount", "Order", "Reading", "Robot", "RobotBase"),
     "vstestbed.scenario.dump": ("dump",),
     "vstestbed.scenario.load": ("load",),
@@ -96,8 +93,7 @@ _HOMES = {
     "vstestbed.sim.scene.world": ("World",),
     "vstestbed.sim.timing": ("Timing",),
     "vstestbed.targets": ("TARGETS", "Target"),
-    "vstestbed.targets.attached": ("MOTIONS",),
-    "vstestbed.targets.motion": ("MotionBase",),
+    "vstestbed.targets.motion": ("MOTIONS", "MotionBase"),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
     "vstestbed.tasks.frame": ("Cycle", "Frame"),
     "vstestbed.tasks.stop": ("Stop",),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Catadioptric, Fisheye, Perspective, SphericalCamera
-from vstestbed.camera.cube import CUBE
+from vstestbed.camera.wide import CUBE
 
 
 def test_faces_are_rotations_that_look_along_the_six_axes():

@@ -14,25 +14,23 @@ from tests.examples.wrong import Bare, Crooked, Displaced, Ghost, Numb, Remember
 from tests.examples.wrong_rooms import Backwards, Forgetful, Idle, Impatient, Jumping, Mirrored, Untold
 from tests.robots.arms import block
 from vstestbed.camera import CAMERAS
-from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
+from vstestbed.core.named_files import folder
 from vstestbed.features import FEATURES
 from vstestbed.laws import IBVS, LAWS, PBVS
-from vstestbed.laws.conditions import Until
-from vstestbed.laws.switched import Turn
+from vstestbed.laws.switched import Turn, Until
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, Ball, GroundLines, MeshTarget, PictureTarget, Points, Shape, Square
-from vstestbed.targets.attached import MOTIONS
-from vstestbed.targets.figures import Whale
+from vstestbed.targets.motion import MOTIONS
+from vstestbed.targets.regions import Whale
 from vstestbed.targets.route import Straight
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.metrics import METRICS
-from vstestbed.tasks.monitors import MONITORS, KeepOut
-from vstestbed.tasks.rules import AfterPictures, Settles
+from vstestbed.tasks.monitors import MONITORS, AfterPictures, KeepOut, Settles
 from vstestbed.tasks.stop import Converged
-from vstestbed.testing.scenarios import quick
+from vstestbed.testing.laws import quick
 from vstestbed.vision import DETECTORS, Tags
 from vstestbed.vision.perturb import PERTURBATIONS
 

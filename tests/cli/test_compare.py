@@ -99,6 +99,6 @@ def test_a_folder_that_holds_something_stays_as_it_is(command, quick: Path):
 
 
 def test_from_python_also_after_the_room_has_been_imported():
-    import vstestbed.experiments.comparison
+    import vstestbed.studies.comparison
 
-    assert vs.compare is vstestbed.experiments.comparison.compare
+    assert vs.compare is vstestbed.studies.comparison.compare

@@ -9,8 +9,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.cli import complete
 from vstestbed.core.errors import ParameterError
-from vstestbed.scenario.catalogue import catalogue
-from vstestbed.scenario.field_paths import looked_up
+from vstestbed.scenario.catalogue import catalogue, looked_up
 from vstestbed.scenario.validation import KINDS
 
 

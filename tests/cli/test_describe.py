@@ -14,11 +14,10 @@ from vstestbed.cli.describe import describe_entry, describe_field
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import Room
-from vstestbed.experiments.comparison import Comparison
-from vstestbed.scenario.catalogue import Entry, catalogue
-from vstestbed.scenario.field_paths import FieldPlace, looked_up
+from vstestbed.scenario.catalogue import Entry, FieldPlace, catalogue, looked_up
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
+from vstestbed.studies.comparison import Comparison
 
 ENTRIES = catalogue(scenario=Scenario, comparison=Comparison)
 

@@ -8,7 +8,7 @@ import pytest
 from vstestbed.cli import doctor
 from vstestbed.cli.doctor import Finding, examine
 from vstestbed.core.errors import EnvironmentLackError
-from vstestbed.sim.render import gl_probe as gl
+from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.pixel_check import PixelCheck
 
 

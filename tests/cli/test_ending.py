@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from vstestbed.cli.streams import Stream
+from vstestbed.cli.ending import Stream
 
 RUN = ("run", "quick.yaml", "--video", "none", "--json")
 LATE = ("--set", "stop.duration_s=0.2")

@@ -11,9 +11,9 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.experiments.comparison import chosen, controllers, jobs
-from vstestbed.experiments.comparison.folder import store, write_plan
-from vstestbed.experiments.comparison.worker import execute, request_of
+from vstestbed.studies.comparison import chosen, controllers, jobs
+from vstestbed.studies.comparison.folder import store, write_plan
+from vstestbed.studies.comparison.pools import execute, request_of
 
 SMALL = {"camera.width": 160, "camera.height": 120, "stop.duration_s": 0.12, "detector": {"kind": "oracle"}}
 

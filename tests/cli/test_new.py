@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 import vstestbed as vs
-from vstestbed.cli.new import ROOM_OF, NewKind, commands_of, text_of
-from vstestbed.cli.tools import settings_of
+from vstestbed.cli.tools import ROOM_OF, NewKind, commands_of, settings_of, text_of
 from vstestbed.core.docstrings import class_text
 from vstestbed.scenario.validation import KINDS as ROOMS
 
@@ -76,7 +75,7 @@ def check_words(kind: str) -> None:
 
 
 def vs_plain(scenario: vs.Scenario):
-    from vstestbed.core.mapping import to_mapping
+    from vstestbed.core.registry import to_mapping
 
     plain = to_mapping(scenario)
     return {name: value for name, value in plain.items() if name != "plugins"}

@@ -6,8 +6,8 @@ from typing import ClassVar, Literal, Protocol
 
 import pytest
 
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features import FEATURES
 from vstestbed.vision import DETECTORS

@@ -12,8 +12,8 @@ import pytest
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
 from vstestbed.core.files import PartFile, make_folder, read_file, temporary, write_whole
 from vstestbed.core.named_files import place_of_file
-from vstestbed.experiments.comparison import compare
 from vstestbed.report.video import VideoWriter
+from vstestbed.studies.comparison import compare
 
 PRECIOUS = "written by somebody else"
 

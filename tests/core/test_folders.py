@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import OutputError
-from vstestbed.core.folders import allowed, distinct, file_word, must_be_new, new_folder, only_writer, study_folder
+from vstestbed.core.files import allowed, distinct, file_word, must_be_new, new_folder, only_writer, study_folder
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from vstestbed.core.folders import only_writer
+from vstestbed.core.files import only_writer
 with only_writer(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)

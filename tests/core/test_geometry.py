@@ -25,10 +25,10 @@ from vstestbed.core.geometry import (
     rigid_error,
     rotation_angle,
     rotation_from_quaternion,
+    rotation_from_rpy,
     skew,
     transform,
 )
-from vstestbed.core.rpy import rotation_from_rpy
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 # The golden file has 15 digits; its own tolerance is 1e-10 (1 + |value|).

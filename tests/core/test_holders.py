@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from vstestbed.core.holders import holders
 from vstestbed.core.registry import ROOMS, SPECS, Room
+from vstestbed.core.spec import holders
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Pose
 from vstestbed.core.planar import GroundPose, block_of
 from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.core.spec import spec
-from vstestbed.robots.flight_start import FlightPose
+from vstestbed.robots.quadrotor import FlightPose
 
 
 @spec

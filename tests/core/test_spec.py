@@ -11,7 +11,7 @@ import pytest
 from annotated_types import Gt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.mapping import to_mapping
+from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import OneOf, kind_of, spec
 
 

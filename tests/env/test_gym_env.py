@@ -16,8 +16,8 @@ from gymnasium.utils.env_checker import check_env
 import vstestbed as vs
 import vstestbed.env
 from tests.robots.arms import where_installed
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.env.gym_env import GymServo
 from vstestbed.loop.judge import Judge
 from vstestbed.robots import Mount
@@ -380,7 +380,7 @@ def test_nothing_is_simulated_or_drawn_before_the_first_reset(monkeypatch: pytes
     def refuse(*_: Any, **__: Any) -> None:
         raise RuntimeError("built")
 
-    monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", refuse)
+    monkeypatch.setattr("vstestbed.loop.plants.build_plant", refuse)
     env = gymnasium.make("vstestbed/arm_ibvs-v0", observation="pixels", render_mode="rgb_array")
     with pytest.raises(RuntimeError, match="built"):
         env.reset()

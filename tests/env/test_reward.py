@@ -9,8 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from vstestbed.env.reward import Reward, RewardKind
-from vstestbed.env.rollout import Rollout, rollout_of
+from vstestbed.env.rollout import Reward, RewardKind, Rollout, rollout_of
 
 DISCOUNTS = 0.9, 0.95, 0.99, 1.0
 BUNDLED = "arm_ibvs", "arm_pbvs", "omni_ibvs", "car_pbvs", "quadrotor_hover", "arm_track_circle"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vstestbed as vs
 import vstestbed.testing
 from vstestbed.core.geometry import Array
-from vstestbed.vision.match.features import Orb
+from vstestbed.vision.local_features import Orb
 
 pytestmark = pytest.mark.usefixtures("own_kinds")
 FILE = Path(__file__).parent / "conv_features.py"

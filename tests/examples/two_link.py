@@ -11,7 +11,7 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 from vstestbed.robots import Allocation, Mount, RobotBase
-from vstestbed.robots.reading import Reading
+from vstestbed.robots.base import Reading
 
 LENGTHS = 0.5, 0.4
 SPEED_LIMIT = 2.0

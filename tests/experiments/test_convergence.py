@@ -11,10 +11,10 @@ import pytest
 from tests.shortcuts import Here
 from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.comparison import Comparison, chosen
-from vstestbed.experiments.comparison.pools import WorkerLostError
-from vstestbed.experiments.convergence import RunEnding, Study
 from vstestbed.scenario.load import load
+from vstestbed.studies.comparison import Comparison, chosen
+from vstestbed.studies.comparison.pools import WorkerLostError
+from vstestbed.studies.convergence import RunEnding, Study
 
 AXES = {"calibration.depth_factor": (0.5, 1.0), "law.gain": (1.0, 2.0)}
 
@@ -111,7 +111,7 @@ def test_a_run_that_kills_its_worker_costs_that_run_alone(quick: Path, tmp_path:
         def tries(self, request):
             return tries[request.folder]
 
-    monkeypatch.setattr("vstestbed.experiments.convergence.pool_of", lambda *_: Deadly())
+    monkeypatch.setattr("vstestbed.studies.convergence.pool_of", lambda *_: Deadly())
     axes = {"law.gain": (3.0, 6.0), "camera.rate_hz": (20.0, 25.0)}
     assert outcomes(Study(Comparison(base=(str(quick),), axes=axes, seeds=1)), tmp_path) == ["converged"] * 2 + ["crashed", "converged"]
     assert max(tries.values()) == 2

@@ -14,12 +14,12 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.experiments.comparison import PLAN, compare, report_again
-from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.log_file import read_log
-from vstestbed.loop.summary_file import read_summary
+from vstestbed.loop.recording import read_summary
 from vstestbed.report import write_report
 from vstestbed.scenario.load import load
+from vstestbed.studies.comparison import PLAN, compare, report_again
+from vstestbed.studies.run_folder import run_into
 
 
 @pytest.fixture

@@ -19,12 +19,12 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
-from vstestbed.experiments.run_folder import new_folder, run_into, write_whole
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import FolderLog, open_log, read_log
 from vstestbed.loop.recording import to_frame
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.run_folder import new_folder, run_into, write_whole
 from vstestbed.tasks.frame import Frame
 
 NO_FILM = ("--video", "none")
@@ -228,7 +228,7 @@ class TestWholeOrNotAtAll:
         def broken(*_: object, **__: object) -> None:
             raise EnvironmentLackError("no OpenGL", "get some")
 
-        monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", broken)
+        monkeypatch.setattr("vstestbed.loop.plants.build_plant", broken)
         with pytest.raises(EnvironmentLackError):
             run_into(new_folder(scenario, None), scenario, "none")
         assert not Path("runs").exists()

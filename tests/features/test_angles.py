@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.features.angles import FLOOR, bounded_inverse, wrap, wrap_together
+from vstestbed.features.base import FLOOR, bounded_inverse, wrap, wrap_together
 
 PI = np.pi
 

@@ -9,7 +9,7 @@ from tests.features.test_derivatives import differences, moved, seen, worst
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features import Ellipse, Moments
-from vstestbed.features.ellipse import fitted_ellipse
+from vstestbed.features.moments import fitted_ellipse
 
 BALL = ("xn", "yn", "an")
 

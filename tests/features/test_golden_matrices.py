@@ -10,11 +10,9 @@ import pytest
 
 from vstestbed.core.geometry import exp
 from vstestbed.features import Ellipse, LineFeature, LogDepth, Moments, Polar, Polygon, Segment, ThetaU, Translation
-from vstestbed.features.ellipse import ellipse_moments
-from vstestbed.features.image_moments import MomentSet, image_moments
-from vstestbed.features.invariants import INVARIANTS
 from vstestbed.features.line import line_interaction
-from vstestbed.features.theta_u import theta_u
+from vstestbed.features.moments import INVARIANTS, MomentSet, ellipse_moments, image_moments
+from vstestbed.features.pose import theta_u
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 

@@ -5,8 +5,7 @@ import pytest
 
 from vstestbed.core.geometry import Pose, inverse, transform
 from vstestbed.core.planar import moved, pose_on_ground
-from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
-from vstestbed.features.line import LineFeature, line_interaction
+from vstestbed.features.line import LineFeature, floor_plane, floor_point, line_interaction, line_on_floor
 from vstestbed.robots import Mount
 from vstestbed.robots.ground import PLANE
 

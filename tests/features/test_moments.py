@@ -9,9 +9,8 @@ from tests.features.test_derivatives import differences, in_a_plane, moved, seen
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features import Moments
-from vstestbed.features.image_moments import fitted_plane, image_moments
-from vstestbed.features.invariants import INVARIANTS
-from vstestbed.targets.figures import LShape, Whale
+from vstestbed.features.moments import INVARIANTS, fitted_plane, image_moments
+from vstestbed.targets.regions import LShape, Whale
 
 ELBOW = np.array([[0, 0], [0.3, 0], [0.3, 0.12], [0.12, 0.12], [0.12, 0.4], [0, 0.4]]) - [0.1, 0.15]
 OBLONG = np.array([[-0.2, -0.1], [0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]])

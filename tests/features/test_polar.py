@@ -7,7 +7,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.features import Polar
-from vstestbed.features.angles import CENTRE
+from vstestbed.features.base import CENTRE
 
 
 def test_measure():

@@ -8,7 +8,7 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp
 from vstestbed.features import LogDepth, ThetaU
-from vstestbed.features.theta_u import rotation_interaction, theta_u
+from vstestbed.features.pose import rotation_interaction, theta_u
 
 
 def rotations(tu: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from vstestbed.laws.following import (
     usable_pose,
 )
 from vstestbed.targets import Square
-from vstestbed.vision.pose.homography import relative_view
+from vstestbed.vision.homography import relative_view
 
 SIX, X = np.eye(6), np.array([1.0, 2, 3, 4, 5, 6])
 

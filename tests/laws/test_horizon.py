@@ -10,7 +10,7 @@ import pytest
 import vstestbed as vs
 from tests.laws.test_constraints import POINTS, arm
 from vstestbed.core.geometry import exp, inverse, log, transform
-from vstestbed.laws.horizon import PlanBlocks, lagged, predict
+from vstestbed.laws.predictive import PlanBlocks, lagged, predict
 
 P = POINTS + [0.1, 0.0, 1.2]
 BLOCKS = PlanBlocks.of(10, 4)

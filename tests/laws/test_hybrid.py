@@ -15,9 +15,9 @@ from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
 from vstestbed.laws.following import NOTHING
-from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.laws.points import NO_POSE, TOO_FEW
 from vstestbed.targets.points import Square
-from vstestbed.vision.pose.homography import relative_view
+from vstestbed.vision.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
 TILTED = Pose(xyz=(0.1, -0.05, 1.1), rpy_deg=(20, 10, -15)).T

@@ -12,13 +12,12 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.laws import IBVS, PBVS, Hybrid, LawBase, LineFollowing, Partitioned, PoseController, Pursuit, Uncalibrated
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
-from vstestbed.laws.excitation import Excitation
 from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV
 from vstestbed.laws.following import CARRY_S
-from vstestbed.laws.image_jacobian import Broyden, RecursiveLeastSquares
-from vstestbed.laws.polar_pose import PolarGains
+from vstestbed.laws.points import Visibility
+from vstestbed.laws.pose_controller import PolarGains
 from vstestbed.laws.solve import Solve
-from vstestbed.laws.visibility import Visibility
+from vstestbed.laws.uncalibrated import Broyden, Excitation, RecursiveLeastSquares
 
 NUMBERS: dict[type, dict[str, Any]] = {
     IBVS: {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "smoothing_s": 0.0, "keep_last": False, "redundant": False},

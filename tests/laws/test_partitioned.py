@@ -16,9 +16,8 @@ from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Law, Partitioned
 from vstestbed.laws.base import ConstantGain, TwistLimits
-from vstestbed.laws.select import NO_AREA
+from vstestbed.laws.points import NO_AREA, Visibility
 from vstestbed.laws.views import Views
-from vstestbed.laws.visibility import Visibility
 from vstestbed.targets.points import Square
 
 TRUE = OracleDepth()

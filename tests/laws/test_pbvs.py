@@ -12,7 +12,7 @@ from tests.laws.flight import book_camera, fly, pixels
 from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import PBVS
-from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.laws.points import NO_POSE, TOO_FEW
 from vstestbed.targets.points import Square
 
 Way = Literal["cdMc", "cMcd", "cMo"]

@@ -17,12 +17,28 @@ from vstestbed.core.geometry import exp, inverse, rigid_error
 from vstestbed.features.depth import Constant, PnP, Sensed
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain
-from vstestbed.laws.luminance import GoalLevel, LevelPixels, Which, coarser, gradient, luminance, motion_px
-from vstestbed.laws.photometric import BLANK, NO_DEPTH, NO_PICTURE, NO_STRUCTURE, LevenbergMarquardt, Photometric
-from vstestbed.laws.robust import LEAST_SIGMA, Robust, scale, weights
+from vstestbed.laws.photometric import (
+    BLANK,
+    LEAST_SIGMA,
+    NO_DEPTH,
+    NO_PICTURE,
+    NO_STRUCTURE,
+    GoalLevel,
+    LevelPixels,
+    LevenbergMarquardt,
+    Photometric,
+    Robust,
+    Which,
+    coarser,
+    gradient,
+    luminance,
+    motion_px,
+    scale,
+    weights,
+)
 from vstestbed.report.comparison.columns import Metric
 from vstestbed.scenario.load import parse
-from vstestbed.sim.retake import Retake
+from vstestbed.sim.replay import Retake
 
 CORNERS = np.array([[-0.3, -0.225, 0], [0.3, -0.225, 0], [0.3, 0.225, 0], [-0.3, 0.225, 0]])
 AT_GOAL = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])

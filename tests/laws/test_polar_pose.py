@@ -5,8 +5,8 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import wrapped
-from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
-from vstestbed.robots.bicycle import BicycleLimits, Drive, drive
+from vstestbed.laws.pose_controller import PolarGains, direction_to, polar, polar_law
+from vstestbed.robots.car import BicycleLimits, Drive, drive
 
 GAINS = PolarGains()
 GOAL = np.array([5, 5, np.pi / 2])

@@ -15,15 +15,14 @@ import vstestbed as vs
 from tests.examples import policy as example
 from tests.laws.onnx_file import DOUBLE, linear
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
-from vstestbed.experiments.comparison.folder import read_plan, write_plan
-from vstestbed.experiments.comparison.plan import chosen
-from vstestbed.experiments.run_folder import run_into
 from vstestbed.laws.base import TwistLimits
-from vstestbed.laws.policy import Policy
-from vstestbed.laws.policy_io import ActionScale, observed
+from vstestbed.laws.policy import ActionScale, Policy, observed
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import parse
-from vstestbed.testing.scenarios import quick
+from vstestbed.studies.comparison.folder import read_plan, write_plan
+from vstestbed.studies.comparison.plan import chosen
+from vstestbed.studies.run_folder import run_into
+from vstestbed.testing.laws import quick
 
 EXAMPLE = str(Path(example.__file__))
 SCENARIO = """
@@ -78,7 +77,7 @@ class TestWhatItSees:
         assert 0.01 < moved[0] < 0.1 and abs(last.truth.T_world_camera[0, 3] - moved[0]) > 0.1
 
     def test_a_batch_of_ideal_cameras_has_no_sensors_of_its_own(self):
-        from vstestbed.experiments.basin.setup import BatchSetup
+        from vstestbed.studies.batch import BatchSetup
 
         with pytest.raises(ParameterError, match="policy reads proprioception, which the ideal cameras"):
             BatchSetup(replace(quick("view"), law=Policy(file=f"{EXAMPLE}:act", agent_pos=True)))

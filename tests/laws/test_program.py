@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear, minimize
 
-from vstestbed.laws import program
-from vstestbed.laws.program import Group, minimise
+from vstestbed.laws import constraints
+from vstestbed.laws.constraints import Group, minimise
 
 ENDLESS = np.full(6, np.inf)
 
@@ -79,7 +79,7 @@ def test_bounds_never_give_way() -> None:
 
 
 def test_a_solver_that_gives_up_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(program, "ITERATIONS", 1)
+    monkeypatch.setattr(constraints, "ITERATIONS", 1)
     rng = np.random.default_rng(0)
     groups = (Group("border", rng.normal(size=(40, 6)), np.ones(40) * 0.1),)
     found = minimise(*problem(1), -ENDLESS, ENDLESS, groups)

@@ -10,7 +10,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Command
-from vstestbed.laws.projection import Classical, Large, Projection
+from vstestbed.laws.ibvs import Classical, Large, Projection
 from vstestbed.targets import Square
 
 CAMERA, POINTS = Perspective(), Square(side=0.5, pose=Pose()).points

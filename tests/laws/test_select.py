@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.features.observation import Observation
-from vstestbed.laws.select import ALL, NO_DEPTH, TOO_FEW, usable_rows
+from vstestbed.laws.points import ALL, NO_DEPTH, TOO_FEW, usable_rows
 
 NAN = np.nan
 

@@ -15,16 +15,14 @@ import vstestbed as vs
 from tests.laws.flight import book_camera
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose, transform
-from vstestbed.experiments.basin.batch import fly
-from vstestbed.experiments.basin.setup import start_of
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, PBVS, Switched
-from vstestbed.laws.conditions import Until, quantity
-from vstestbed.laws.switched import Turn
+from vstestbed.laws.switched import Turn, Until, quantity
 from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
 from vstestbed.report.run.numbers import table
 from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.studies.batch import fly, start_of
 from vstestbed.targets.points import Square
 from vstestbed.tasks.metrics import ErrorGrowth
 

@@ -13,9 +13,8 @@ from vstestbed.core.geometry import inverse, transform
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Uncalibrated
-from vstestbed.laws.image_jacobian import Broyden, MotionSums, RecursiveLeastSquares
-from vstestbed.laws.select import TOO_FEW
-from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, UncalibratedMemory
+from vstestbed.laws.points import TOO_FEW
+from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, Broyden, MotionSums, RecursiveLeastSquares, UncalibratedMemory
 from vstestbed.robots.own_model import OwnModel
 
 ENDLESS = np.full(3, np.inf)

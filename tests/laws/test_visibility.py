@@ -16,9 +16,9 @@ from vstestbed.features import Point
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain
-from vstestbed.laws.visibility import Visibility, pixel_interaction
+from vstestbed.laws.points import Visibility, pixel_interaction
 from vstestbed.targets.points import Square
-from vstestbed.vision.pose.homography import relative_view
+from vstestbed.vision.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points
 GOAL = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)

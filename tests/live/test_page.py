@@ -17,13 +17,13 @@ import viser
 
 import vstestbed as vs
 from tests.live.browser import Browser, Tab, chromium, labelled
-from vstestbed.experiments.run_folder import new_folder, run_into
 from vstestbed.live.app import LiveApp
 from vstestbed.live.playback import PlaybackApp
+from vstestbed.live.run import Settings
 from vstestbed.live.server import LocalServer
-from vstestbed.live.settings import Settings
 from vstestbed.report.video.film import Pictures
-from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.overlay import FilmFrame
+from vstestbed.studies.run_folder import new_folder, run_into
 
 pytestmark = [
     pytest.mark.study,

@@ -11,13 +11,10 @@ import pytest
 
 import vstestbed as vs
 from tests.robots.arms import where_installed
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.live.fields import fields_of
-from vstestbed.live.inbox import Inbox
-from vstestbed.live.run import LiveRun
-from vstestbed.live.settings import Settings
-from vstestbed.live.transport import Transport
+from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.live.panel import fields_of
+from vstestbed.live.run import Inbox, LiveRun, Settings, Transport
 
 IDEAL = "ibvs_book"  # no body and no pictures of its own: the quickest
 

@@ -27,14 +27,13 @@ from websockets.sync.client import connect
 import vstestbed as vs
 from tests.conftest import Ended
 from vstestbed.core.errors import EnvironmentLackError, RunFolderError
-from vstestbed.experiments.run_folder import new_folder, run_into
 from vstestbed.live.app import LiveApp
-from vstestbed.live.eye import Eye
+from vstestbed.live.page import Eye
 from vstestbed.live.panel import StatusLine
 from vstestbed.live.playback import PlaybackApp, Recorded
+from vstestbed.live.run import Sample, Settings
 from vstestbed.live.server import Gate, LocalServer
-from vstestbed.live.settings import Settings
-from vstestbed.live.transport import Sample
+from vstestbed.studies.run_folder import new_folder, run_into
 
 
 def until(condition, seconds: float = 20.0) -> None:

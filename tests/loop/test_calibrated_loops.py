@@ -5,7 +5,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
-from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
+from vstestbed.vision.observe import pose_by_depth, shown_goal
 
 POINT = {"kind": "ibvs", "gain": 1.0, "feature": "point", "interaction": "current", "depth": "pnp"}
 PBVS = {"kind": "pbvs", "gain": 1.0}

@@ -13,11 +13,11 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
+from vstestbed.loop.ego_motion import Arrival
 from vstestbed.loop.episode import Episode
-from vstestbed.loop.exposure import Arrival
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Reading
-from vstestbed.robots.flight_reading import FlightEstimate, FlightReading
+from vstestbed.robots.flight import FlightEstimate, FlightReading
 
 SPOKEN = ("t", "arrived", "picture", "at_exposure", "now", "twist", "setpoint")
 ALONE = """

@@ -13,8 +13,8 @@ from vstestbed.features.observation import Sight
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.episode import Episode
-from vstestbed.loop.goal_image import take_goal_images
-from vstestbed.vision.goal_points import goal_of_points, points_of
+from vstestbed.loop.plants import take_goal_images
+from vstestbed.vision.base import goal_of_points, points_of
 
 
 class Looking(IBVS):

@@ -20,7 +20,7 @@ from vstestbed.features import Point, Polar
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, PBVS, Hybrid
 from vstestbed.laws.base import AdaptiveGain, ConstantGain
-from vstestbed.loop.monitors import PlaneCrossed
+from vstestbed.loop.judge import PlaneCrossed
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario

@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.laws import IBVS
 from vstestbed.laws.base import FreeMotions
-from vstestbed.testing.scenarios import quick
+from vstestbed.testing.laws import quick
 
 NAN = np.full(6, np.nan)
 

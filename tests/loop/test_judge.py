@@ -8,9 +8,9 @@ import vstestbed as vs
 from tests.tasks.frames import back_from_target, first_verdict, frame, times
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.judge import Judge
-from vstestbed.robots.failsafe import OFF, SINKS, Failsafe
-from vstestbed.robots.supervisor import Supervisor
-from vstestbed.tasks.reached import GoalMonitor
+from vstestbed.robots.base import Supervisor
+from vstestbed.robots.flight import OFF, SINKS, Failsafe
+from vstestbed.tasks.monitor import GoalMonitor
 from vstestbed.tasks.stop import Converged, Stop
 
 STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5), lost_after_s=1.0)

@@ -17,7 +17,7 @@ from vstestbed.sim.ideal import IdealPlant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.sim.timing import Planned, Shutter
 from vstestbed.vision.base import Detection
-from vstestbed.vision.detect.oracle import Oracle
+from vstestbed.vision.oracle import Oracle
 
 LATENCY_S, TIMEOUT_S = 0.04, 0.3
 BLACK_FRAME = 30

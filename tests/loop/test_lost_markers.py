@@ -11,8 +11,8 @@ from tests.tasks.frames import frame
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.laws import IBVS, QP
-from vstestbed.laws.visibility import Visibility
-from vstestbed.loop.lost_markers import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
+from vstestbed.laws.points import Visibility
+from vstestbed.loop.judge import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
 
 SOON = {"stop.lost_after_s": 0.2, "stop.duration_s": 3.0, "camera.rate_hz": 25}
 SIDEWAYS = {"robot.start.nominal": {"xyz": [0, 0, -1], "rpy_deg": [0, 0, 0]}, "target.pose.xyz": [0, 0, 0], "detector": "oracle"}

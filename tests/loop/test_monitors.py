@@ -6,17 +6,9 @@ import vstestbed as vs
 from tests.tasks.frames import back_from_target, frame, times
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.monitors import (
-    BLOCKED_SCALE,
-    FAR_M,
-    Collision,
-    Divergence,
-    LimitReached,
-    PlaneCrossed,
-    safety_monitors,
-)
-from vstestbed.robots.failsafe import Failsafe
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.loop.judge import BLOCKED_SCALE, FAR_M, Collision, Divergence, LimitReached, PlaneCrossed, safety_monitors
+from vstestbed.robots.base import Supervisor
+from vstestbed.robots.flight import Failsafe
 from vstestbed.tasks.stop import Stop
 
 

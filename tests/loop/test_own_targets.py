@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.assets import folder
 from vstestbed.core.errors import ScenarioError
-from vstestbed.experiments.run_folder import run_into
+from vstestbed.core.named_files import folder
 from vstestbed.report.run.figures import depth, features
 from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.studies.run_folder import run_into
 
 QUICK = {"stop.duration_s": 0.4, "detector": "oracle"}
 

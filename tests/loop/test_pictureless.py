@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.assets import bundled_scenarios
-from vstestbed.loop import pictureless
-from vstestbed.loop.pictureless import effects_on_pictures, warn_without_effect
+from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.loop import plants
+from vstestbed.loop.plants import effects_on_pictures, warn_without_effect
 
 SHORT = {"stop.duration_s": 0.2, "detector": "oracle"}
 ON_PICTURES: dict[str, Any] = {
@@ -27,9 +27,9 @@ ON_PICTURES: dict[str, Any] = {
 
 @pytest.fixture(autouse=True)
 def told_anew() -> Iterator[None]:
-    pictureless._warn_once.cache_clear()
+    plants._warn_once.cache_clear()
     yield
-    pictureless._warn_once.cache_clear()
+    plants._warn_once.cache_clear()
 
 
 @pytest.mark.parametrize("name", ON_PICTURES)

@@ -15,12 +15,12 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import Array
-from vstestbed.experiments.run_folder import run_into
-from vstestbed.loop import plant_of as loop
+from vstestbed.loop import plants as loop
 from vstestbed.loop.log_file import read_log
 from vstestbed.robots.orders import Stop
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
+from vstestbed.studies.run_folder import run_into
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.frame import Frame
 
@@ -235,7 +235,7 @@ class TestTruthFence:
     """What the simulator knows reaches the recorder, the judge and the oracle, and nobody else."""
 
     # vision/base.py says what the oracle is given; its package hands that on by name.
-    KNOWS = ("vision/detect/oracle.py", "vision/base.py")
+    KNOWS = ("vision/oracle.py", "vision/base.py")
     ROOMS = ("laws", "robots", "vision", "features", "camera", "targets")
     TRUE = ("Truth", "truth", "hidden", "T_world_camera", "view", "p_camera")
 
@@ -292,8 +292,8 @@ class TestTruthFence:
     def test_only_the_loop_opens_the_fence_and_only_for_the_oracle(self):
         named = [(f, text) for f in PACKAGE.rglob("*.py") if "TruthView" in (text := f.read_text())]
         opened = {f.name for f, text in named if "TruthView" in self.spoken(ast.parse(text))}
-        # The loop, where rows are exposed one after another in a file of its own, and the suite that tests an oracle like another detector.
-        assert opened == {"shutter.py", "row_views.py", "detectors.py"}
+        # The loop's shutter, and the suite that tests an oracle like another detector.
+        assert opened == {"shutter.py", "perception.py"}
         detectors = [vs.load("arm_ibvs", {"detector": kind}).detector for kind in ("blobs", "oracle")]
         assert [d.needs_truth for d in detectors] == [False, True]
 

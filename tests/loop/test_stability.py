@@ -5,11 +5,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.outcome import Outcome
-from vstestbed.experiments.basin.batch import fly
-from vstestbed.experiments.basin.setup import start_of
-from vstestbed.loop.stability import FEWEST, LastPart, Swinging, grows, period, reversal, swings, to_and_fro
-from vstestbed.loop.theory import closed_form, swing_frames
+from vstestbed.loop.stability import FEWEST, LastPart, Swinging, closed_form, grows, period, reversal, swing_frames, swings, to_and_fro
 from vstestbed.report.run.numbers import headline
+from vstestbed.studies.batch import fly, start_of
 from vstestbed.tasks.metrics import TWIST
 
 PERIOD_S = 0.04

@@ -8,7 +8,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.loop.controller import Controller
-from vstestbed.loop.exposure import Arrival, Exposure
+from vstestbed.loop.ego_motion import Arrival, Exposure
 from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
 from vstestbed.tasks.frame import Cycle
 

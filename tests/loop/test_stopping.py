@@ -14,11 +14,10 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.exposure import Arrival, Exposure
+from vstestbed.loop.ego_motion import Arrival, Exposure
 from vstestbed.robots import Allocation, Mount
 from vstestbed.robots.arm import Arm
-from vstestbed.robots.failsafe import HOLD_S
-from vstestbed.robots.flight_reading import FlightEstimate, FlightReading
+from vstestbed.robots.flight import HOLD_S, FlightEstimate, FlightReading
 from vstestbed.robots.orders import Order
 from vstestbed.vision.base import TruthView
 

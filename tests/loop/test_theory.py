@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.theory import closed_form, gain_limit, led_form, locus, loop_shares, polynomial, roots, swing_frames
+from vstestbed.loop.stability import closed_form, gain_limit, led_form, locus, loop_shares, polynomial, roots, swing_frames
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:

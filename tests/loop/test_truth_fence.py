@@ -24,15 +24,15 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Picture
-from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import model_path
 from vstestbed.features.observation import Observation
 from vstestbed.laws import Law
 from vstestbed.loop.controller import Controller
-from vstestbed.loop.exposure import Exposure
+from vstestbed.loop.ego_motion import Exposure
 from vstestbed.loop.judge import Judge
 from vstestbed.loop.shutter import CameraClock, Exposed
-from vstestbed.robots.robot_log import RobotLog, RobotState
+from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.sim.base import Truth
 from vstestbed.sim.ideal import IdealPlant
 from vstestbed.sim.plant import MujocoPlant

@@ -11,9 +11,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.robots.attitude import GRAVITY
+from vstestbed.robots.base import Reading
 from vstestbed.robots.car import Car
-from vstestbed.robots.reading import Reading
-from vstestbed.vision.pose.dead_reckoning import LANDMARKS_S
+from vstestbed.vision.floor_pose import LANDMARKS_S
 
 ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "camera.latency_s": 0.04}
 BASE = ORACLE | {

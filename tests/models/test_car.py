@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from vstestbed.core.planar import moved
-from vstestbed.laws.polar_pose import PolarGains, polar_law
+from vstestbed.laws.pose_controller import PolarGains, polar_law
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.bicycle import drive
-from vstestbed.robots.car import Car, CarLimits, CarServos
-from vstestbed.robots.car_body import BUGGY
-from vstestbed.robots.reading import Reading
+from vstestbed.robots.base import Reading
+from vstestbed.robots.car import BUGGY, Car, CarLimits, CarServos, drive
 
 MODELS = Path(__file__).parents[2] / "models"
 G = 9.81

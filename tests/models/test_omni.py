@@ -10,8 +10,7 @@ import pytest
 
 from vstestbed.core.geometry import Pose
 from vstestbed.core.planar import motion_between, moved, place_of
-from vstestbed.robots.omni import Omni
-from vstestbed.robots.omni_body import PLATFORM, ROLLERS, SIDES, WHEELS
+from vstestbed.robots.omni import PLATFORM, ROLLERS, SIDES, WHEELS, Omni
 
 MODELS = Path(__file__).parents[2] / "models"
 STEP = 0.002

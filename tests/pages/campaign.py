@@ -26,10 +26,10 @@ from vstestbed.cli.compare import vary_of
 from vstestbed.cli.ending import exit_code
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
-from vstestbed.experiments.comparison import Campaign, Job, prepared
-from vstestbed.experiments.comparison.folder import PLAN, table_of
-from vstestbed.experiments.comparison.plan import AMOUNT
-from vstestbed.experiments.comparison.pools import pool_of
+from vstestbed.studies.comparison import Campaign, Job, prepared
+from vstestbed.studies.comparison.folder import PLAN, table_of
+from vstestbed.studies.comparison.plan import AMOUNT
+from vstestbed.studies.comparison.pools import pool_of
 
 SEED = 21
 """Of the order of the starts."""

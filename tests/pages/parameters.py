@@ -12,19 +12,17 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from vstestbed.core.assets import model_path
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
+from vstestbed.core.named_files import model_path
 from vstestbed.core.registry import blocks_in
 from vstestbed.robots.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.robots.attitude import Imu
 from vstestbed.robots.battery import Battery
-from vstestbed.robots.car import Car, CarLimits, Compass
-from vstestbed.robots.car_body import CarParameters
+from vstestbed.robots.car import Car, CarLimits, CarParameters, Compass
 from vstestbed.robots.flight import Gains
-from vstestbed.robots.groundspeed import Flow
-from vstestbed.robots.imu import Imu
+from vstestbed.robots.flight_sensors import Flow
 from vstestbed.robots.motor_spread import MotorSpread
-from vstestbed.robots.omni import Omni
-from vstestbed.robots.omni_body import OmniParameters
+from vstestbed.robots.omni import Omni, OmniParameters
 from vstestbed.robots.puma560 import DH, Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
@@ -36,7 +34,7 @@ from vstestbed.robots.uneven_floor import UnevenFloor
 from vstestbed.robots.vibration import Vibration
 from vstestbed.robots.wheels import WheelSpread
 from vstestbed.robots.worn_vehicle import WornVehicle
-from vstestbed.scenario.described import default_of
+from vstestbed.scenario.catalogue import default_of
 from vstestbed.scenario.dump import flow_text
 
 CLASSES: dict[str, type] = {

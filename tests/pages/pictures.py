@@ -29,15 +29,13 @@ from tests.pages.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.figures import Data, Series
 from vstestbed.report.comparison.page import COLUMN_IN, DPI
-from vstestbed.report.comparison.series import Series
 from vstestbed.report.html.canvas import save, style
 from vstestbed.report.video.film import Pictures, replay_of, rows_of
-from vstestbed.report.video.film_frame import FilmFrame
-from vstestbed.report.video.frame_reader import FrameReader, scaled
-from vstestbed.report.video.overlay import INK, PAPER, draw_text
+from vstestbed.report.video.overlay import INK, PAPER, FilmFrame, draw_text
 from vstestbed.report.video.quality import FINE
+from vstestbed.report.video.side_by_side import FrameReader, scaled
 from vstestbed.report.video.writer import Image
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -215,7 +213,7 @@ def live_page() -> Image:
     sys.path.insert(0, str(REPOSITORY))
     from tests.live.browser import Browser
     from vstestbed.live.app import LiveApp
-    from vstestbed.live.settings import Settings
+    from vstestbed.live.run import Settings
 
     app = LiveApp(Settings("arm_ibvs", {"camera.latency_s": LATE_S, "law.gain": QUIET}))
     app.run.transport.play(False)

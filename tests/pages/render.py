@@ -19,14 +19,13 @@ from ruamel.yaml import YAML
 import vstestbed as vs
 from tests.pages import parameters
 from tests.pages.kept import Kept, Row
-from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
-from vstestbed.experiments.bench.changes import BesideFloor
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.differences import Difference, paired_difference
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.pairs import TIME
-from vstestbed.report.comparison.statistics import spread, success_rate
+from vstestbed.report.comparison.statistics import Difference, paired_difference, spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
+from vstestbed.studies.bench import BesideFloor
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = Path(__file__).parent / "sources"

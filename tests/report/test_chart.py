@@ -9,8 +9,7 @@ import pytest
 
 from tests.report.html import checked
 from vstestbed.core.geometry import Array
-from vstestbed.report.html.chart import Chart
-from vstestbed.report.html.ticks import log_ticks, numerals, ticks
+from vstestbed.report.html.chart import Chart, log_ticks, numerals, ticks
 
 
 def paths(chart: Chart) -> list[list[Array]]:

@@ -10,9 +10,8 @@ import numpy as np
 
 import vstestbed as vs
 from vstestbed.core.geometry import Array
-from vstestbed.robots.flight_reading import HOLD
-from vstestbed.robots.flight_start import FlightPose, FlightStart
-from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.flight import HOLD
+from vstestbed.robots.quadrotor import FlightPose, FlightStart, Quadrotor
 from vstestbed.robots.rotors import X4
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.sim.scene.compose import Parts

@@ -10,11 +10,10 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.robots.flight_reading import Instruments
-from vstestbed.robots.flight_start import FlightPose, FlightStart
-from vstestbed.robots.groundspeed import Flow
-from vstestbed.robots.imu import Imu
-from vstestbed.robots.quadrotor import Flight, Quadrotor
+from vstestbed.robots.attitude import Imu
+from vstestbed.robots.flight import Instruments
+from vstestbed.robots.flight_sensors import Flow
+from vstestbed.robots.quadrotor import Flight, FlightPose, FlightStart, Quadrotor
 
 MODELS = Path(__file__).parents[2] / "models"
 AIR = 1.184

@@ -7,15 +7,12 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, rigid_error
 from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
-from vstestbed.robots.failsafe import Failsafe
-from vstestbed.robots.flight_reading import HOLD
-from vstestbed.robots.flight_start import FlightBox, FlightPose, FlightStart
+from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor
+from vstestbed.robots.flight import HOLD, Failsafe
 from vstestbed.robots.free import Box, FreeStart
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.puma560 import JointAngles, JointBox, PumaStart
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotLog, RobotState
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.quadrotor import FlightBox, FlightPose, FlightStart
 
 GROUND = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=30), random=GroundBox(x=1, y=1))
 ROBOTS = {

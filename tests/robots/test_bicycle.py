@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vstestbed.robots.bicycle import BicycleLimits, drive, rolled, steering_of, within_limits, yaw_rate
+from vstestbed.robots.car import BicycleLimits, drive, rolled, steering_of, within_limits, yaw_rate
 
 L = 1.0
 FREE = BicycleLimits(speed_mps=np.inf, steering_rad=1.5)

@@ -9,10 +9,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.car import Car, CarLimits, Compass
-from vstestbed.robots.car_body import BUGGY
+from vstestbed.robots.base import Reading
+from vstestbed.robots.car import BUGGY, Car, CarLimits, Compass
 from vstestbed.robots.ground import GroundBox, GroundStart
-from vstestbed.robots.reading import Reading
 
 CAR = Car()
 MOUNT = Mount.of(Pose(xyz=(0.2, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T)

@@ -6,8 +6,8 @@ import pytest
 
 import vstestbed as vs
 from tests.examples.two_link import TwoLink
-from vstestbed.robots.drawn_start import stated, undrawn
-from vstestbed.scenario.changes import changes
+from vstestbed.robots.base import stated, undrawn
+from vstestbed.scenario.dump import changes
 from vstestbed.scenario.load import parse
 
 NAMES = ("arm_ibvs", "arm_panda", "car_pbvs", "omni_ibvs", "quadrotor_hover", "ibvs_book")

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import Pose
-from vstestbed.robots.failsafe import SINKS, Failsafe
-from vstestbed.robots.flight_reading import FlightEstimate, FlightReading
+from vstestbed.robots.base import RobotState
+from vstestbed.robots.flight import SINKS, Failsafe, FlightEstimate, FlightReading
 from vstestbed.robots.quadrotor import Quadrotor
-from vstestbed.robots.robot_log import RobotState
 
 
 def test_estimates_references_wind_rotors_and_the_failsafe():

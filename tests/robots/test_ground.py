@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.core.planar import moved, pose_on_ground
+from vstestbed.robots.base import Reading, RobotState, Supervisor
 from vstestbed.robots.ground import VehicleLog
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotState
-from vstestbed.robots.supervisor import Supervisor
 
 ORIGIN = np.zeros(3)
 NO_READING = Reading(np.zeros(0), np.zeros(0))

@@ -5,7 +5,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.robots.attitude import GRAVITY, level, to_body
-from vstestbed.robots.groundspeed import READING_S, VELOCITIES, Filtered, Flow, Groundspeed, step
+from vstestbed.robots.flight_sensors import READING_S, VELOCITIES, Filtered, Flow, Groundspeed, step
 
 DT = 0.001
 FLAT = level((0.0, 0.0, 1.0))

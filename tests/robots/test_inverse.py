@@ -10,7 +10,7 @@ from tests.robots.arms import BLOCKS, block
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.robots.inverse import NEAR_M
+from vstestbed.robots.arm import NEAR_M
 
 
 def arm(name: str) -> Robot:

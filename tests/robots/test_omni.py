@@ -7,10 +7,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
+from vstestbed.robots.base import Reading
 from vstestbed.robots.ground import GroundBox, GroundStart
-from vstestbed.robots.omni import Omni
-from vstestbed.robots.omni_body import PLATFORM, WHEELS
-from vstestbed.robots.reading import Reading
+from vstestbed.robots.omni import PLATFORM, WHEELS, Omni
 
 BASE = Omni()
 PERIOD = 0.04

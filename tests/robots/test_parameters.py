@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import motion_between
 from vstestbed.robots import Car, Omni, Quadrotor, Robot
-from vstestbed.robots.car import CarLimits
-from vstestbed.robots.car_body import CarParameters, ackermann
-from vstestbed.robots.omni_body import OmniParameters
+from vstestbed.robots.car import CarLimits, CarParameters, ackermann
+from vstestbed.robots.omni import OmniParameters
 from vstestbed.robots.rotors import QuadrotorParameters
 from vstestbed.sim.scene.attach import _compiled, add_robot
 

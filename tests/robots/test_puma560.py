@@ -7,6 +7,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
 from vstestbed.robots.arm import LIMIT_HORIZON_S, LIMIT_MARGIN
+from vstestbed.robots.base import Reading
 from vstestbed.robots.puma560 import (
     JOINT_LIMITS,
     REACH_UNIT,
@@ -16,7 +17,6 @@ from vstestbed.robots.puma560 import (
     forward,
     jacobian,
 )
-from vstestbed.robots.reading import Reading
 
 ARM = Puma560()
 Q0 = ARM.configuration()

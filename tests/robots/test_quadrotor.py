@@ -9,11 +9,10 @@ from tests.robots.flying import Flown, perfect
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, adjoint, inverse
 from vstestbed.robots.allocation import Mount
-from vstestbed.robots.flight_reading import HOLD, Instruments, descend
-from vstestbed.robots.flight_start import LOWEST_M, FlightBox, FlightPose, FlightStart
-from vstestbed.robots.groundspeed import Filtered, Flow
-from vstestbed.robots.imu import Imu
-from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.attitude import Imu
+from vstestbed.robots.flight import HOLD, Instruments, descend
+from vstestbed.robots.flight_sensors import Filtered, Flow
+from vstestbed.robots.quadrotor import LOWEST_M, FlightBox, FlightPose, FlightStart, Quadrotor
 from vstestbed.robots.rotors import X4
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from vstestbed.loop.command_history import CommandHistory
+from vstestbed.loop.ego_motion import CommandHistory
 from vstestbed.robots.orders import Orders
 from vstestbed.robots.setpoints import Between, Blend, Interpolation
 

@@ -10,11 +10,11 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
+from vstestbed.robots.base import Reading
 from vstestbed.robots.body import Loosen, Set
 from vstestbed.robots.car import Car, CarLimits
 from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import Omni
-from vstestbed.robots.reading import Reading
 from vstestbed.robots.realism import Level
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.uneven_floor import UnevenFloor

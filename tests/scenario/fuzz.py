@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 import vstestbed as vs
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ScenarioError, VstestbedError
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.spec import OneOf
 from vstestbed.scenario import load as loader
 from vstestbed.scenario.scenario import Scenario

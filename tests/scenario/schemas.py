@@ -6,7 +6,7 @@ import functools
 import json
 from typing import Any
 
-from vstestbed.scenario.described import schema_of
+from vstestbed.scenario.catalogue import schema_of
 
 
 @functools.cache

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 import vstestbed as vs
-from vstestbed.scenario.changes import changes
-from vstestbed.scenario.dump import dump_for_folder
+from vstestbed.scenario.dump import changes, dump_for_folder
 
 
 @pytest.mark.parametrize(

@@ -10,16 +10,15 @@ import pytest
 
 from tests.scenario.schemas import whole_schema
 from tests.scenario.test_load import conforms
-from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.docstrings import class_text, unit_in
 from vstestbed.core.errors import Mistake, ScenarioError
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.spec import spec
-from vstestbed.experiments.comparison import Comparison
 from vstestbed.laws.pbvs import PBVS
-from vstestbed.scenario.bundled_uses import bundled_uses
-from vstestbed.scenario.described import examples_of, schema_of
+from vstestbed.scenario.catalogue import bundled_uses, examples_of, schema_of
 from vstestbed.scenario.load import for_another_folder, load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison import Comparison
 from vstestbed.tasks.landing import GoalLanding
 
 CLASSES = (Scenario, Comparison)
@@ -103,10 +102,10 @@ def test_it_is_the_same_without_the_packages_of_arms(monkeypatch: pytest.MonkeyP
             )
         return load(name)
 
-    monkeypatch.setattr("vstestbed.scenario.bundled_uses.load", load_others)
+    monkeypatch.setattr("vstestbed.scenario.catalogue.load", load_others)
     without = bundled_uses.__wrapped__()
     assert "arm_panda" not in str(without.files) and "arm_jaco" in str(without.files)
-    monkeypatch.setattr("vstestbed.scenario.described.bundled_uses", lambda: without)
+    monkeypatch.setattr("vstestbed.scenario.catalogue.bundled_uses", lambda: without)
     assert json.loads(json.dumps(schema_of(Scenario))) == whole_schema(Scenario)
 
 

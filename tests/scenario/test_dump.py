@@ -14,8 +14,8 @@ from ruamel.yaml import YAML
 from spatialmath import SE2, SE3
 
 import vstestbed as vs
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.scenario.load import parse
 
 T_WORLD_TARGET = SE3(1.5, 0, 0.7) * SE3.Ry(90, unit="deg")

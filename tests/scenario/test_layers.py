@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.mapping import to_mapping
-from vstestbed.experiments.comparison import chosen, controllers
+from vstestbed.core.registry import to_mapping
 from vstestbed.robots.joint_effects import CurrentLoops
 from vstestbed.robots.realism import Level
-from vstestbed.scenario.changes import changes
+from vstestbed.scenario.dump import changes
 from vstestbed.scenario.load import parse
+from vstestbed.studies.comparison import chosen, controllers
 
 TWEAKS: dict[str, tuple[str, dict[str, Any]]] = {
     "arm": ("arm_ibvs", {}),

@@ -13,15 +13,14 @@ from ruamel.yaml import YAML
 
 from tests.robots.arms import where_installed
 from tests.scenario.schemas import whole_schema
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
 from vstestbed.scenario.dump import dump
-from vstestbed.scenario.in_view import in_view
 from vstestbed.scenario.load import find, load, parse
 from vstestbed.scenario.plugins import load_plugins
-from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.scenario import Scenario, in_view
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import read_value
 

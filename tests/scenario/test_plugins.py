@@ -14,7 +14,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.laws.switched import Turn
-from vstestbed.scenario.described import schema_of
+from vstestbed.scenario.catalogue import schema_of
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.validation import KINDS
 

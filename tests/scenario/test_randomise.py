@@ -12,14 +12,14 @@ from ruamel.yaml import YAML
 from scipy import stats
 
 import vstestbed as vs
-from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError, ScenarioError
+from vstestbed.core.named_files import folder
 from vstestbed.env.rollout import Rollout
-from vstestbed.experiments.basin.setup import BatchSetup
 from vstestbed.scenario.distributions import Chosen, Gaussian, Integer, LogUniform, Uniform
 from vstestbed.scenario.load import for_another_folder
+from vstestbed.scenario.randomise import IMAGE_STREAM, START_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import IMAGE_STREAM, START_STREAM
+from vstestbed.studies.batch import BatchSetup
 
 SEEDS = range(2000)
 LIGHT, LATENCY = "world.light.brightness", "camera.latency_s"

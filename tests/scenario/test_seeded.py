@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.run import run
+from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.loop.session import run
 from vstestbed.scenario.load import load, seeded
 from vstestbed.scenario.scenario import Scenario
 

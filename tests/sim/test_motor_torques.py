@@ -12,8 +12,8 @@ import pytest
 from tests.sim.two_mass import MASS, REACH, arm, plant_of, stage_of
 from vstestbed.core.geometry import Array
 from vstestbed.robots.joint_effects import CurrentLoops, Ripple
-from vstestbed.sim.equilibrium import settle
 from vstestbed.sim.motor_torques import MotorTorques
+from vstestbed.sim.plant import settle
 from vstestbed.sim.scene.stage import Stage
 
 KP = 2000.0

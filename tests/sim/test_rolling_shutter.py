@@ -13,7 +13,7 @@ import vstestbed as vs
 from vstestbed.camera import Look, Perspective, Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, exp, inverse, transform
-from vstestbed.loop.row_views import RowViews
+from vstestbed.loop.shutter import RowViews
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.row_weights import Contribution, of_rows

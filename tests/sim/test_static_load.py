@@ -12,11 +12,11 @@ import pytest
 import vstestbed as vs
 from tests.sim.two_mass import MASS, REACH, arm, plant_of
 from vstestbed.core.errors import UnreachableError
-from vstestbed.experiments.comparison.worker import RunRequest, execute
 from vstestbed.robots.joint_effects import Gears
 from vstestbed.robots.link_errors import Payload
 from vstestbed.scenario.dump import dump
 from vstestbed.sim.plant import MujocoPlant
+from vstestbed.studies.comparison.pools import RunRequest, execute
 
 LOAD = MASS * 9.81 * REACH
 """Torque of the links' weight about the horizontal first joint [Nm]."""
@@ -55,7 +55,7 @@ def test_the_limit_is_that_of_statics(tmp_path: Path, effects: dict[str, Any]) -
 
 
 def test_under_the_limit_it_stands_and_over_it_falls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.sim.equilibrium.check_static_load", lambda stage: None)
+    monkeypatch.setattr("vstestbed.sim.plant.check_static_load", lambda stage: None)
     fallen = []
     for share in (0.98, 1.02):
         plant = plant_of(arm(tmp_path, axis="0 1 0", **loaded(share * MOST_KG)))

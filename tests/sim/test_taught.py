@@ -7,10 +7,10 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import inverse, rigid_error
+from vstestbed.sim.base import flange_for, posture_at
+from vstestbed.sim.plant import shown_at
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.sim.scene.start_pose import flange_for, posture_at
-from vstestbed.sim.taught import shown_at
 
 
 @pytest.mark.parametrize("level", ["none", "field"])

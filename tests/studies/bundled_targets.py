@@ -7,8 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vstestbed.core.assets import folder
-from vstestbed.targets.triangles import as_stl
+from vstestbed.core.named_files import folder
+from vstestbed.targets.mesh import as_stl
 
 WIDTH, HEIGHT, TAG, EDGE = 1200, 848, 180, 130
 """The page, its tags' edge, and the distance of their middles from its borders [px]."""

@@ -10,9 +10,9 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.test_qp import edge_px, near_the_border
-from vstestbed.experiments.basin.setup import started_at
 from vstestbed.laws import IBVS, PBVS, QP, Predictive
-from vstestbed.laws.visibility import Visibility
+from vstestbed.laws.points import Visibility
+from vstestbed.studies.batch import started_at
 
 STARTS, MARGIN_PX = 200, 5.0
 FIELD = Visibility(margin_px=30.0)

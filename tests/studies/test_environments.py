@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import vstestbed.env
-from vstestbed.sim import gl_context, gl_thread
+from vstestbed.sim import gl_context
 
 pytestmark = pytest.mark.study
 
@@ -40,7 +40,7 @@ def held() -> dict[str, float]:
         "memory_mb": resident(),
         "descriptors": len(list(Path("/proc/self/fd").iterdir())),
         "threads": len(list(Path("/proc/self/task").iterdir())),
-        "contexts": len(gl_thread._contexts),
+        "contexts": len(gl_context._contexts),
         "rendering_contexts": len(gl_context._kept),
     }
 

@@ -32,8 +32,8 @@ from tests.laws.onnx_file import linear
 from tests.laws.test_policy import HOMES
 from tests.robots.arms import where_installed
 from vstestbed.cli.app import app
-from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
-from vstestbed.experiments.comparison.plan import read_comparison
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
+from vstestbed.studies.comparison.plan import read_comparison
 
 pytestmark = [pytest.mark.study, pytest.mark.usefixtures("here", "own_kinds")]
 

@@ -15,7 +15,7 @@ import pytest
 
 import vstestbed as vs
 from tests.robots.arms import where_installed
-from vstestbed.core.assets import bundled_scenarios
+from vstestbed.core.named_files import bundled_scenarios
 
 FRAMES = 2
 """Largest difference of the times to converge [camera periods]."""

@@ -16,7 +16,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.experiments.comparison import compare
+from vstestbed.studies.comparison import compare
 
 pytestmark = pytest.mark.study
 LARGEST = int(os.environ.get("VSTESTBED_SCALE", "10000"))

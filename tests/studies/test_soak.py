@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.experiments.run_folder import run_into
 from vstestbed.loop.log_file import FolderLog, open_log
+from vstestbed.studies.run_folder import run_into
 
 HOURS = float(os.environ.get("VSTESTBED_SOAK_HOURS", "1"))
 MOST_GROWTH_MB = 1.0
@@ -26,7 +26,7 @@ SOAK = """
 import sys
 import numpy as np, vstestbed as vs
 from pathlib import Path
-from vstestbed.experiments.run_folder import run_into
+from vstestbed.studies.run_folder import run_into
 class Memory:
     at = []
     def frame(self, frame):

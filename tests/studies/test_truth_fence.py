@@ -9,8 +9,8 @@ import pytest
 
 import vstestbed as vs
 from tests.robots.arms import where_installed
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.geometry import exp
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.judge import Judge

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Pose, inverse, transform
 from vstestbed.features import Polar
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
-from vstestbed.laws.visibility import Visibility
+from vstestbed.laws.points import Visibility
 from vstestbed.targets.points import Square
 
 Start = tuple[tuple[float, float, float], tuple[float, float, float]]

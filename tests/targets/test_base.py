@@ -6,9 +6,8 @@ import pytest
 from vstestbed.core.geometry import Pose
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.targets import GroundLines, Points, Square
-from vstestbed.targets.attached import Carried, Held
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.motion import Line, Still
+from vstestbed.targets.motion import Carried, Held, Line, Still
 from vstestbed.targets.route import CircularRoute, Straight
 
 SQUARE = Square(pose=Pose(), side=0.2, marker=Disc(radius=0.02))

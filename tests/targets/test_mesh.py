@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
+from vstestbed.core.named_files import folder
 from vstestbed.targets import MeshTarget, Points, Square
 from vstestbed.targets.markers import Disc, Sphere
-from vstestbed.targets.triangles import as_stl, nearest, read_triangles
+from vstestbed.targets.mesh import as_stl, nearest, read_triangles
 
 FLANGE = str(folder("scenarios") / "targets" / "flange.stl")
 FACES = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]

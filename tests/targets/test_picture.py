@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.targets import PictureTarget
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.picture_file import MOST_PX, read_picture
+from vstestbed.targets.picture import MOST_PX, read_picture
 
 
 def picture(**settings: Any) -> PictureTarget:

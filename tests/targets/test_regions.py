@@ -17,9 +17,16 @@ from vstestbed.cli.progress import summary_text
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose, inverse, lengths
 from vstestbed.targets import Ball, Shape
-from vstestbed.targets.conic import distance_to_conic, fitted_conic
-from vstestbed.targets.figures import FIGURES, PolygonFigure
-from vstestbed.targets.polygons import centroid, covariance, evenly_along, signed_area
+from vstestbed.targets.regions import (
+    FIGURES,
+    PolygonFigure,
+    centroid,
+    covariance,
+    distance_to_conic,
+    evenly_along,
+    fitted_conic,
+    signed_area,
+)
 from vstestbed.testing import check_target
 
 VIEW = Pose(xyz=(0.1, -0.2, 1.1), rpy_deg=(25, -30, 50)).T

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from vstestbed.core.assets import folder
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
+from vstestbed.core.named_files import folder
 from vstestbed.targets import PictureTarget
-from vstestbed.targets.picture_file import textures
+from vstestbed.targets.picture import textures
 
 NAMES = ["brick", "flat", "leaves", "poster", "repetitive", "text"]
 

@@ -11,8 +11,8 @@ from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.loop.judge import Judge
-from vstestbed.robots.failsafe import Failsafe
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.base import Supervisor
+from vstestbed.robots.flight import Failsafe
 from vstestbed.tasks.continuing import ToleranceMonitor
 from vstestbed.tasks.stop import Stop
 

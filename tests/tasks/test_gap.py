@@ -7,7 +7,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, pose_on_ground
-from vstestbed.tasks.gap import LeaderAndFollower
+from vstestbed.tasks.following import LeaderAndFollower
 
 STILL = {"target.motion": "still", "target.pose.xyz": [3, 0, 0.6]}
 

@@ -11,7 +11,7 @@ from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Observation
-from vstestbed.robots.failsafe import DOWN_S, Failsafe
+from vstestbed.robots.flight import DOWN_S, Failsafe
 from vstestbed.tasks.landing import DEEPEST, LandingMonitor, Touchdown
 
 SCENARIO = vs.load("quadrotor_land")

@@ -6,7 +6,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.planar import pose_on_ground
-from vstestbed.tasks.line import AlongRoute
+from vstestbed.tasks.following import AlongRoute
 
 I4 = np.eye(4)
 CIRCLE = {"target.route": {"kind": "circle", "radius_m": 2}, "goal.offset_m": 0.0}

@@ -10,7 +10,7 @@ from tests.tasks.frames import CORNERS, GOAL, frame, observed
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose, exp
 from vstestbed.features.observation import Goal
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.base import Supervisor
 from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, estimated_error, level_error
 from vstestbed.tasks.stop import Converged, Stop
 

@@ -12,10 +12,10 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.experiments.comparison.flights import BatchRequest
-from vstestbed.experiments.comparison.plan import Comparison
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, Metric, shown_by_default
 from vstestbed.report.run.numbers import table
+from vstestbed.studies.comparison.campaign import BatchRequest
+from vstestbed.studies.comparison.plan import Comparison
 from vstestbed.tasks.metrics import METRICS, CommandVariation, ErrorIntegrals
 from vstestbed.tasks.monitors import MONITORS, KeepOut
 

@@ -11,7 +11,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.tasks import GoalGap, GoalLanding, GoalLine, GoalPath, GoalTrack, GoalView, GoalViews
-from vstestbed.tasks.goal_picture import GoalPicture
+from vstestbed.tasks.base import GoalPicture
 from vstestbed.tasks.stop import Converged, Stop
 
 DEFAULTS: dict[type, dict[str, Any]] = {

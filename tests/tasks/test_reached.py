@@ -9,8 +9,8 @@ import vstestbed as vs
 from tests.tasks.frames import GOAL, frame, observed, times
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
-from vstestbed.robots.supervisor import Supervisor
-from vstestbed.tasks.reached import REST, GoalMonitor
+from vstestbed.robots.base import Supervisor
+from vstestbed.tasks.monitor import REST, GoalMonitor
 from vstestbed.tasks.stop import Converged, Stop
 
 SETUP = vs.load("arm_ibvs").setup

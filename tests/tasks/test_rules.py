@@ -16,8 +16,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.rules import EARLY_PICTURES, AfterPictures, Settles
-from vstestbed.tasks.start_shares import StartShares
+from vstestbed.tasks.metrics import StartShares
+from vstestbed.tasks.monitors import EARLY_PICTURES, AfterPictures, Settles
 from vstestbed.tasks.stop import Stop
 
 

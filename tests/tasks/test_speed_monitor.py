@@ -2,7 +2,7 @@
 
 import pytest
 
-from vstestbed.tasks.speed_monitor import MinSpeed, SpeedMonitor
+from vstestbed.tasks.continuing import MinSpeed, SpeedMonitor
 
 CRUISE = MinSpeed("the vehicle", commanded_mps=0.8, least_mps=0.64)
 

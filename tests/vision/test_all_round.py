@@ -5,9 +5,8 @@ import pytest
 
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 from vstestbed.core.planar import pose_on_ground, relative
-from vstestbed.vision.all_round import solve_pose_all_round
-from vstestbed.vision.pose.floor_pose import solve_place
-from vstestbed.vision.pose.pnp import solve_pose_from_rays
+from vstestbed.vision.floor_pose import solve_place
+from vstestbed.vision.pnp import solve_pose_all_round, solve_pose_from_rays
 
 RING = np.array([[4, 0.5, 1.5], [0.5, 4, 2], [-4, -0.5, 1.2], [-0.5, -4, 1.8], [3, 3, 2.5]])
 MOUNT = np.eye(4)

@@ -15,17 +15,12 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.basin import basins
-from vstestbed.cli.bench import benchmarks
 from vstestbed.cli.compare import comparing
-from vstestbed.cli.convergence import convergences
-from vstestbed.cli.delay import delays
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import exports
 from vstestbed.cli.live import lives
-from vstestbed.cli.new import news
-from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, tools
-from vstestbed.cli.tune import tunings
+from vstestbed.cli.studies import basins, benchmarks, convergences, delays, tunings
+from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, news, tools
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
 
@@ -85,7 +80,7 @@ def run(
 ) -> None:
     """One closed-loop run, with its folder of results."""
     from vstestbed.cli.progress import Progress, show_notes
-    from vstestbed.experiments.run_folder import new_folder, run_into
+    from vstestbed.studies.run_folder import new_folder, run_into
 
     chosen = load_scenario(scenario, set_, plugin, seed)
     folder = new_folder(chosen, out)
@@ -149,8 +144,7 @@ def render(
 ) -> None:
     """Film a recorded run again, from any camera, without simulating."""
     from vstestbed.cli.progress import show_notes
-    from vstestbed.core.files import make_parents
-    from vstestbed.core.folders import only_writer
+    from vstestbed.core.files import make_parents, only_writer
     from vstestbed.loop.log_file import open_log
     from vstestbed.report.video.film import ending_of, film_log
     from vstestbed.report.video.gif import gif_of
@@ -210,17 +204,17 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write report.html again."""
-    from vstestbed.core.folders import only_writer
+    from vstestbed.core.files import only_writer
 
     _must_hold(folder, "comparison.yaml", "tuning.yaml", "scenario.yaml")
     with only_writer(folder):
         # each with its own imports: those of a comparison take as long as the report of a run
         if (folder / "comparison.yaml").is_file():
-            from vstestbed.experiments.comparison import report_again
+            from vstestbed.studies.comparison import report_again
 
             page = report_again(folder, plugin or [])
         elif (folder / "tuning.yaml").is_file():
-            from vstestbed.experiments.tuning import report_again
+            from vstestbed.studies.tuning import report_again
 
             page = report_again(folder, plugin or [])
         else:

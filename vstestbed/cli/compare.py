@@ -18,9 +18,9 @@ from vstestbed.core.errors import ParameterError
 if TYPE_CHECKING:
     from polars import DataFrame
 
-    from vstestbed.experiments.comparison import Baseline, Campaign, Comparison
-    from vstestbed.experiments.comparison.result import ComparisonTable
     from vstestbed.report.comparison.baseline import BaselineChanges
+    from vstestbed.studies.comparison import Baseline, Campaign, Comparison
+    from vstestbed.studies.comparison.folder import ComparisonTable
 
 comparing = typer.Typer()
 
@@ -52,7 +52,7 @@ def compare(
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
     from vstestbed.cli.progress import show_notes
-    from vstestbed.experiments.comparison import Baseline, must_be_known, prepared
+    from vstestbed.studies.comparison import Baseline, must_be_known, prepared
 
     must_be_known(executor)
     gate = _gate(baseline, fail, tolerance)
@@ -80,7 +80,7 @@ class _Gate:
 
     def judge(self, changes: BaselineChanges, shown: bool) -> None:
         """Say what changed, and what got worse; with `fail` this ends the command with REGRESSED."""
-        from vstestbed.report.comparison.baseline_section import text
+        from vstestbed.report.comparison.baseline import text
 
         worse = [f"worse: {words}" for words in changes.regressions(self.tolerance)]
         lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * self.fail  # the reason for 5 is always told
@@ -116,7 +116,7 @@ def _carried_out(
 ) -> ComparisonTable:
     """Do the missing runs; an interrupt leaves with the command that goes on."""
     from vstestbed.cli.progress import Counter
-    from vstestbed.experiments.comparison import carry_out
+    from vstestbed.studies.comparison import carry_out
 
     total = len(campaign.jobs)
     try:
@@ -156,7 +156,7 @@ def _values(text: str) -> list[object]:
 
 
 def _summary_text(table: DataFrame, folder: Path) -> str:
-    from vstestbed.report.comparison.terminal import statistics_text
+    from vstestbed.report.comparison.tables import statistics_text
 
     done, good = len(table), int(table["success"].sum())
     failed = f"; {done - good} did not reach the goal" if good < done else ""

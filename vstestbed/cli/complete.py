@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from vstestbed.core.assets import bundled_comparisons, bundled_scenarios, folder
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 
 VARIABLE = "_VSTESTBED_COMPLETE"
 """Environment variable by which a shell's completion asks."""

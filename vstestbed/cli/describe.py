@@ -18,11 +18,8 @@ from rich.text import Text
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
 from vstestbed.core.registry import Room, blocks_in
 from vstestbed.core.spec import needed_fields
-from vstestbed.scenario.bundled_uses import bundled_uses
-from vstestbed.scenario.catalogue import Entry, hint_of
-from vstestbed.scenario.described import default_of, example_block, examples_of
+from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, default_of, example_block, examples_of, hint_of
 from vstestbed.scenario.dump import block_text, flow_text
-from vstestbed.scenario.field_paths import FieldPlace
 
 SET_LINE = 100
 """A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""

@@ -95,7 +95,7 @@ def _packages() -> Finding:
 
 
 def _data() -> Finding:
-    from vstestbed.core.assets import bundled_scenarios
+    from vstestbed.core.named_files import bundled_scenarios
 
     try:
         names = list(bundled_scenarios())
@@ -106,7 +106,7 @@ def _data() -> Finding:
 
 def _pictures() -> Iterator[Finding]:
     """OpenGL (ray casting where it does not work), then the pixel convention: rendered against projected positions of balls."""
-    from vstestbed.sim.render import gl_probe as gl
+    from vstestbed.sim import gl_probe as gl
     from vstestbed.sim.render.pixel_check import pixel_convention
 
     try:

@@ -102,7 +102,7 @@ def _must_be_new(path: Path, found: Exported, to: Format) -> None:
         if path.exists() or path.is_symlink():
             raise OutputError(path, "exists", "give a new file with --out")
         return
-    from vstestbed.core.folders import must_be_new
+    from vstestbed.core.files import must_be_new
 
     must_be_new(path, "give a new folder with --out")
 
@@ -125,7 +125,7 @@ def _found(folder: Path, plugins: list[str]) -> Exported:
 
 def _comparison(folder: Path, plugins: list[str]) -> Exported:
     """The finished runs of a comparison; those that crashed without a log are left out."""
-    from vstestbed.experiments.comparison import stored
+    from vstestbed.studies.comparison import stored
 
     comparison, table, total = stored(folder, plugins)
     places = [folder / name for name in table["folder"].to_list()]
@@ -149,7 +149,7 @@ def _beside(found: Exported, to: Format) -> Path:
 
 def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
     if to is Format.csv:
-        from vstestbed.report.export.csv_files import write_csv
+        from vstestbed.report.export.source import write_csv
 
         write_csv(found.opened(), path, tick, found.within, found.table)
     elif to is Format.lerobot:

@@ -52,7 +52,7 @@ def live(
         app = playback.PlaybackApp(folder, port, plugin or [])
     else:
         from vstestbed.live import app as running
-        from vstestbed.live.settings import Settings
+        from vstestbed.live.run import Settings
 
         app = running.LiveApp(Settings(what, settings_of(set_), seed, plugin or []), port)
     typer.echo(f"{app.address}   (Ctrl-C ends it)", err=True)

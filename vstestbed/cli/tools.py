@@ -6,7 +6,10 @@ Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 from __future__ import annotations
 
 import functools
+import importlib.util
 import json
+import keyword
+import re
 from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
@@ -15,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
@@ -110,7 +113,7 @@ def list_(
 
 def _entries(room: Listed) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
-    from vstestbed.core.assets import bundled_comparisons, bundled_scenarios
+    from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario.load import text_of
     from vstestbed.scenario.validation import KINDS
     from vstestbed.scenario.yaml_marks import plain_mapping
@@ -118,7 +121,7 @@ def _entries(room: Listed) -> list[tuple[str, str]]:
     if room is Listed.scenarios:  # as they are written: an arm's file may be in a package that is not installed
         return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
     if room is Listed.comparisons:
-        from vstestbed.experiments.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
+        from vstestbed.studies.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
 
         return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]
     return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
@@ -130,12 +133,12 @@ def schema(
     plugin: Plugins = None,
 ) -> None:
     """JSON Schema of a scenario's file for editors: every field with its unit, default and an example."""
-    from vstestbed.scenario.described import schema_of
+    from vstestbed.scenario.catalogue import schema_of
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
     if comparison:
-        from vstestbed.experiments.comparison.plan import Comparison as Block
+        from vstestbed.studies.comparison.plan import Comparison as Block
     else:
         from vstestbed.scenario.scenario import Scenario as Block
     typer.echo(json.dumps(schema_of(Block), indent=1, ensure_ascii=False))
@@ -155,11 +158,10 @@ def describe(
     from rich.console import Console
 
     from vstestbed.cli.describe import describe_entry, describe_field
-    from vstestbed.experiments.comparison.plan import Comparison
-    from vstestbed.scenario.catalogue import Entry, catalogue
-    from vstestbed.scenario.field_paths import looked_up
+    from vstestbed.scenario.catalogue import Entry, catalogue, looked_up
     from vstestbed.scenario.plugins import load_plugins
     from vstestbed.scenario.scenario import Scenario
+    from vstestbed.studies.comparison.plan import Comparison
 
     load_plugins(plugin or [])
     entries = catalogue(scenario=Scenario, comparison=Comparison)
@@ -198,3 +200,100 @@ def optical_flow(
 
 
 renamed(tools, "flow", "optical-flow", optical_flow)
+
+
+# The command `new`: one file for a kind of one's own, which runs as it is.
+
+
+news = typer.Typer()
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+class NewKind(str, Enum):
+    """What `new` has a file for; the value is the name of its template."""
+
+    law = "law"
+    feature = "feature"
+    robot = "robot"
+    detector = "detector"
+    keypoints = "keypoints"
+    lens = "lens"
+    target = "target"
+    motion = "motion"
+    metric = "metric"
+    noise = "noise"
+    monitor = "monitor"
+    task = "task"
+
+
+ROOM_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
+"""The room (`scenario.validation.KINDS`) of a kind, where it is not the plural of its word."""
+
+
+@news.command("new")
+def new(
+    kind: Annotated[NewKind, typer.Argument(help="What to write.")],
+    name: Annotated[str, typer.Argument(help="Its word in a scenario, such as my_law.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE.py", help="The file. [default: NAME.py]")] = None,
+) -> None:
+    """Write a commented file for a kind of one's own, with its test; it runs as it is."""
+    path = out or Path(f"{name}.py")
+    _check_name(kind, name)
+    _check_file(path, out)
+    text = text_of(kind.value, name, str(path))
+    from vstestbed.core.files import make_parents, write_whole
+
+    write_whole(make_parents(path), text)
+    typer.echo(f"{path} runs as it is. Next:")
+    for command in commands_of(text):
+        typer.echo(f"  {command}")
+    if importlib.util.find_spec("pytest") is None:
+        typer.echo("pytest is not installed here; pip install pytest", err=True)
+
+
+def text_of(kind: str, name: str, path: str) -> str:
+    """The file of a kind's template under another name: the word, the class, and the file in its commands."""
+    camel, quoted = "".join(part.capitalize() for part in name.split("_")), f'"{path}"' if " " in path else path
+    text = (TEMPLATES / f"{kind}.py").read_text(encoding="utf-8").replace(f"my_{kind}.py", quoted)
+    return text.replace(f"my_{kind}", name).replace(f"My{kind.capitalize()}", camel)
+
+
+def commands_of(text: str) -> list[str]:
+    """The commands in the docstring of a template: its lines that are indented."""
+    return [line.strip() for line in text.split('"""')[1].splitlines() if line.startswith("    ")]
+
+
+def _check_name(kind: NewKind, name: str) -> None:
+    """Refuse a name that is no word of Python, or that a bundled kind has.
+
+    Raises:
+        ParameterError: it says what would be valid.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind.value}", name)
+    from vstestbed.scenario.validation import KINDS  # after the cheap check: it imports the whole package
+
+    members = KINDS[ROOM_OF.get(kind.value, f"{kind.value}s")].members
+    if name in members:
+        raise ParameterError("NAME", f"is bundled already ({kind.value}); take another, such as my_{name}", name)
+
+
+def _check_file(path: Path, given: Path | None) -> None:
+    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out.
+
+    Raises:
+        ParameterError, OutputError: it says what would work.
+    """
+    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
+        raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
+    if path.exists() or path.is_symlink():
+        raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
+    _check_module(path, "NAME" if given is None else "--out")
+
+
+def _check_module(path: Path, option: str) -> None:
+    """Refuse a file that pytest could not import, since Python finds another of its name first; option: that gave the name."""
+    if (taken := importlib.util.find_spec(path.stem)) is not None:
+        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
+        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
+        raise ParameterError(option, f"{words}; take another, such as {other}", path.stem)

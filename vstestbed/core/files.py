@@ -8,9 +8,15 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
+import re
 import secrets
-from collections.abc import Iterator
+import shlex
+import shutil
+import unicodedata
+import zlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -131,3 +137,203 @@ def read_file(path: Path, works: str) -> bytes:
     except OSError as error:
         found = f"cannot be read ({error.strerror or error})"
     raise RunFolderError(path, found, works)
+
+
+# Folders of results: new ones never over older ones, and one writing process at a time.
+
+
+try:
+    import fcntl
+except ImportError:  # Windows has no flock
+    fcntl = None
+
+DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
+"""Names that Windows keeps for devices, also with an ending."""
+Identity = tuple[int, int]
+"""Device and inode of a folder."""
+_held: dict[Identity, int] = {}
+"""How many nested holds this process has on each folder."""
+
+
+@contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Hold an existing folder as the only process that writes into it; holds of one process may be nested.
+
+    The lock is flock(2) on the folder itself: it leaves no file, and ends with its process however that dies. A file system or an
+    operating system without flock gives no protection.
+
+    Raises:
+        OutputError: another process holds the folder, which the message names; or there is no such folder.
+    """
+    with writing(folder):
+        found = folder.stat()
+    identity = (found.st_dev, found.st_ino)
+    handle = None if identity in _held else _lock(folder)
+    _held[identity] = _held.get(identity, 0) + 1
+    try:
+        yield
+    finally:
+        _held[identity] -= 1
+        if not _held[identity]:
+            del _held[identity]
+        if handle is not None:
+            os.close(handle)  # releases the lock
+
+
+def _lock(folder: Path) -> int | None:
+    """The open handle that holds a folder's lock; None where there are no locks."""
+    if fcntl is None:
+        return None
+    with writing(folder):
+        handle = os.open(folder, os.O_RDONLY)  # not inherited by worker processes, which would keep the lock
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = _holder(os.fstat(handle).st_ino)
+        os.close(handle)
+        raise OutputError(folder, f"is in use by {holder}", "wait until it ends, or choose another folder") from None
+    except OSError:  # NFS locks only files that are open for writing
+        os.close(handle)
+        return None
+    return handle
+
+
+def _holder(inode: int) -> str:
+    """The process that holds the lock on a file, as far as the kernel tells: its number and its command line."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            _, kind, _, _, pid, place, *_ = line.split()
+            if kind == "FLOCK" and place.endswith(f":{inode}") and int(pid) > 0:
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+                return f"process {pid} ({' '.join(shlex.join(words[:-1]).split())[:120]})"  # one line
+    return "another process"
+
+
+def must_be_new(out: Path, remedy: str) -> None:
+    """Refuse a place that holds something.
+
+    Raises:
+        OutputError: `out` is a file, or a folder with something in it; where another process is at work there, the message names it.
+    """
+    with writing(out):
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            if out.is_dir():
+                with only_writer(out):  # raises if another process is writing
+                    pass
+            raise OutputError(out, "exists and is not an empty folder", remedy)
+
+
+def file_word(text: str, most: int = 60) -> str:
+    """Any text, such as a scenario's name, as the name of a folder or a part of one: without separators, never `..`, not too long.
+
+    Args:
+        text: the text. most: bytes that its name may have; a longer one is cut, and a checksum keeps different texts distinct.
+    """
+    word = re.sub(r"[^\w.+-]+", "_", unicodedata.normalize("NFC", text)).strip("._") or "value"
+    return allowed(word if len(word.encode()) <= most else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}")
+
+
+def allowed(name: str, most: int = 150) -> str:
+    """The name of a folder as every system allows it: file systems take 255 bytes, and Windows keeps some words for devices (`con.x`)."""
+    if name.partition(".")[0].casefold() in DEVICES:
+        name = f"_{name}"
+    return name if len(name.encode()) <= most else f"{_cut(name, most - 17)}_{hashlib.sha256(name.encode()).hexdigest()[:16]}"
+
+
+def _cut(name: str, most: int) -> str:
+    return name.encode()[:most].decode(errors="ignore")
+
+
+def distinct(words: Sequence[str]) -> list[str]:
+    """The words, with `_` at the end of those that stand there before: texts may differ in what a file name cannot hold alone.
+
+    Small and large letters count as equal, as on the file systems of Windows and macOS.
+    """
+    seen: dict[str, str] = {}
+    for word in words:
+        while (known := unicodedata.normalize("NFKC", word).casefold()) in seen:
+            word += "_"
+        seen[known] = word
+    return list(seen.values())
+
+
+def numbered(parent: Path) -> Path:
+    """Make the folder with the next free number in `parent`.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+    with writing(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
+        while True:
+            folder = parent / f"{number:03d}"
+            try:
+                folder.mkdir()
+            except FileExistsError:  # taken meanwhile by a process that started at the same time
+                number += 1
+            else:
+                return folder
+
+
+def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -> Path:
+    """Make a folder for results: `out`, or the next free number in `parent`.
+
+    Raises:
+        OutputError: `out` holds something already, or cannot be made.
+    """
+    if out is None:
+        return numbered(parent)
+    must_be_new(out, remedy)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+@contextmanager
+def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
+    """Make a folder that appears under its name when it is complete, or not at all; what it is given to be filled has a temporary name.
+
+    Raises:
+        OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: see `writing`.
+    """
+    must_be_new(out, remedy)
+    part = temporary(out)
+    with writing(out):
+        part.mkdir(parents=True)
+    try:
+        yield part
+        with writing(out):
+            if out.is_dir():
+                out.rmdir()  # empty, as `must_be_new` has found; where it is not any more, this refuses
+            part.rename(out)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder if it is empty; of one in `runs` also `runs/<kind>` and `runs`."""
+    with contextlib.suppress(OSError):  # a folder that is not empty stays
+        folder.rmdir()
+        for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
+            parent.rmdir()
+
+
+@contextmanager
+def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Iterator[Path]:
+    """Make and hold the folder of a study (basin, compare, ...): `out`, or the next free number in runs/KIND.
+
+    It is removed again if an error leaves it empty.
+
+    Raises:
+        OutputError: it holds something already, another process writes into it, or it cannot be made.
+    """
+    folder = new_folder(Path("runs") / kind, out, remedy)
+    with only_writer(folder):
+        must_be_new(folder, remedy)  # again: another process may have finished there before this one held it
+        try:
+            yield folder
+        except BaseException:
+            remove_empty(folder)
+            raise

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import os
 import re
+import sys
+import traceback
+from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import OutputError, ParameterError
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
@@ -88,3 +94,98 @@ def _inside(files: list[str], inside: str) -> tuple[str, str]:
 def kept_at(source: Path, what: str = "target") -> str:
     """Where a run's folder keeps the file that its target was made from, or another `what`."""
     return f"assets/{what}/{source.name}"
+
+
+# The folders models/ and scenarios/: inside an installed package, or beside it in a checkout.
+
+
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def folder(name: str) -> Path:
+    """The folder `models` or `scenarios`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
+    # The wheel's copy first: beside an installed package, a folder of this name would belong to somebody else.
+    for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
+        if candidate.is_dir():
+            return candidate
+    raise OutputError(_PACKAGE, f"the folder {name}/ is missing from the installation", "install vstestbed again")
+
+
+def model_path(name: str) -> Path:
+    """The MJCF file `name` in models/, or a robot's own by its whole path, or inside a package (`package:NAME/path`)."""
+    return place_of_file(name) if name.startswith(PACKAGE) else folder("models") / name
+
+
+def bundled_scenarios() -> dict[str, Path]:
+    """Path of every bundled scenario by its name, sorted."""
+    return _listed(folder("scenarios"))
+
+
+def bundled_comparisons() -> dict[str, Path]:
+    """Path of every bundled comparison by its name, sorted."""
+    return _listed(folder("scenarios") / "compare")
+
+
+def _listed(place: Path) -> dict[str, Path]:
+    return dict(_files(place, place.stat().st_mtime_ns))  # the caller may change it
+
+
+@lru_cache(maxsize=8)
+def _files(place: Path, changed_ns: int) -> dict[str, Path]:
+    # kept until a file comes or goes: a comparison loads hundreds of scenarios by their names
+    return {p.stem: p for p in sorted(place.glob("*.yaml"))}
+
+
+# Python files of others, loaded as modules: plugins, and policies.
+
+
+# The import of ONNX Runtime alone, also by a plugin or a policy, starts telemetry, which keeps a database in the user's cache.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+
+
+def module_of(path: Path) -> ModuleType | None:
+    """The module that has been loaded from a file, under whatever name."""
+    target = path.resolve()
+    for module in list(sys.modules.values()):
+        file = getattr(module, "__file__", None)
+        if isinstance(file, str) and file.endswith((path.name, target.name)) and Path(file).resolve() == target:
+            return module
+    return None
+
+
+def load_file(path: Path) -> ModuleType:
+    """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end, for what the file imports.
+
+    Raises:
+        ImportError: it is no Python file. Whatever the file raises while it is loaded.
+    """
+    if (known := module_of(path)) is not None:
+        return known
+    # The same name in every process: workers unpickle the plugin's objects by it.
+    name = f"{path.stem}@{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError("it is not a Python file; its name must end in .py")
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # known before it runs: dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def is_file_module(name: str) -> bool:
+    """Whether a module's name is one that `load_file` gives."""
+    return "@" in name
+
+
+def line_of(error: BaseException, name: str, path: Path | None) -> str:
+    """FILE:LINE where an error was raised in a file: the last line of it that was at work; `name` where it has no part in it."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [f"{f.filename}:{f.lineno}" for f in frames if path is not None and Path(f.filename).resolve() == path.resolve()]
+    return lines[-1] if lines else name

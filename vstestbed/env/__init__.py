@@ -15,8 +15,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import EnvironmentLackError
+from vstestbed.core.named_files import bundled_scenarios
 
 if TYPE_CHECKING:
     import gymnasium

@@ -2,21 +2,15 @@
 
 from dataclasses import fields
 
-from vstestbed.core.contract import Contract
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.features.base import Feature
-from vstestbed.features.ellipse import Ellipse
-from vstestbed.features.line import LineFeature
-from vstestbed.features.log_depth import LogDepth
-from vstestbed.features.moments import Moments
+from vstestbed.features.line import LineFeature, Segment
+from vstestbed.features.moments import Ellipse, Moments
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.features.point import Point
-from vstestbed.features.polar import Polar
+from vstestbed.features.points import Point, Polar, Spherical
 from vstestbed.features.polygon import Polygon
-from vstestbed.features.segment import Segment
-from vstestbed.features.spherical import Spherical
-from vstestbed.features.theta_u import ThetaU
-from vstestbed.features.translation import Translation
+from vstestbed.features.pose import LogDepth, ThetaU, Translation
 
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
 _VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)

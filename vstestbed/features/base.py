@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
@@ -103,3 +105,162 @@ def condition(L: Array, scale: Array, depth: Array) -> float:
         return np.inf
     singular = np.linalg.svd(A, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+
+
+# Differences of angles, and a bounded inverse for angular rates where an angle is undefined.
+
+
+FLOOR = 1e-3
+"""Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
+camera."""
+ROUNDING = 1e-12
+"""Radius, or sine of a colatitude, below which a bearing is undefined: pi has a sine of 1.2e-16."""
+CENTRE = 1e-2
+"""Radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels."""
+
+
+def wrap(angle: Array) -> Array:
+    """The same angle in (-pi, pi] rad, any shape; angles in the interval are returned unchanged, bit by bit."""
+    angle = np.asarray(angle, dtype=float)
+    # A plain modulo would also round angles that need no wrapping, and with them small errors.
+    inside = (angle > -np.pi) & (angle <= np.pi)
+    if inside.all():
+        return angle.copy()
+    turned = angle - 2 * np.pi * np.ceil((angle - np.pi) / (2 * np.pi))
+    turned = np.where(turned <= -np.pi, np.pi, np.minimum(turned, np.pi))  # rounding errors next to odd multiples of pi
+    return np.where(inside, angle, turned)
+
+
+def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array:
+    """Errors of N angles (..., N) [rad], each wrapped to (-pi, pi], near a half turn all with one sign.
+
+    If all exceed 90 degrees in size, those with the sign of the minority are shifted by 2 pi (both equal: to positive). Otherwise
+    rounding would decide for each point whether it moves clockwise or not. NaN stays NaN and does not count, nor does an angle
+    where `votes` (..., N) is False; one of those under 90 degrees is not shifted.
+    """
+    e = wrap(angle)
+    heard = e if votes is None else np.where(votes, e, np.nan)
+    some_small = (np.abs(heard) <= np.pi / 2).any(axis=-1, keepdims=True)
+    if some_small.all():
+        return e
+    positive = np.nansum(np.sign(heard), axis=-1, keepdims=True) >= 0
+    half_turn = ~some_small & (np.abs(e) > np.pi / 2)
+    return np.where(half_turn & ((e > 0) != positive), e + np.where(positive, 2, -2) * np.pi, e)
+
+
+def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
+    """Weight of a bearing at a radius (or sine of a colatitude), any shape: 1, and 0 at the centre itself, where it is undefined.
+
+    With `less_at_centre` it is r/1e-2 up to r = 1e-2: close to the centre any error of position may turn a bearing by up to half a
+    turn.
+    """
+    radius = np.asarray(radius, dtype=float)
+    return np.minimum(radius / CENTRE, 1.0) if less_at_centre else np.where(radius > ROUNDING, 1.0, 0.0)
+
+
+def bearing_error(s: Array, s_star: Array, weight: Array, weight_star: Array, together: bool) -> Array:
+    """Error of bearings w w* wrap(phi - phi*), of s and s* (..., N) [rad], with their weights w and w* (..., N) (`bearing_weight`).
+
+    With `together`, all have one sign near a half turn (`wrap_together`), that of the markers of full weight in both views. At
+    s* = s its derivative is w^2 phi_dot.
+    """
+    weight = weight * weight_star
+    e = np.subtract(s, s_star, dtype=float)
+    return weight * (wrap_together(e, weight >= 1) if together else wrap(e))
+
+
+def bounded_inverse(x: Array) -> Array:
+    """1/x for x > 1e-3, else x/1e-6: continuous, at most 1e3, zero at zero; x >= 0, any shape."""
+    x = np.asarray(x, dtype=float)
+    return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)
+
+
+# A quantity together with its rate under a camera twist, so that a formula gives both s and its row of L.
+
+
+@dataclass(frozen=True, slots=True)
+class Rated:
+    """A real or complex quantity and its derivative to the six velocities of the camera.
+
+    With +, -, *, /, powers, `real`, `imag` and `conj()` as numpy arrays have them, a formula written for arrays also takes these, and gives
+    the derivative by the rules of calculus (forward differentiation): exact, and never in disagreement with the formula.
+
+    Attributes:
+        value: of any shape (...).
+        rate: q with value_dot = q v, shape (..., 6).
+    """
+
+    value: NDArray[Any]
+    rate: NDArray[Any]
+    __array_ufunc__ = None  # `array * rated` comes to __rmul__, not to numpy
+
+    def __add__(self, other: Any) -> Rated:
+        """The sum with a Rated, or with a constant."""
+        if isinstance(other, Rated):
+            return Rated(self.value + other.value, self.rate + other.rate)
+        return Rated(self.value + other, self.rate)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Rated:
+        """The quantity with the other sign."""
+        return Rated(-self.value, -self.rate)
+
+    def __sub__(self, other: Any) -> Rated:
+        """The difference from a Rated, or from a constant."""
+        return self + -other
+
+    def __mul__(self, other: Any) -> Rated:
+        """The product with a Rated, or with a constant."""
+        if isinstance(other, Rated):
+            return Rated(self.value * other.value, self.rate * other.value[..., None] + self.value[..., None] * other.rate)
+        return Rated(self.value * other, self.rate * other)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Rated:
+        """The ratio to a Rated, or to a constant."""
+        if isinstance(other, Rated):
+            value = self.value / other.value
+            return Rated(value, (self.rate - value[..., None] * other.rate) / other.value[..., None])
+        return Rated(self.value / other, self.rate / other)
+
+    def __pow__(self, power: float) -> Rated:
+        """The power with a constant exponent."""
+        return Rated(self.value**power, (power * self.value ** (power - 1))[..., None] * self.rate)
+
+    @property
+    def real(self) -> Rated:
+        """The real part."""
+        return Rated(np.real(self.value), np.real(self.rate))
+
+    @property
+    def imag(self) -> Rated:
+        """The imaginary part."""
+        return Rated(np.imag(self.value), np.imag(self.rate))
+
+    def conj(self) -> Rated:
+        """The complex conjugate."""
+        return Rated(self.value.conj(), self.rate.conj())
+
+
+def square(z: Any) -> Any:
+    """|z|^2 of a complex array or Rated, real."""
+    return z.real * z.real + z.imag * z.imag
+
+
+def angle(z: Any, floor: Any = 0.0) -> Any:
+    """The angle of z in (-pi, pi] rad, a complex array or Rated; its rate fades to zero with |z| where that is under `floor`."""
+    if not isinstance(z, Rated):
+        return np.angle(z)
+    size, least = np.abs(z.value), np.maximum(floor, np.finfo(float).tiny)
+    share = np.minimum(size / least, 1)  # once for the fading, and 1/|z| is bounded by it too
+    across = (z.value.conj() / np.maximum(size, least) * share)[..., None] * z.rate
+    return Rated(np.angle(z.value), across.imag / np.maximum(size, least)[..., None])
+
+
+def at_least(x: Any, least: float) -> Any:
+    """The larger of x, a real array or Rated, and a constant, whose rate is zero."""
+    if not isinstance(x, Rated):
+        return np.maximum(x, least)
+    return Rated(np.maximum(x.value, least), np.where((x.value > least)[..., None], x.rate, 0.0))

@@ -1,16 +1,18 @@
-"""Lines in the image through consecutive markers."""
+"""Lines in the image and on the floor, and segments between two points."""
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.angles import bounded_inverse, wrap, wrap_together
-from vstestbed.features.base import checked
+from vstestbed.features.base import FLOOR, Rated, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
+from vstestbed.features.points import Point
+
+# Lines in the image through consecutive markers.
 
 
 @spec
@@ -124,3 +126,118 @@ def _plane(start: Array, end: Array) -> Array:
 def _dot(a: Array, b: Array) -> Array:
     """Inner products (..., 1) of vectors (..., k)."""
     return np.einsum("...i,...i->...", a, b)[..., None]
+
+
+# Lines in the image as lines on the floor, for a camera with a known mount on a vehicle.
+
+
+def floor_plane(T_base_camera: Array) -> Array:
+    """The floor as the plane A X + B Y + C Z + D = 0 in the camera frame, for a mount (4, 4) above it, shape (4,)."""
+    # The third row of T_base_camera gives the height Z_base of a point (X, Y, Z, 1), which is 0 on the floor.
+    return T_base_camera[2].copy()
+
+
+def floor_point(xy: Array, T_base_camera: Array) -> Array:
+    """Intersections (..., 2) of rays with normalised coordinates xy (..., 2) with the floor, in the base frame [m].
+
+    NaN for rays that do not descend to it. The camera's mount is T_base_camera (4, 4).
+    """
+    xy = np.asarray(xy, dtype=float)
+    d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ T_base_camera[:3, :3].T
+    t = T_base_camera[:3, 3]
+    reach = t[2] / np.where(d[..., 2] < 0, -d[..., 2], np.nan)
+    return t[:2] + reach[..., None] * d[..., :2]
+
+
+def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array | float) -> tuple[Array, Array]:
+    """A line of the image projected on the floor, s = (y, phi), and ds/d(rho, theta).
+
+    The line x cos theta + y sin theta - rho = 0 and the camera's centre t span a plane with the normal
+    N = R (cos theta, sin theta, -rho) in the base frame, which meets the floor in N_x X + N_y Y = N . t:
+
+        y   = (N . t - N_x X) / N_y          lateral position (left positive) at X = `ahead`
+        phi = atan(-N_x / N_y)               direction, in (-pi/2, pi/2)
+        dy   = -dN . ((X, y, 0) - t) / N_y,  dphi = (N_x dN_y - N_y dN_x) / (N_x^2 + N_y^2)
+
+    Args:
+        rho, theta: the line, shape (...) [1, rad].
+        T_base_camera: the camera's mount (4, 4).
+        ahead: X, shape (...) [m].
+
+    Returns:
+        (y, phi), shape (..., 2) [m, rad], and their derivatives J (..., 2, 2). The interaction matrix of (y, phi) is J L, with L
+        (..., 2, 6) that of (rho, theta).
+    """
+    rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)
+    R, t = T_base_camera[:3, :3], T_base_camera[:3, 3]
+    cos, sin, none = np.cos(theta), np.sin(theta), np.zeros_like(theta)
+    N = np.stack([cos, sin, -rho], axis=-1) @ R.T  # not normalised: y, phi and their derivatives are ratios of its components
+    dN = np.stack([np.stack([none, none, none - 1], axis=-1), np.stack([-sin, cos, none], axis=-1)], axis=-2) @ R.T
+    y = (N @ t - N[..., 0] * ahead) / N[..., 1]
+    phi = np.arctan(-N[..., 0] / N[..., 1])
+    lever = np.stack([ahead, y, none], axis=-1) - t
+    dy = -np.einsum("...ij,...j->...i", dN, lever) / N[..., 1:2]
+    dphi = (N[..., :1] * dN[..., 1] - N[..., 1:2] * dN[..., 0]) / (N[..., :1] ** 2 + N[..., 1:2] ** 2)
+    return np.stack([y, phi], axis=-1), np.stack([dy, dphi], axis=-2)
+
+
+# The segment between two points in the image.
+
+
+_POINT = Point()
+
+
+@spec
+class Segment:
+    """Midpoint (xc, yc), length l and angle alpha of the segment between two markers; rows in this order.
+
+    With (x1, y1) and (x2, y2) the first two of the markers in sight:
+
+    xc = (x1 + x2)/2,  yc = (y1 + y2)/2,  l = hypot(x1 - x2, y1 - y2),  alpha = atan2(y1 - y2, x1 - x2),  s = (xc, yc, l, alpha)
+
+    and normalised s = (xc/l, yc/l, 1/l, alpha): where the segment faces the camera, xc/l and yc/l do not change with the distance, and 1/l
+    is proportional to it. L follows from the rows of `Point`. The segment has a direction, so that a rotation by any angle is unambiguous.
+    Under l = 0.001 the rows of alpha and of the normalised form fade. Two markers leave two of six motions open (`law.redundant`).
+
+    Args:
+        normalised: s = (xc/l, yc/l, 1/l, alpha).
+
+    Reference: Chaumette 1990, "La relation vision-commande", thesis, Université de Rennes 1, chapter 3.
+    """
+
+    kind: Literal["segment"] = "segment"
+    normalised: bool = False
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 0
+    least_markers: ClassVar[int] = 2
+
+    def measure(self, xy: Array) -> Array:
+        """The vector s (..., 4) [1, 1, 1, rad] of xy (..., N, 2); ParameterError for fewer than two markers."""
+        xy = np.asarray(xy, dtype=float)
+        if xy.shape[-2] < self.least_markers:
+            raise ParameterError("xy", "must hold at least two markers: a segment has two ends", xy.shape)
+        return np.stack(self._rows(xy[..., 0, 0], xy[..., 0, 1], xy[..., 1, 0], xy[..., 1, 1]), axis=-1)
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
+        ends = [Rated(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
+        return np.stack([row.rate for row in self._rows(*ends)], axis=-2)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error s - s* (..., 4) with alpha wrapped to (-pi, pi] rad."""
+        e = np.subtract(s, s_star, dtype=float)
+        e[..., 3] = wrap(e[..., 3])
+        return e
+
+    def _rows(self, x1: Any, y1: Any, x2: Any, y2: Any) -> list[Any]:
+        """The four rows, of arrays (...) or of Rated."""
+        along = (x1 - x2) + 1j * (y1 - y2)
+        xc, yc, alpha = 0.5 * (x1 + x2), 0.5 * (y1 + y2), angle(along, FLOOR)
+        length = at_least(square(along), FLOOR**2) ** 0.5
+        return [xc / length, yc / length, length**-1, alpha] if self.normalised else [xc, yc, length, alpha]

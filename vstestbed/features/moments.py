@@ -1,9 +1,12 @@
-"""Moments of a shape in the image: where it is, how large, how it is turned, and how it is tilted."""
+"""Moments of a shape in the image: where it is, how large, how it is turned and tilted; the ellipse as the shape of discs and balls."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import combinations
+from math import comb
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -12,12 +15,339 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.angles import wrap
-from vstestbed.features.base import MOST_CONDITION, checked, condition, require_plane
-from vstestbed.features.image_moments import MomentSet, Of, fitted_plane, place
-from vstestbed.features.invariants import INVARIANTS
+from vstestbed.features.base import MOST_CONDITION, Rated, angle, checked, condition, require_plane, square, wrap
 from vstestbed.features.polygon import segments, size, spans_area
-from vstestbed.features.rated import angle
+
+# Moments of points and of regions in the image, and how they change as the camera moves.
+
+
+Of = Literal["points", "region"]
+"""Moments are sums over points, or integrals over the region within a closed outline."""
+LEAST_AREA = 1e-12
+"""Area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide."""
+FLAT = 1e-9
+"""Ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it."""
+
+
+def image_moments(xy: Array, of: Of, order: int) -> Array:
+    """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: element [p, q] of (..., order+1, order+1).
+
+    Args:
+        xy: points, or the vertices of the outline in order, either way round (..., N, 2). of: which of the two.
+        order: highest p + q; elements beyond are 0.
+
+    Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
+    mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
+
+    Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
+    """
+    xy = np.asarray(xy, dtype=float)
+    if of == "region":
+        t, share = _nodes(order)
+        after = np.roll(xy, -1, axis=-2)
+        cross = xy[..., 0] * after[..., 1] - after[..., 0] * xy[..., 1]
+        # (..., N, nodes) as one axis
+        weight = (cross[..., None] * share).reshape(*cross.shape[:-1], -1)
+        xy = (xy[..., None, :] + t[:, None] * (after - xy)[..., None, :]).reshape(*weight.shape, 2)
+    else:
+        weight = np.ones(xy.shape[:-1])
+    powers = xy[..., None, :] ** np.arange(order + 1)[:, None]
+    m = np.swapaxes(weight[..., None] * powers[..., 0], -1, -2) @ powers[..., 1]
+    degree = np.add.outer(np.arange(order + 1), np.arange(order + 1))
+    if of == "region":
+        m = m * np.sign(m[..., :1, :1]) / (degree + 2)
+    return np.where(degree <= order, m, 0.0)
+
+
+@cache
+def _nodes(order: int) -> tuple[Array, Array]:
+    """Nodes in (0, 1) and their weights, by which the mean of a polynomial of this degree is exact."""
+    t, weight = np.polynomial.legendre.leggauss(order // 2 + 1)
+    return (t + 1) / 2, weight / 2
+
+
+def fitted_plane(xy: Array, depth: Array) -> Array:
+    """The plane 1/Z = A x + B y + C (..., 3) that fits the depths (..., N) [m] of points xy (..., N, 2) best, in 1/Z.
+
+    Points on one line do not tell the tilt about it, which is then taken as zero.
+    """
+    xy, inverse = np.asarray(xy, dtype=float), 1 / np.asarray(depth, dtype=float)
+    middle, mean = xy.mean(axis=-2), inverse.mean(axis=-1)
+    d = xy - middle[..., None, :]
+    scatter = np.swapaxes(d, -1, -2) @ d
+    AB = np.linalg.pinv(scatter, FLAT, hermitian=True) @ (np.swapaxes(d, -1, -2) @ (inverse - mean[..., None])[..., None])
+    C = mean - np.einsum("...k,...k->...", AB[..., 0], middle)
+    return np.concatenate([AB[..., 0], C[..., None]], axis=-1)
+
+
+@dataclass(frozen=True)
+class MomentSet:
+    """The centroid and the central moments of shapes; with a plane, each quantity comes with its rate as a `Rated`, else as an array.
+
+    m_pq_dot = sum of x^p y^q by the flow of its points, which lie in the plane 1/Z = A x + B y + C. For central moments mu_pq, with
+    d = 1 and k = 4 for a region, d = 0 and k = 1 for points, n_ij = mu_ij/m_00:
+
+    mu_vx = -(p+d) A mu_pq - p B mu_p-1,q+1
+    mu_vy = -q A mu_p+1,q-1 - (q+d) B mu_pq
+    mu_vz = -A mu_wy + B mu_wx + (p+q+2d) C mu_pq
+    mu_wx = (p+q+3d) mu_p,q+1 + p xg mu_p-1,q+1 + (p+2q+3d) yg mu_pq - k p n11 mu_p-1,q - k q n02 mu_p,q-1
+    mu_wy = -(p+q+3d) mu_p+1,q - (2p+q+3d) xg mu_pq - q yg mu_p+1,q-1 + k p n20 mu_p-1,q + k q n11 mu_p,q-1
+    mu_wz = p mu_p-1,q+1 - q mu_p+1,q-1
+
+    Attributes:
+        mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs those of one order more.
+        centre: the centroid (..., 2). of: points or region.
+        plane: A, B, C (..., 3); None for values without rates.
+
+    Reference: Chaumette 2004, doi:10.1109/TRO.2004.829463; for points: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
+    """
+
+    mu: Array
+    centre: Array
+    of: Of
+    plane: Array | None = None
+    _known: dict[tuple[Any, ...], Any] = field(default_factory=dict)
+
+    @classmethod
+    def measured(cls, xy: Array, of: Of, order: int) -> MomentSet:
+        """Those of points, or of the vertices of an outline, xy (..., N, 2)."""
+        xy = np.asarray(xy, dtype=float)
+        # First about the mean of the points: differences of large numbers would cost digits.
+        middle = xy.mean(axis=-2)
+        m = image_moments(xy - middle[..., None, :], of, 1)
+        first = np.stack([m[..., 1, 0], m[..., 0, 1]], axis=-1)
+        centre = middle + first / np.maximum(m[..., 0, 0], LEAST_AREA)[..., None]
+        return cls(image_moments(xy - centre[..., None, :], of, order), centre, of)
+
+    def in_plane(self, plane: Array) -> MomentSet:
+        """The same with the plane (..., 3): quantities come with their rates."""
+        return replace(self, plane=plane, _known={})
+
+    @property
+    def xg(self) -> Any:
+        """The centroid's x."""
+        return self._coordinate(0)
+
+    @property
+    def yg(self) -> Any:
+        """The centroid's y."""
+        return self._coordinate(1)
+
+    @property
+    def area(self) -> Any:
+        """The area a of a region; of points mu20 + mu02, which changes with the distance as an area does."""
+        if self.of == "points":
+            return self.central(2, 0) + self.central(0, 2)
+        return self.central(0, 0)
+
+    def central(self, p: int, q: int) -> Any:
+        """The moment mu_pq (...)."""
+        if (p, q) not in self._known:
+            value = self._at(p, q)
+            if (p, q) == (0, 0):
+                value = np.maximum(value, LEAST_AREA)
+            self._known[p, q] = value if self.plane is None else Rated(value, self._rate(p, q))
+        return self._known[p, q]
+
+    def complex(self, p: int, q: int) -> Any:
+        """The moment c_pq = sum of z^p conj(z)^q with z = x + i y from the centroid; turned by phi, it turns by (p - q) phi.
+
+        c_11 = mu20 + mu02,  c_20 = mu20 - mu02 + 2i mu11,  c_21 = mu30 + mu12 + i (mu21 + mu03),
+        c_30 = mu30 - 3 mu12 + i (3 mu21 - mu03).
+
+        Reference: Flusser 2000, doi:10.1016/S0031-3203(99)00127-2.
+        """
+        if ("c", p, q) not in self._known:
+            terms = [
+                comb(p, a) * comb(q, b) * 1j ** (p - a) * (-1j) ** (q - b) * self.central(a + b, p + q - a - b)
+                for a in range(p + 1)
+                for b in range(q + 1)
+            ]
+            self._known["c", p, q] = sum(terms[1:], start=terms[0])
+        return self._known["c", p, q]
+
+    def _at(self, p: int, q: int) -> Array:
+        return self.mu[..., p, q] if min(p, q) >= 0 else np.zeros(self.mu.shape[:-2])
+
+    def _normalised(self) -> tuple[Array, Array, Array]:
+        """The terms k n20, k n11, k n02, by which the centroid moves otherwise than a point would."""
+        share = (4 if self.of == "region" else 1) / np.maximum(self._at(0, 0), LEAST_AREA)
+        return share * self._at(2, 0), share * self._at(1, 1), share * self._at(0, 2)
+
+    def _coordinate(self, axis: int) -> Any:
+        """The centroid's xg or yg; its rate is the flow of a point there, and terms of second order."""
+        value = self.centre[..., axis]
+        if self.plane is None:
+            return value
+        x, y = self.centre[..., 0], self.centre[..., 1]
+        A, B, C = np.moveaxis(np.broadcast_to(self.plane, (*x.shape, 3)), -1, 0)
+        n20, n11, n02 = self._normalised()
+        inverse = A * x + B * y + C
+        rate = np.zeros((*x.shape, 6))
+        rate[..., axis] = -inverse
+        if axis == 0:
+            rate[..., 2], rate[..., 5] = x * inverse + A * n20 + B * n11, y
+            rate[..., 3], rate[..., 4] = x * y + n11, -(1 + x * x + n20)
+        else:
+            rate[..., 2], rate[..., 5] = y * inverse + A * n11 + B * n02, -x
+            rate[..., 3], rate[..., 4] = 1 + y * y + n02, -(x * y + n11)
+        return Rated(value, rate)
+
+    def _rate(self, p: int, q: int) -> Array:
+        """The rate (..., 6) of mu_pq by the equations above."""
+        assert self.plane is not None
+        mu, d = self._at, int(self.of == "region")
+        x, y = self.centre[..., 0], self.centre[..., 1]
+        A, B, C = np.moveaxis(np.broadcast_to(self.plane, (*x.shape, 3)), -1, 0)
+        n20, n11, n02 = self._normalised()
+        here, over, under = mu(p, q), mu(p - 1, q + 1), mu(p + 1, q - 1)
+        wx = (p + q + 3 * d) * mu(p, q + 1) + p * x * over + (p + 2 * q + 3 * d) * y * here
+        wx = wx - p * n11 * mu(p - 1, q) - q * n02 * mu(p, q - 1)
+        wy = -(p + q + 3 * d) * mu(p + 1, q) - (2 * p + q + 3 * d) * x * here - q * y * under
+        wy = wy + p * n20 * mu(p - 1, q) + q * n11 * mu(p, q - 1)
+        vx, vy = -(p + d) * A * here - p * B * over, -q * A * under - (q + d) * B * here
+        return np.stack([vx, vy, -A * wy + B * wx + (p + q + 2 * d) * C * here, wx, wy, p * over - q * under], axis=-1)
+
+
+def place(m: MomentSet, row: str) -> Any:
+    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Rated."""
+    plain = {"g": 1.0, "n": m.area**-0.5}
+    if row in ("area", "an"):
+        return m.area if row == "area" else plain["n"]
+    return (m.xg if row[0] == "x" else m.yg) * plain[row[1]]
+
+
+# Functions of a shape's moments that do not change with its place, size and rotation in the image.
+
+
+Invariant = Callable[[MomentSet], Any]
+
+
+def over(a: Any, b: Any) -> Any:
+    """The ratio a/b, and 0/0 as a finite number: of a shape whose moments vanish by symmetry."""
+    below = b.value if isinstance(b, Rated) else b
+    return a / (b + np.where(below == 0, np.finfo(float).tiny, 0.0))
+
+
+def c1(m: MomentSet) -> Any:
+    """The row c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
+    return over(0.25 * (square(m.complex(2, 0)) - square(m.complex(1, 1))), square(m.complex(2, 0)))
+
+
+def c2(m: MomentSet) -> Any:
+    """The row c2 = |c30|^2 / |c21|^2."""
+    return over(square(m.complex(3, 0)), square(m.complex(2, 1)))
+
+
+def _third(m: MomentSet) -> tuple[Any, Any, Any, Any]:
+    """|c30|^2, |c21|^2, c30 conj(c21)^3, and the denominator (|c30|^2 + 3 |c21|^2)^2 - 16 Re(c30 conj(c21)^3)."""
+    c30, c21 = m.complex(3, 0), m.complex(2, 1)
+    a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
+    return a, b, z, (a + 3 * b) ** 2 - 16 * z.real
+
+
+def c3(m: MomentSet) -> Any:
+    """The row c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D, with a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3, D = (a + 3 b)^2 - 16 Re z."""
+    a, b, z, below = _third(m)
+    return over(a * a - 6 * a * b - 3 * b * b + 8 * z.real, below)
+
+
+def c4(m: MomentSet) -> Any:
+    """The row c4 = 16 Im z / D, with z and D as in c3."""
+    _, _, z, below = _third(m)
+    return over(16 * z.imag, below)
+
+
+def c5(m: MomentSet) -> Any:
+    """The row c5 = (b - a) (a - 9 b) / D, with a, b and D as in c3."""
+    a, b, _, below = _third(m)
+    return over((b - a) * (a - 9 * b), below)
+
+
+def c6(m: MomentSet) -> Any:
+    """The row c6 = (a - 9 b)^2 / D, with a, b and D as in c3."""
+    a, b, _, below = _third(m)
+    return over((a - 9 * b) ** 2, below)
+
+
+def _fourth(m: MomentSet) -> tuple[Any, Any, Any, Any]:
+    """|c40|^2, |c31|^2, |c22|^2, and the denominator |c40|^2 - 4 |c31|^2 + 3 |c22|^2."""
+    a, b, c = (square(m.complex(4 - i, i)) for i in range(3))
+    return a, b, c, a - 4 * b + 3 * c
+
+
+def c7(m: MomentSet) -> Any:
+    """The row c7 = (|c40|^2 + 8 |c31|^2 - 9 |c22|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
+    a, b, c, below = _fourth(m)
+    return over(a + 8 * b - 9 * c, below)
+
+
+def c8(m: MomentSet) -> Any:
+    """The row c8 = 4 (9 |c22|^2 + 4 |c31|^2 - |c40|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
+    a, b, c, below = _fourth(m)
+    return over(4 * (9 * c + 4 * b - a), below)
+
+
+def c9(m: MomentSet) -> Any:
+    """The row c9 = |c32|^2 / |c50|^2."""
+    return over(square(m.complex(3, 2)), square(m.complex(5, 0)))
+
+
+def c10(m: MomentSet) -> Any:
+    """The row c10 = |c41|^2 / |c50|^2."""
+    return over(square(m.complex(4, 1)), square(m.complex(5, 0)))
+
+
+def _s(m: MomentSet) -> Any:
+    c20 = m.complex(2, 0)
+    return over(1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5, square(c20) * m.complex(1, 1).real ** 1.5)
+
+
+def sx(m: MomentSet) -> Any:
+    """The row sx = Re S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
+    return _s(m).real
+
+
+def sy(m: MomentSet) -> Any:
+    """The row sy = Im S, with S as in sx."""
+    return _s(m).imag
+
+
+def px(m: MomentSet) -> Any:
+    """The row px = |c20|^2 / c11^2."""
+    return over(square(m.complex(2, 0)), square(m.complex(1, 1)))
+
+
+def py(m: MomentSet) -> Any:
+    """The row py = a |c30|^2 / c11^3."""
+    return over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)
+
+
+INVARIANTS: dict[str, tuple[Invariant, int]] = {
+    "c1": (c1, 2),
+    "c2": (c2, 3),
+    "c3": (c3, 3),
+    "c4": (c4, 3),
+    "c5": (c5, 3),
+    "c6": (c6, 3),
+    "c7": (c7, 4),
+    "c8": (c8, 4),
+    "c9": (c9, 5),
+    "c10": (c10, 5),
+    "sx": (sx, 3),
+    "sy": (sy, 3),
+    "px": (px, 2),
+    "py": (py, 3),
+}
+"""By word, the function and the highest order of the moments in it.
+
+c1 to c10: Chaumette 2004, doi:10.1109/TRO.2004.829463; sx, sy, px, py: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500; here
+written in complex moments, in which an invariance is seen at once: the turns of the factors cancel.
+"""
+
+
+# Moments of a shape in the image: where it is, how large, how it is turned, and how it is tilted.
+
 
 Row = Literal[  # fmt: skip - one name a line would hide the groups
     "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
@@ -46,7 +376,7 @@ class Moments:
     xn, yn     xg/sqrt(a) and yg/sqrt(a)
     an         1/sqrt(a)
     alpha      angle of the principal axis, atan2(2 mu11, mu20 - mu02)/2
-    sx to c10  ratios that tell the tilt; `features/invariants.py` has their equations
+    sx to c10  ratios that tell the tilt; `features/moments.py` has their equations
 
     Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
     factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
@@ -200,3 +530,133 @@ def axis_error(e: Array, t: Array, t_star: Array) -> Array:
     z, z_star = t[..., 0] + 1j * t[..., 1], t_star[..., 0] + 1j * t_star[..., 1]
     whole = wrap(half + np.pi * np.round((np.angle(z * np.conj(z_star)) - half) / np.pi))
     return np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
+
+
+# The ellipse that a disc, a ball or any other ellipse on a plane has as its image.
+
+
+OFF = 0.02
+"""Distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else."""
+EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]
+
+
+@spec
+class Ellipse:
+    """Functions of the ellipse through the markers, which lie on its outline; the rows of e and L are `rows`.
+
+    xg, yg         the centre
+    n20, n11, n02  second central moments of the region within, by its area a: for half axes A and B, the first at the angle t,
+                   n20 = (A^2 cos^2 t + B^2 sin^2 t)/4, n11 = (A^2 - B^2) sin t cos t/4, n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
+    xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a), a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
+
+    The ellipse is the conic that fits the markers best (`fitted_ellipse`). Where all lie on one ellipse, it is exact, wherever they are
+    on it.
+
+    L is that of the region's moments (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C,
+    from the depths of the markers. The outline of a ball is the circle in which the cone of its tangents touches it: for its centre P
+    and radius R 1/Z = P . (x, y, 1) / (|P|^2 - R^2).
+
+    A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. A disc tells five only where the goal view is at
+    a slant to it. On a robot with more motions than that, `law.redundant` leaves the others alone.
+
+    Args:
+        rows: features, in this order.
+
+    Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350; with these moments: Chaumette 2004, doi:10.1109/TRO.2004.829463.
+    """
+
+    kind: Literal["ellipse"] = "ellipse"
+    rows: Annotated[tuple[EllipseRow, ...], Len(1, 8)] = ("xg", "yg", "n20", "n11", "n02")
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 0
+    least_markers: ClassVar[int] = 5
+
+    def measure(self, xy: Array) -> Array:
+        """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic that fits them is no ellipse.
+
+        Raises:
+            ParameterError: there are fewer than five.
+        """
+        xy = np.asarray(xy, dtype=float)
+        if xy.shape[-2] < self.least_markers:
+            raise ParameterError("xy", "must hold at least five markers: fewer do not determine an ellipse", xy.shape)
+        m = ellipse_moments(fitted_ellipse(xy))
+        return np.stack([_row(m, row) for row in self.rows], axis=-1)
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., rows, 6) of points xy (..., N, 2) on the outline and their depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, there are fewer than five markers, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs, self.least_markers)
+        m = ellipse_moments(fitted_ellipse(xy)).in_plane(fitted_plane(xy, depth))
+        return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """The difference s - s* (..., rows)."""
+        return np.subtract(s, s_star, dtype=float)
+
+    def check_goal(self, xy: Array, depth: Array) -> None:
+        """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say.
+
+        Raises:
+            ParameterError: it names the target or the rows, and what would work.
+        """
+        require_plane(xy, depth, self.kind)
+        s = fitted_ellipse(xy)
+        if not (np.isfinite(s).all() and np.abs(_distance(s, xy) - 1).max() < OFF):
+            words = "must have its markers on the outline of an ellipse for the feature ellipse (a disc, or a ball); use moments or point"
+            raise ParameterError("target", words)
+        m = ellipse_moments(s)
+        scale = np.array([s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0 for row in self.rows])
+        if condition(self.interaction(xy, depth), scale, depth) > MOST_CONDITION:
+            words = (
+                f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on, tell"
+            )
+            raise ParameterError("law.feature.rows", f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc")
+
+
+def _row(m: MomentSet, row: str) -> Any:
+    """One row as an array (...), or as a Rated."""
+    return m.central(int(row[1]), int(row[2])) / m.central(0, 0) if row[0] == "n" else place(m, row)
+
+
+def ellipse_moments(s: Array) -> MomentSet:
+    """The moments of the region in an ellipse s = (xg, yg, n20, n11, n02) (..., 5), up to third order."""
+    s = np.asarray(s, dtype=float)
+    n20, n11, n02 = np.moveaxis(s[..., 2:], -1, 0)
+    area = 4 * np.pi * np.sqrt(n20 * n02 - n11 * n11)
+    mu = np.zeros((*s.shape[:-1], 4, 4))
+    mu[..., 0, 0], mu[..., 2, 0], mu[..., 1, 1], mu[..., 0, 2] = area, n20 * area, n11 * area, n02 * area
+    return MomentSet(mu, s[..., :2], "region")
+
+
+def fitted_ellipse(xy: Array) -> Array:
+    """The ellipse (xg, yg, n20, n11, n02) (..., 5) that fits points xy (..., N, 2) best; NaN where the conic is no ellipse.
+
+    About the points' mean, in units of their distance from it, it is the least squares of
+
+    x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0;
+
+    any ellipse has such an equation.
+    """
+    xy = np.asarray(xy, dtype=float)
+    middle = xy.mean(axis=-2)
+    about = xy - middle[..., None, :]
+    unit = np.maximum(np.sqrt(np.square(about).sum(axis=-1).mean(axis=-1)), np.finfo(float).tiny)
+    x, y = np.moveaxis(about / unit[..., None, None], -1, 0)
+    design = np.stack([x * x - y * y, 2 * x * y, x, y, np.ones_like(x)], axis=-1)
+    a, b, c, d, e = np.moveaxis((np.linalg.pinv(design) @ -(x * x + y * y)[..., None])[..., 0], -1, 0)
+    det = 1 - a * a - b * b  # of the quadratic form [[1 + a, b], [b, 1 - a]]
+    det = np.where(det > 0, det, np.nan)
+    xc, yc = -0.5 * ((1 - a) * c - b * d) / det, -0.5 * ((1 + a) * d - b * c) / det
+    level = -(e + 0.5 * (c * xc + d * yc))  # the quadratic form at the ellipse, about its centre
+    n = np.stack([1 - a, -b, 1 + a], axis=-1) * (0.25 * np.where(level > 0, level, np.nan) / det * unit**2)[..., None]
+    return np.concatenate([middle + np.stack([xc, yc], axis=-1) * unit[..., None], n], axis=-1)
+
+
+def _distance(s: Array, xy: Array) -> Array:
+    """Distances (N,) of points xy (N, 2) from the centre of an ellipse s (5,), by that of the ellipse in their direction."""
+    d, n = xy - s[:2], np.array([[s[2], s[3]], [s[3], s[4]]])
+    return np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d))

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.angles import bounded_inverse, wrap
-from vstestbed.features.base import checked
-from vstestbed.features.point import Point
+from vstestbed.features.base import bounded_inverse, checked, wrap
+from vstestbed.features.points import Point
 
 _POINT = Point()
 SHARE = 0.8

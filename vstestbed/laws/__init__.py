@@ -12,8 +12,7 @@ from vstestbed.laws.pose_controller import PoseController
 from vstestbed.laws.predictive import Predictive
 from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
-from vstestbed.laws.single import LAWS
-from vstestbed.laws.switched import Switched
+from vstestbed.laws.switched import LAWS, Switched
 from vstestbed.laws.uncalibrated import Uncalibrated
 
 LAWS.add(Switched)

@@ -10,17 +10,17 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Type
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import load_lapack
-from vstestbed.laws.visibility import Visibility
 
 M = TypeVar("M")
 

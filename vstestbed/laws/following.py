@@ -11,9 +11,8 @@ from vstestbed.core.geometry import Array, exp
 from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command
-from vstestbed.laws.carry import carried_markers, carried_pose
 from vstestbed.laws.feedforward import Change, Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
-from vstestbed.laws.select import ALL, Rows, usable_rows
+from vstestbed.laws.points import ALL, Rows, carried_markers, carried_pose, usable_rows
 from vstestbed.laws.solve import Solve
 
 CARRY_S = 0.3

@@ -14,10 +14,9 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, feedforward_term, inputs_of, usable_pose
-from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.laws.points import NO_POSE, TOO_FEW, Visibility
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
-from vstestbed.laws.visibility import Visibility
 
 FLAT = 1e-3
 """Markers lie in a plane (on a line) if they extend less than this share of the set's length off it."""

@@ -8,16 +8,17 @@ from functools import cached_property, lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Time
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import OneOf, spec
 from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, FreeMotions, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Feedforward, NoFeedforward
 from vstestbed.laws.following import (
     NOTHING,
@@ -29,12 +30,147 @@ from vstestbed.laws.following import (
     inputs_of,
     usable_markers,
 )
-from vstestbed.laws.projection import Classical, Projection
-from vstestbed.laws.select import ALL, Rows, check_goal
-from vstestbed.laws.smoothing import BEGIN, CommandShape, Shaped
+from vstestbed.laws.points import ALL, Rows, Visibility, check_goal
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
-from vstestbed.laws.visibility import Visibility
+
+# Which motions a law leaves free for the robot's secondary task: the projection operators of the redundancy framework.
+
+
+STEEP = 6.0
+"""Slope of the logistic function: that of the paper, 1 / (1 + exp(-12 x + 6)) for x from 0 to 1."""
+
+
+@spec
+class Classical:
+    """P = I - pinv(L B) L B: the motions that leave all features as they are."""
+
+    kind: Literal["classical"] = "classical"
+
+    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
+        """The free motions, for A = L B (m, n), e (m,), the remaining motion solved (n,) and the robot's motions basis (6, n)."""
+        return (FreeMotions(1.0, basis @ solve.null_space(A)),)
+
+
+@spec
+class Large:
+    """P = share P_|e| + (1 - share) P_e: away from the goal, all motions are free that leave the norm of the error as it is.
+
+    P_e is the classical projection, and with A = L B
+
+    P_|e| = I - A^T e e^T A / (e^T A A^T e)
+
+    that of the task |e|, of rank n - 1: even where the features determine all n motions, all but one of them are free, and |e| decreases
+    as it does without a secondary task. The single features do not: the camera takes another way. `share` goes
+    from 0, where the largest component x of the remaining motion pinv(L B) e is `near`, by a logistic function of x to 1 at `far`.
+    Without P_e near the goal, where A^T e vanishes, the motion would not settle.
+
+    The projections are orthogonal in the joint space of the robot, which takes its secondary task as near as it can to the one wanted.
+
+    Args:
+        near: remaining motion under which the operator is the classical one [rad; m for translations].
+        far: remaining motion above which it is P_|e| alone, over `near` [rad; m for translations].
+
+    Reference: Marey & Chaumette 2010, doi:10.1109/ROBOT.2010.5509296 (the operator; there the share is a function of |e|) and
+    doi:10.1109/IROS.2010.5650967 (for joint limits).
+    """
+
+    kind: Literal["large"] = "large"
+    near: Annotated[float, Gt(0), Le(10)] = 0.02
+    far: Annotated[float, Gt(0), Le(10)] = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse a share that would decrease with the error."""
+        if self.near >= self.far:
+            raise ParameterError("near", f"must be under far = {self.far}", self.near)
+
+    def share(self, solved: Array) -> float:
+        """The weight of P_|e|, 0 to 1, at a remaining motion (n,) [m, rad]."""
+        along = (float(np.abs(solved).max(initial=0.0)) - self.near) / (self.far - self.near)
+        along = min(max(along, 0.0), 1.0) - 0.5
+        return (1 + math.tanh(STEEP * along) / math.tanh(STEEP / 2)) / 2  # a logistic function that is 0 and 1 at its ends
+
+    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
+        """The free motions; see `Classical.free`."""
+        share, gradient = self.share(solved), A.T @ e
+        classical = basis @ solve.null_space(A)
+        if share == 0 or not gradient.any():
+            return (FreeMotions(1.0, classical),)
+        return FreeMotions(1 - share, classical), FreeMotions(share, basis @ solve.null_space(gradient[None]))
+
+
+PROJECTIONS = OneOf("projection", Classical, Large)
+Projection = Annotated[Classical | Large, PROJECTIONS]
+
+
+# The shape of a law's command over time: a smooth start, a low-pass filter, and the last command where nothing can be measured.
+
+
+@dataclass(frozen=True, slots=True)
+class Shaped:
+    """What the next command depends on.
+
+    Attributes:
+        t0: time of the first command [s]. u0: that command without the smooth start (n,).
+        t: time of the last command [s]. u: that command, before limits (n,).
+    """
+
+    t0: float = math.nan
+    u0: Array | None = None
+    t: float = math.nan
+    u: Array | None = None
+
+
+BEGIN = Shaped()
+"""The state before the first command."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandShape:
+    """From rest with u - u(0) exp(-t/start_s), then through the filter u_k = u_(k-1) + (1 - exp(-dt/smoothing_s)) (u - u_(k-1)).
+
+    The filter begins at the first command. Time constants in seconds give the same motion at every camera rate.
+
+    Attributes:
+        start_s, smoothing_s: time constants [s]; 0: none. keep: whether the last command is kept where nothing can be measured.
+    """
+
+    start_s: float = 0.0
+    smoothing_s: float = 0.0
+    keep: bool = False
+
+    def __call__(self, before: Shaped, t: float, u: Array) -> tuple[Shaped, Array]:
+        """The next state, and the command for the law's u (n,) at a time t [s]."""
+        t0, u0 = before.t0, before.u0
+        if self.start_s > 0:
+            t0, u0 = (t, u) if u0 is None else (t0, u0)
+            u = u - u0 * math.exp(-(t - t0) / self.start_s)
+        if self.smoothing_s > 0 and before.u is not None:
+            u = before.u + (1 - math.exp(-(t - before.t) / self.smoothing_s)) * (u - before.u)
+        return Shaped(t0, u0, t, u), u
+
+    def unseen(self, before: Shaped, limits: TwistLimits, basis: Array, why: str) -> tuple[Shaped, Command]:
+        """The state and the command of a frame without a measurement: rest, or the last command; why: in words."""
+        if not self.keep or before.u is None:
+            return BEGIN, Command.rest(basis, why)  # from rest the next command starts smoothly again
+        return before, replace(limits.command(before.u, basis), rest_reason=why)
+
+    @property
+    def size(self) -> int:
+        """Numbers of the state of one of many runs: u0, u and t."""
+        return 13 if self.start_s > 0 or self.smoothing_s > 0 else 0
+
+    def of_many(self, state: Array, t: float, u: Array) -> tuple[Array, Array]:
+        """The next states (M, size) of many runs, NaN before the first frame, and their commands for the law's u (M, 6)."""
+        if not self.size:
+            return state, u
+        u0, last, since = state[:, :6], state[:, 6:12], t - state[:, 12:]
+        if self.start_s > 0:
+            u0 = np.where(np.isnan(u0), u, u0)
+            u = u - u0 * math.exp(-t / self.start_s)
+        if self.smoothing_s > 0:
+            u = np.where(np.isnan(last), u, last + (1 - np.exp(-since / self.smoothing_s)) * (u - last))
+        return np.column_stack([u0, u, np.full(len(u), t)]), u
 
 
 @dataclass(frozen=True, slots=True)

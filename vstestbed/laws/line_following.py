@@ -13,11 +13,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveGain, PositiveSpeed, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
-from vstestbed.features.ground_line import floor_plane, floor_point, line_on_floor
-from vstestbed.features.line import LineFeature, line_interaction
+from vstestbed.features.line import LineFeature, floor_plane, floor_point, line_interaction, line_on_floor
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.select import TOO_FEW
+from vstestbed.laws.points import TOO_FEW
 from vstestbed.laws.solve import Solve
 
 _LINE = LineFeature()

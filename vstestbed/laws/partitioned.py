@@ -18,7 +18,6 @@ from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.carry import moved_markers, points
 from vstestbed.laws.feedforward import Feedforward, NoFeedforward
 from vstestbed.laws.following import (
     NOTHING,
@@ -30,10 +29,9 @@ from vstestbed.laws.following import (
     inputs_of,
     usable_markers,
 )
-from vstestbed.laws.select import NO_AREA, Rows, check_goal
+from vstestbed.laws.points import NO_AREA, Rows, Visibility, check_goal, moved_markers, points
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
-from vstestbed.laws.visibility import Visibility
 
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 """Column of the twist of each motion that a single feature can command."""

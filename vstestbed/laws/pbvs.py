@@ -13,7 +13,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
 from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
 from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, feedforward_term, inputs_of, usable_pose
-from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.laws.points import NO_POSE, TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.views import Views
 

@@ -9,12 +9,106 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.planar import wrapped
 from vstestbed.core.quantity import Distance, PositiveLength, PositiveSpeed, SignedGain
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.polar_pose import PolarGains, direction_to, polar, polar_law
+
+# Driving to a pose in polar coordinates about the goal: the mathematics of the pose controller.
+#
+# A vehicle that cannot move sideways cannot be stabilised at a pose by any smooth feedback of its pose (Brockett 1983). A linear law
+# in polar coordinates about the goal, which are singular there, can. With rho the distance and theta the heading, driving forward:
+#
+#     alpha = angle to the goal - theta           beta = heading of the goal - theta - alpha
+#     rho_dot = -v cos(alpha)     alpha_dot = v sin(alpha) / rho - w     beta_dot = -v sin(alpha) / rho
+#     v = k_rho rho,  w = k_alpha alpha + k_beta beta
+#
+# is stable for k_rho > 0, k_beta < 0, k_alpha > k_rho. In reverse the vehicle's rear is taken as its front: headings plus pi, v
+# negative. v and w are scaled together to the speed limit, which keeps the curvature w / v of the path, and with it the proof.
+#
+# A car has a least turning radius. Near the goal alpha and beta decay with the roots of s^2 + (k_alpha - k_rho) s - k_rho k_beta, rho with
+# -k_rho: where a root is slower, the curvature, proportional to alpha / rho, grows without bound. It does not for k_alpha >= 3 k_rho and
+# -k_beta >= k_alpha - 2 k_rho. The textbook's gains 1, 5, -2 (root -.59) violate this and suit starts that face the goal. From
+# anywhere in 10 m by 10 m, with any heading, a car with 1 rad of steering arrives in a third of the cases; with 1, 4, -2.5 in 93 %.
+#
+# Reference: Astolfi 1999, doi:10.1115/1.2802429; Corke 2017, Robotics, Vision & Control, eqs 4.10 to 4.13,
+# doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential Geometric Control Theory, pp. 181-191.
+
+
+@dataclass(frozen=True, slots=True)
+class PolarGains:
+    """Gains of the polar law [1/s].
+
+    Attributes:
+        rho, alpha, beta: of distance, bearing and heading at the goal; the textbook's by default.
+
+    Raises:
+        ParameterError: the closed loop would be unstable.
+    """
+
+    rho: float = 1.0
+    alpha: float = 5.0
+    beta: float = -2.0
+
+    def __post_init__(self) -> None:
+        """Refuse unstable gains."""
+        if not self.rho > 0:
+            raise ParameterError("rho", "must be > 0 [1/s]: otherwise the vehicle drives away from the goal", self.rho)
+        if not self.beta < 0:
+            raise ParameterError("beta", "must be < 0 [1/s]: otherwise it turns away from the goal's heading", self.beta)
+        if not self.alpha > self.rho:
+            raise ParameterError("alpha", f"must be > rho = {self.rho:g} [1/s]: otherwise it circles the goal", self.alpha)
+
+
+def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Array]:
+    """Polar coordinates (rho, alpha, beta) of a place about the goal.
+
+    Args:
+        place: (x, y, heading) of the vehicle, shape (..., 3), [m, m, rad].
+        goal: (x, y, heading) of the goal, shape (..., 3) or (3,).
+        direction: 1 forward, -1 in reverse, shape (...).
+
+    Returns:
+        rho [m], alpha and beta [rad] in [-pi, pi), shape (...) each. At rho = 0 the bearing is set to 0.
+    """
+    d = np.asarray(goal, dtype=float) - place
+    reverse = np.where(np.asarray(direction) < 0, np.pi, 0.0)
+    alpha = wrapped(np.arctan2(d[..., 1], d[..., 0]) - place[..., 2] - reverse)
+    return np.hypot(d[..., 0], d[..., 1]), alpha, wrapped(d[..., 2] - alpha)
+
+
+def direction_to(place: Array, goal: Array) -> Array:
+    """1 where the goal lies ahead of the vehicle (|alpha| <= 90 degrees), -1 behind it; shape (...). To be called once, at the start."""
+    return np.where(np.abs(polar(place, goal, np.array(1))[1]) <= np.pi / 2, 1, -1)
+
+
+def polar_law(
+    place: Array, goal: Array, direction: Array, gains: PolarGains, speed_limit: float, rest_m: float = 0.02
+) -> tuple[Array, Array]:
+    """Speed and yaw rate towards the goal, scaled together to the speed limit.
+
+    v = direction k_rho rho,  w = k_alpha alpha + k_beta beta,  both times min(1, speed_limit / |v|); rest where rho < rest_m.
+
+    The speed never changes its sign: a vehicle that misses the goal passes it and comes round again.
+
+    Args:
+        place, goal: (x, y, heading), shape (..., 3), [m, m, rad].
+        direction: 1 or -1, shape (...), kept from the start: see `direction_to`.
+        gains: gains of the law.
+        speed_limit: largest speed [m/s].
+        rest_m: distance from the goal under which both are 0 [m].
+
+    Returns:
+        v [m/s], w [rad/s], shape (...) each; the vehicle limits arcs that are tighter than its own.
+    """
+    rho, alpha, beta = polar(place, goal, direction)
+    v = gains.rho * rho
+    # v is proportional to rho, so that 1e-12 only avoids 0/0 at the goal.
+    scale = np.where(rho < rest_m, 0.0, np.minimum(1.0, speed_limit / np.maximum(v, 1e-12)))
+    return direction * v * scale, (gains.alpha * alpha + gains.beta * beta) * scale
+
 
 NO_PLACE = "the vehicle's place cannot be estimated"
 

@@ -15,7 +15,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, OnFloor, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.select import NO_POSE, TOO_FEW
+from vstestbed.laws.points import NO_POSE, TOO_FEW
 
 
 @dataclass(frozen=True, slots=True)

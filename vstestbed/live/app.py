@@ -7,12 +7,10 @@ from collections.abc import Callable
 
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.geometry import Array
-from vstestbed.live.inbox import Served
 from vstestbed.live.page import Gizmo, LiveView
 from vstestbed.live.panel import RunPanel
-from vstestbed.live.run import LiveRun
+from vstestbed.live.run import LiveRun, Served, Settings
 from vstestbed.live.server import LocalServer
-from vstestbed.live.settings import Settings
 
 IDLE_S = 0.2
 """How long a view that rests waits for orders before it looks whether it has to end [s]."""

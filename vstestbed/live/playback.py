@@ -12,16 +12,14 @@ import viser
 
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.live.app import IDLE_S
-from vstestbed.live.inbox import Served
 from vstestbed.live.page import LiveView
 from vstestbed.live.panel import StatusLine, TransportPanel
-from vstestbed.live.run import sample
+from vstestbed.live.run import Sample, Served, Transport, sample
 from vstestbed.live.server import LocalServer
-from vstestbed.live.transport import Sample, Transport
 from vstestbed.loop.columns import TWIST
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.video.film import ending_of
-from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.load import load
 
 SLIDER = "slider"

@@ -2,21 +2,333 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+import itertools
+import math
+import threading
 import time
-from dataclasses import replace
-from typing import Any
+import typing
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.files import file_word, numbered, write_whole
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.live.settings import Settings
-from vstestbed.live.transport import Sample, Transport
+from vstestbed.core.named_files import FILE_FIELDS
+from vstestbed.core.outcome import Verdict
+from vstestbed.core.registry import ROOMS, SPECS, fields_of, to_mapping
 from vstestbed.loop.session import Session
-from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.overlay import FilmFrame
+from vstestbed.scenario.catalogue import hint_of
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import load
+from vstestbed.scenario.plugins import absolute_files
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import from_option
+from vstestbed.targets.picture import TEXTURE, textures
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
+
+# The settings of a live run: a scenario and what was changed of it, checked as `--set` is.
+
+
+SEED = "seed"
+"""The setting that draws start and noise as `--seed` does; None for the scenario's own start."""
+DISTORTION = "camera.distortion"
+TEXTS = {"name", "description", "plugins"}
+"""Blocks whose texts are none of the words that other fields may have."""
+
+
+class Settings:
+    """A scenario and the settings that replace values of it.
+
+    Args:
+        name: path of a YAML file, or a bundled scenario's name. overrides: settings from the start, by dotted path.
+        seed: as `--seed`. plugins: as `--plugin`.
+
+    Attributes:
+        scenario: with all settings in force. seed: in force.
+
+    Raises:
+        ScenarioError, PluginError: as `load`.
+    """
+
+    def __init__(
+        self, name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None, plugins: Sequence[str] = ()
+    ):
+        self._name, self._plugins = name, tuple(plugins)
+        self._overrides, self.seed = dict(overrides or {}), seed
+        self.scenario = load(name, self._overrides, seed, from_option(self._overrides), self._plugins)
+        given: dict[str, Any] = to_mapping(self.scenario)
+        self._given = frozenset(text for block, value in given.items() if block not in TEXTS for _, text in _texts(value, block))
+
+    def change(self, path: str, value: object) -> Scenario:
+        """Set a field, and load the scenario again; what is refused changes nothing.
+
+        Args:
+            path: dotted, such as `law.gain`. value: as YAML would read it; a bare word for a block of that kind.
+
+        Raises:
+            ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text in it that may name a file.
+        """
+        self._refuse_new_texts(path, value)
+        overrides, seed = self._overrides, self.seed
+        if path == SEED:
+            seed = None if value is None else self._whole(value)
+        else:
+            path, value = self._whole_list(path, value)
+            # what was set inside the old value, or round it, is gone; the last setting is applied last
+            overrides = {p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")} | {path: value}
+        scenario = load(self._name, overrides, seed, from_option(overrides), self._plugins)
+        self._overrides, self.seed, self.scenario = overrides, seed, scenario
+        return scenario
+
+    def copy(self) -> Settings:
+        """The same settings, which later changes leave alone."""
+        return copy.copy(self)  # `change` replaces its parts, and writes into none
+
+    def _refuse_new_texts(self, path: str, value: object) -> None:
+        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named.
+
+        So a page can name no file, and run no code, that the command line did not name, whichever field it is in, also of a plugin.
+        """
+        if path.split(".")[0] == "plugins":
+            raise ScenarioError([Mistake("page", path, "can be given on the command line alone (--plugin)")])
+        found = absolute_files({path: value}, Path.cwd())[path]  # as the scenario has the names of files
+        block = path.rpartition(".")[2]
+        for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
+            known = self._given | (_textures() if key in FILE_FIELDS else _words())
+            if text not in known:
+                hint = nearest(text, filter(str.isidentifier, known))
+                if block in TEXTS or not hint.startswith("did you mean"):
+                    hint = f"files and new names are given on the command line alone (--set {path}=...)"
+                raise ScenarioError([Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")])
+
+    def _whole(self, value: object) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise ScenarioError([Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")])
+        return value
+
+    def _whole_list(self, path: str, value: object) -> tuple[str, object]:
+        """A coefficient of a lens's distortion as a setting of all of them, since a lens without one has no list to change."""
+        parent, _, item = path.rpartition(".")
+        if parent != DISTORTION or not item.isdecimal():
+            return path, value
+        now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
+        return parent, [value if i == int(item) else k for i, k in enumerate(now)]
+
+    def keep(self, note: str = "") -> Path:
+        """Write the scenario that repeats these settings from the start, `runs/<scenario>/live/<number>/scenario.yaml`.
+
+        note: joins the description, such as what was changed by hand meanwhile.
+
+        Raises:
+            OutputError, EnvironmentLackError: it cannot be written.
+        """
+        scenario = self.scenario
+        if note:
+            scenario = replace(scenario, description=f"{scenario.description} {note}".strip())
+        path = numbered(Path("runs") / file_word(scenario.name) / "live") / "scenario.yaml"
+        write_whole(path, dump(scenario, defaults=True))
+        return path
+
+
+def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
+    """All texts in plain values, each with its field, and what else is neither a number nor a truth value as the text for it."""
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _texts(inner, name)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _texts(inner, key)
+    elif value is not None and not isinstance(value, bool | int | float):
+        yield key, str(value)
+
+
+def _textures() -> frozenset[str]:
+    """The bundled textures, which every scenario may name."""
+    return frozenset(f"{TEXTURE}{name}" for name in textures())
+
+
+def _words() -> frozenset[str]:
+    """The kinds, and the words between which a field has the choice."""
+    return _words_with(sum(len(room.members) for room in ROOMS), len(SPECS))
+
+
+@functools.lru_cache(maxsize=1)
+def _words_with(kinds: int, specs: int) -> frozenset[str]:
+    """Those of so many kinds and specs: a plugin adds some."""
+    choices = {word for cls in SPECS for field in fields_of(cls) for word in _choices(hint_of(cls, field))}
+    return frozenset(choices | {kind for room in ROOMS for kind in room.members})
+
+
+def _choices(hint: Any) -> Iterator[str]:
+    """The words of the choices in a type."""
+    if typing.get_origin(hint) is Literal:
+        yield from filter(lambda word: isinstance(word, str), typing.get_args(hint))
+    else:
+        for inner in typing.get_args(hint):
+            yield from _choices(inner)
+
+
+# What pages ask for, handed to the thread that runs the simulation; nothing else passes between the two.
+
+
+Order = Callable[[], object]
+
+
+class Inbox:
+    """Orders in the sequence in which they came. Of several with one key, such as those of a slider that is drawn, only the last stays."""
+
+    def __init__(self) -> None:
+        self._orders: dict[object, Order] = {}
+        self._come, self._numbers = threading.Condition(), itertools.count()
+
+    def put(self, order: Order, key: str | None = None) -> None:
+        """Add an order, from any thread. key: what it sets; None for one that counts, such as a click."""
+        with self._come:
+            name: object = next(self._numbers) if key is None else key
+            self._orders.pop(name, None)
+            self._orders[name] = order
+            self._come.notify()
+
+    def waits(self, key: str) -> bool:
+        """Whether an order of this key has not been taken yet."""
+        with self._come:
+            return key in self._orders
+
+    def take(self, wait_s: float) -> list[Order]:
+        """All orders, which are then gone; where there is none, wait for one, but not for long."""
+        with self._come:
+            if not self._orders and wait_s > 0:
+                self._come.wait(wait_s)
+            orders, self._orders = list(self._orders.values()), {}
+            return orders
+
+
+class Served:
+    """An app whose pages, and other threads, ask for things that the thread that serves does."""
+
+    def __init__(self) -> None:
+        self._inbox, self._stop = Inbox(), threading.Event()
+
+    def ask(self, order: Order) -> None:
+        """Let the thread that serves do something, as a page does; from any thread."""
+        self._inbox.put(order)
+
+    def stop(self) -> None:
+        """Let `serve` return; from any thread."""
+        self._stop.set()
+        self._inbox.put(lambda: None)
+
+
+# Play, pause, single steps, and the pace: simulated time against the clock on the wall.
+
+
+LATE_S = 0.25
+"""How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
+MEASURED_S = 2.0
+"""Time on the wall over which the pace is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What a page shows of one frame.
+
+    Attributes:
+        number: of the frame. film: poses, markers, picture. twist: commanded camera twist (6,), NaN where unknown.
+        judged: the error by which the task is judged, in `unit`. verdict: how the run ended with it; None while it goes on.
+        T_world_goal: the camera's pose (4, 4) at its goal, if it has one.
+    """
+
+    number: int
+    film: FilmFrame
+    twist: Array
+    judged: float
+    unit: str
+    T_world_goal: Array | None
+    verdict: Verdict | None = None
+
+
+class Transport:
+    """Whether time goes on, and how fast.
+
+    Attributes:
+        playing: frames follow each other by themselves. speed: simulated seconds a second; inf for as fast as the machine can.
+
+    Args:
+        clock: the time on the wall [s], monotonic.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        self._clock = clock
+        self.playing, self.speed = True, 1.0
+        self._steps = 0
+        self._anchor: tuple[float, float] | None = None
+        self._passed: deque[tuple[float, float]] = deque()
+
+    def play(self, on: bool) -> None:
+        """Go on, or pause; steps that wait are dropped."""
+        self.playing, self._steps = on, 0
+        self.restart_pace()
+
+    def step(self) -> None:
+        """One frame more, then pause."""
+        if self.playing:
+            self.play(False)
+        self._steps += 1
+
+    def set_speed(self, speed: float) -> None:
+        """Simulated seconds a second, from now on."""
+        self.speed = speed
+        self.restart_pace()
+
+    def begin(self) -> None:
+        """Another run begins: steps that wait belong to the one before."""
+        self._steps = 0
+        self.restart_pace()
+
+    def restart_pace(self) -> None:
+        """The pace counts from the next frame on."""
+        self._anchor = None
+        self._passed.clear()
+
+    def wait_s(self, t: float) -> float | None:
+        """How long the next frame is not due [s], where t is the time of the last one; None where none is to come."""
+        if self._steps:
+            return 0.0
+        if not self.playing:
+            return None
+        now = self._clock()
+        if self._anchor is None:
+            self._anchor = now, t
+        due = self._anchor[0] + (t - self._anchor[1]) / self.speed
+        if now - due > LATE_S:
+            self._anchor = now, t
+        return max(0.0, due - now)
+
+    def passed(self, t: float) -> None:
+        """A frame of time t [s] was made."""
+        self._steps = max(0, self._steps - 1)
+        now = self._clock()
+        self._passed.append((now, t))
+        while now - self._passed[0][0] > MEASURED_S and len(self._passed) > 2:
+            self._passed.popleft()
+
+    @property
+    def pace(self) -> float:
+        """Simulated seconds a second over the last moments; NaN while it is not known."""
+        if len(self._passed) < 2:
+            return math.nan
+        (wall, t), (wall_now, t_now) = self._passed[0], self._passed[-1]
+        return (t_now - t) / (wall_now - wall) if wall_now > wall else math.nan
+
 
 PLATE_RADII, LEAST_PLATE_M = 5.0, 0.06
 """Edge of the plate in reserve: so many radii of a marker, but at least so much [m]."""

@@ -2,37 +2,171 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import DepthImage, Image, Look, Picture
-from vstestbed.core.errors import ParameterError, SessionError
+from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.named_files import is_file_module
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
-from vstestbed.loop.command_history import CommandHistory
-from vstestbed.loop.exposure import Arrival, Exposure
-from vstestbed.loop.goal_image import sight_of, with_images
-from vstestbed.loop.guarded_law import GuardedLaw
+from vstestbed.loop.ego_motion import Arrival, CommandHistory, Exposure, OwnRates, mount_at, since_exposure
 from vstestbed.loop.inputs import Inputs, Readings
-from vstestbed.loop.own_motion import since_exposure
-from vstestbed.loop.own_mount import mount_at
-from vstestbed.loop.own_rates import OwnRates
-from vstestbed.loop.scenario_observer import observer_of
-from vstestbed.loop.unseen import NO_PICTURE, detail, unseen
+from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.orders import Order
+from vstestbed.scenario.randomise import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import NOISE_STREAM
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
-from vstestbed.vision import Detector
+from vstestbed.vision import Detector, Observer
+
+# The law's step with its result checked: a law that fails in a step orders rest from then on, and says why.
+
+
+class GuardedLaw:
+    """A law that has failed is not asked again: its robot must be stopped, whatever the law does next.
+
+    Attributes:
+        failure: what the law did, in words; "" while it works.
+    """
+
+    def __init__(self, law: Law[Any]):
+        self._law, self.failure = law, ""
+        self._mode = 0  # in which it failed: to fail is no switch
+
+    def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
+        """One frame of the law; after a failure rest, with `failure` as its reason.
+
+        Whatever the law raises is its failure, a ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
+        """
+        if not self.failure:
+            stepped = self._asked(self._law.step, memory, seen, goal, basis)
+            wrong = "" if self.failure else self._wrong(stepped)
+            self.failure = f"law {self._law.kind} {wrong}" if wrong else self.failure
+            if not self.failure:
+                self._mode = stepped[1].mode
+                return stepped
+        return memory, replace(Command.rest(basis, self.failure), mode=self._mode)
+
+    def init(self, goal: Goal, memory: Any) -> Any:
+        """The memory for another goal of a run; the one so far where the law fails at it."""
+        made = None if self.failure else self._asked(self._law.init, goal)
+        return memory if self.failure else made
+
+    def _asked(self, method: Callable[..., Any], *given: Any) -> Any:
+        """What a method of the law returns; None where it raises, which is its failure."""
+        try:
+            return method(*given)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # also sys.exit: a law must not end the program
+            self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
+
+    def _wrong(self, stepped: Any) -> str:
+        """What is wrong with what `step` returned; "" for a memory and a command of finite numbers."""
+        if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
+            got = type(stepped).__name__
+            if isinstance(stepped, tuple):
+                got = f"({', '.join(type(part).__name__ for part in stepped)})"
+            return f"returned {got}; its step must return (memory, Command)"
+        twist, rates, free = stepped[1].twist, stepped[1].rates, stepped[1].free
+        if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
+            return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
+        if not all_finite(twist):
+            self._mode = stepped[1].mode
+            return f"gave a twist that is not finite, {np.round(twist, 3)}"
+        if rates is not None and not all_finite(rates):
+            return f"gave rates that are not finite, {np.round(rates, 3)}"
+        return "" if all(math.isfinite(share) and all_finite(twists) for share, twists in free) else "gave free motions that are not finite"
+
+    def _where(self, error: BaseException) -> str:
+        """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""
+        frames = list(traceback.walk_tb(error.__traceback__))
+        names = [str(f.f_globals.get("__name__")) for f, _ in frames]
+        ours = [name == type(self._law).__module__ or is_file_module(name) for name in names]
+        written = [not f.f_code.co_filename.startswith("<string>") for f, _ in frames]  # what dataclasses generate has no line
+        own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
+        frame, line = (own or frames)[-1]
+        return f"{Path(frame.f_code.co_filename).name}, line {line}"
+
+
+# The observer of a scenario.
+
+
+def observer_of(scenario: Scenario) -> Observer:
+    """The observer of a scenario."""
+    perturbed = scenario.perturbed()
+    return Observer(
+        camera=scenario.believed_camera,
+        target=scenario.target,
+        goal=scenario.goal_view,
+        depth=scenario.law.depth,
+        pixel_sigma_px=scenario.noise.pixel_sigma_px,
+        dropout=scenario.noise.dropout,
+        required_fields=scenario.law.inputs,
+        grounded=scenario.robot.base == "planar",
+        derotation=scenario.derotation,
+        trim_s=scenario.level_trim_s,
+        depth_scale=scenario.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
+        rows=scenario.detector.rows,
+    )
+
+
+# Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
+
+
+NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
+"""Why there is no measurement, where the law itself gives no reason."""
+GUESS = ": at the start they may be outside of it, hidden or too small"
+"""What a robot may think of markers that it has never found; a judge that sees the truth says which it was (`lost_markers`)."""
+
+
+def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str:
+    """Why a law that gives no reason has no measurement; "" where it has as many markers as it needs."""
+    n = len(seen.uv) if error.all_seen and goal.counted is None else np.count_nonzero(seen.seen)
+    return "" if n >= needed else FEW_SEEN if n else NONE_SEEN
+
+
+def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
+    """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
+
+    Where the detector has not found a single marker in any picture of the run (`found`), what may be wrong instead.
+    """
+    if why:
+        return f" ({why})"
+    if not found and scenario.detector.needs_image:
+        return f" ({never_found(scenario)})"
+    if scenario.detector.changing:
+        return ""
+    names = [name for name, there in zip(scenario.target.names, seen.seen, strict=False) if not there]
+    return f" (not seen: {', '.join(names)})" if names else ""
+
+
+def never_found(scenario: Scenario) -> str:
+    """That a detector of pictures has found nothing from the start on, and the likely causes."""
+    if scenario.detector.changing:
+        words = f"detector {scenario.detector.kind} has found nothing of the goal's picture in any picture"
+        return f"{words}: the start may show too little of it, or from too far aside, or too few points of it are looked for"
+    target, n = scenario.target, len(scenario.target.points)
+    words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
+    if scenario.detector.needs_sheet:
+        return f"{words}: at the start the picture may be outside of it, too small, too oblique or without structure"
+    if target.shows_markers:
+        return words + GUESS
+    return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
+
 
 REST_S = 1e3
 """Time after which a robot that stops has come to rest, whatever its way to stop [s]."""

@@ -4,34 +4,85 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from vstestbed.camera import Image, Picture
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
+from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
-from vstestbed.loop.exposure import Arrival
-from vstestbed.loop.goal_image import take_goal_images
-from vstestbed.loop.judge import Judge
-from vstestbed.loop.lost_markers import LostMarkers
-from vstestbed.loop.plant_of import plant_of, shown_clean
+from vstestbed.loop.ego_motion import Arrival, Exposure
+from vstestbed.loop.judge import Judge, LostMarkers
+from vstestbed.loop.plants import plant_of, shown_clean, take_goal_images
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
-from vstestbed.loop.witness import Witness
+from vstestbed.robots.base import RobotLog, RobotState, Supervisor
 from vstestbed.robots.orders import Order
-from vstestbed.scenario.randomise import drawn
+from vstestbed.scenario.randomise import LINK_STREAM, drawn
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import LINK_STREAM
+from vstestbed.sim.base import Truth
 from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import directions
-from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.frame import Cycle, Frame
 from vstestbed.tasks.monitors import OwnMonitor
+from vstestbed.vision.base import goal_of_points, points_of
+
+# The witness: completes the controller's cycle to a frame, with the truth that the controller never sees.
+
+
+_NOWHERE = np.full(3, np.nan)
+"""Place and odometry of a robot that has none."""
+
+
+class Witness:
+    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller.
+
+    Attributes:
+        task: the task's monitor, which measures each frame.
+
+    Args:
+        scenario: the experiment. supervisor: the robot's.
+    """
+
+    def __init__(self, scenario: Scenario, supervisor: Supervisor):
+        self.task, self._supervisor = scenario.goal.monitor(scenario.setup, supervisor), supervisor
+        self._robot_log = scenario.robot.log(supervisor)
+        # Of points that are not the target's markers, by the true lens: they lie in the target's plane where it saw them at the goal.
+        self._goal = (
+            Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if scenario.detector.rows is not None else None
+        )
+        self._own = len(self._robot_log.columns) + len(self.task.columns)
+
+    def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
+        """The cycle, of the exposure `shot`, with the truth then, and the robot's and the task's own columns."""
+        row = np.empty(self._own)
+        c, depth = cycle, shot.picture.depth if shot.picture else None
+        if self._goal is not None:
+            points = points_of(goal_of_points(self._goal, c.goal.uv))
+            truth = replace(truth, p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
+        parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
+        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
+        values = self.task.measure(frame)
+        row[:] = (*self._robot_row(frame, shot), *values)
+        return frame
+
+    def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
+        """Values of the robot's own columns."""
+        if self._robot_log.columns == RobotLog.columns:
+            return (self._supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
+        seen, truth = frame.observation, frame.truth
+        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
+        T_base = frame.T_world_base(self.task.mount_inverse)
+        return self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
+
 
 PARTS = ("physics", "render", "detect", "law", "record", "video")
 """Parts of a run's wall time."""

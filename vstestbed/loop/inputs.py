@@ -13,7 +13,7 @@ from vstestbed.camera import DepthImage, Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots import Reading
-from vstestbed.robots.flight_reading import FlightReading
+from vstestbed.robots.flight import FlightReading
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]

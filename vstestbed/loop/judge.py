@@ -2,20 +2,287 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from operator import mul
+from typing import Any
 
+import numpy as np
+
+from vstestbed.camera import Perspective
+from vstestbed.core.errors import VstestbedError
+from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.loop.lost_markers import LostMarkers
-from vstestbed.loop.monitors import Collision, safety_monitors
+from vstestbed.laws import IBVS, QP, Hybrid, Law, Partitioned
+from vstestbed.loop.controller import GUESS
 from vstestbed.loop.stability import Stability
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.base import Supervisor
+from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.monitor import TaskMonitor
+from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, timed_out_words
 from vstestbed.tasks.monitors import Monitor
-from vstestbed.tasks.reached import timed_out_words
 from vstestbed.tasks.stop import Stop
+
+# Safety monitors, which end a run whatever its task: collision, divergence, a crossed target plane, joint limit, singularity.
+
+
+FAR_M = 200.0
+"""Distance from the target beyond which the camera has diverged [m]."""
+FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
+CROSSED_WORDS = "the camera crossed the plane of the target"
+BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it cannot see; start in front of it, or turn target.pose"
+TURNED_WORDS = "the target turned its back to the camera, or moved past it"
+BLOCKED_S = 1.0
+"""How long a limit must block the robot before the run ends [s]."""
+BLOCKED_SCALE = 0.02
+"""A command scaled to less than this is blocked by the limit."""
+
+
+class Collision:
+    """The robot touches something, or its feet do before they are allowed to."""
+
+    def __init__(self, supervisor: Supervisor):
+        self._supervisor = supervisor
+
+    def touches(self, truth: Truth) -> str:
+        """What touches now, as `forearm and floor`; "" where nothing does that may not."""
+        return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Collided, with the reason of an earlier abort."""
+        return self.verdict(frame.truth)
+
+    def verdict(self, truth: Truth) -> Verdict | None:
+        """The same, of the truth alone."""
+        touching = self.touches(truth)
+        if not touching:
+            return None
+        aborted = self._supervisor.aborted
+        return Outcome.collided, f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}"
+
+
+class Divergence:
+    """The camera is very far from its target."""
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Diverged, beyond FAR_M."""
+        if math.hypot(*_from_target(frame)) > FAR_M:
+            return Outcome.diverged, FAR_WORDS
+        return None
+
+
+class PlaneCrossed:
+    """The camera is behind a target that has markers on its front only."""
+
+    def __init__(self) -> None:
+        self._T_world_target: Array | None = None
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Lost: from there no marker can be seen."""
+        before, self._T_world_target = self._T_world_target, frame.truth.T_world_target
+        if not _is_behind(frame, self._T_world_target):
+            return None
+        if before is None:
+            return Outcome.target_lost, BEHIND_WORDS
+        return Outcome.target_lost, CROSSED_WORDS if _is_behind(frame, before) else TURNED_WORDS
+
+
+class LimitReached:
+    """A joint limit or a singular configuration leaves nearly nothing of the command."""
+
+    def __init__(self) -> None:
+        self._timer = HoldTimer()
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """The limit's outcome, after BLOCKED_S."""
+        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
+        limit = frame.allocation.limit
+        blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
+        if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
+            return None
+        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
+
+
+def _is_behind(frame: Frame, T_world_target: Array) -> bool:
+    """Whether the camera is behind the front of a target at a pose (4, 4), whose z points away from a camera in front of it."""
+    away = (frame.truth.T_world_camera[:3, 3] - T_world_target[:3, 3]).tolist()
+    return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
+
+
+def _from_target(frame: Frame) -> list[float]:
+    """The camera's position from the target's origin, in world axes (3,) [m]."""
+    return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
+
+
+def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[Monitor, ...]:
+    """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
+    return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided and stop.loss_ends else ()), LimitReached()
+
+
+# Where markers that are not seen were lost, by the truth: for the sentence of a run that ends as `target_lost`.
+
+
+SIDES = "left", "top", "right", "bottom"
+"""The borders of a picture, as `Camera.borders` has them."""
+SMALL = 1.5
+"""A marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour."""
+POINTS = 32
+"""Points of a marker's rim."""
+Before = Callable[[Array, Array], tuple[str, ...]]
+"""What stands before each of points (N, 3) of a camera at a pose (4, 4) (`Plant.names_before`)."""
+
+BACK, LENS, BORDER, HIDDEN, TINY, UNKNOWN = range(6)
+REMEDIES = {
+    BACK: "start in front of the target, or turn target.pose",
+    LENS: "a start that looks at the target, or a wider camera, would show it",
+    BORDER: "a wider camera{law} would help",
+    HIDDEN: "move what hides them, the start or the goal",
+    TINY: "larger markers (target.marker.radius), a nearer start or a longer focal length would help",
+    UNKNOWN: "why is not known: noise, light, or another object of their colour may be it; the film shows the picture",
+}
+"""What would help, by what happened; {law}: what `_minding` says."""
+START = ", from the start on"
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in the picture [px]."""
+
+    kind: int
+    words: str
+    t: float
+    px: float = math.nan
+
+
+class LostMarkers:
+    """Remembers of each marker that is not seen where it was lost.
+
+    Args:
+        scenario: the experiment. before: tells what stands before points.
+    """
+
+    def __init__(self, scenario: Scenario, before: Before):
+        self._scenario, self._before = scenario, before
+        detector, target = scenario.detector, scenario.target
+        # Others find points of the picture, a whole picture, an outline or lines: none of their rows is lost by itself.
+        single = detector.rows is None and not target.outlined and not target.stripes
+        self._of_markers = single and not detector.needs_sheet and len(target.points) > 0
+        self._limited = getattr(detector, "field_of_view", "limited") == "limited"
+        self._least_area_px: float | None = getattr(detector, "least_area_px", None)
+        self._seen = np.ones(len(target.points), dtype=bool)
+        self._lost: dict[int, Loss] = {}
+
+    def add(self, frame: Frame) -> None:
+        """Note which markers this frame lost, and which it found again."""
+        if not self._of_markers:
+            return
+        seen, counted = frame.observation.seen, frame.goal.counted
+        if counted is not None:
+            seen = seen | ~counted
+        if (seen == self._seen).all():
+            return
+        for i in np.flatnonzero(seen):
+            self._lost.pop(int(i), None)
+        new = np.flatnonzero(self._seen & ~seen)
+        if len(new):
+            names = self._before(frame.truth.T_world_camera, frame.truth.p_camera) if self._limited else ("",) * len(seen)
+            self._lost |= {int(i): self._loss(frame, int(i), names[i]) for i in new}
+        self._seen = seen
+
+    def told(self, reason: str) -> str:
+        """A reason for which the run is over, with the sentence; what the robot could only guess, and the sentence knows, is left out."""
+        where = self.sentence()
+        if not where:
+            return reason
+        known = reason.replace(GUESS, "")
+        return f"{known.removesuffix(START) if START.lstrip(', ') in where else known}; {where}"
+
+    def sentence(self) -> str:
+        """Which markers were lost where, when, and what would help; "" where none is lost."""
+        groups: dict[tuple[int, str], list[int]] = {}
+        for i, loss in sorted(self._lost.items()):
+            groups.setdefault((loss.kind, loss.words), []).append(i)
+        said = []
+        for (_, words), members in groups.items():
+            called = [self._scenario.target.called(i) for i in members]
+            first, last = (
+                f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i].t for i in members) for f in (min, max))
+            )
+            head = f"marker {called[0]} was" if len(called) == 1 else f"markers {', '.join(called)} were"
+            sizes = sorted({f"{self._lost[i].px:.2g}" for i in members}, key=float)
+            words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
+            said.append(f"{head} {words} {first}" + (f", the last one {last}" if last != first else ""))
+        kinds = sorted({kind for kind, _ in groups})
+        law = _minding(self._scenario) if BORDER in kinds else ""
+        return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
+
+    def _loss(self, frame: Frame, i: int, name: str) -> Loss:
+        """Why marker i is not seen in a frame; name: what stands before it."""
+        target, truth = self._scenario.target, frame.truth
+        T_target_camera = inverse(truth.T_world_target) @ truth.T_world_camera
+        if target.one_sided and T_target_camera[2, 3] >= 0:
+            return Loss(BACK, "seen from behind", frame.t)
+        rim = self._rim(truth.p_camera[i], T_target_camera, i)
+        uv = self._scenario.camera.project(rim)
+        if self._limited and (beyond := self._out_of_view(uv, truth.p_camera[i])):
+            return Loss(*beyond, frame.t)
+        if name or truth.hidden[i] or target.hides(T_target_camera)[i]:
+            return Loss(HIDDEN, "hidden" + (f" by {name}" if name else ""), frame.t)
+        u, v = (uv - uv.mean(axis=0)).T
+        radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))  # of a circle of its area
+        if self._least_area_px is not None and radius**2 * math.pi < SMALL * self._least_area_px:
+            least = math.sqrt(self._least_area_px / math.pi)
+            kind = self._scenario.detector.kind
+            return Loss(TINY, f"too small (a radius of {{px}} px; {kind} finds {least:.2g} px and more, of full colour)", frame.t, radius)
+        return Loss(UNKNOWN, "not found although in the picture (with a radius of {px} px)", frame.t, radius)
+
+    def _rim(self, p_camera: Array, T_target_camera: Array, i: int) -> Array:
+        """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its plane, of a ball across the ray."""
+        target = self._scenario.target
+        is_ball = target.marker.height_m >= target.marker.radius  # as high as wide
+        facing = p_camera if is_ball else T_target_camera[:3, :3].T @ target.normals[i]
+        a = np.cross(facing, np.eye(3)[int(np.argmin(np.abs(facing)))])
+        a, b = (each / np.linalg.norm(each) for each in (a, np.cross(facing, a)))
+        angles: Array = np.linspace(0, 2 * math.pi, POINTS, endpoint=False)[:, None]
+        return np.asarray(p_camera + target.marker.radius * (np.cos(angles) * a + np.sin(angles) * b), dtype=float)
+
+    def _out_of_view(self, rim: Array, p_camera: Array) -> tuple[int, str] | None:
+        """How a marker with a rim (POINTS, 2) [px] is outside of the picture; None where it is whole in it."""
+        camera = self._scenario.camera
+        if not np.isfinite(rim).all():
+            behind = isinstance(camera, Perspective) and p_camera[2] <= 0
+            return LENS, "behind the camera" if behind else "outside of what the lens sees"
+        clear = camera.borders(rim)[0]
+        side = int(np.argmin(clear.min(axis=0)))
+        if len(camera.panels) > 1 or clear[:, side].min() >= 0:
+            return None
+        border = f"the {SIDES[side]} border" if clear.shape[1] == len(SIDES) else "the border"
+        return BORDER, f"{'beyond' if clear[:, side].max() < 0 else 'cut by'} {border} of the picture"
+
+
+def _minding(scenario: Scenario) -> str:
+    """What else would help at the border: a nearer start, and those fields and laws that mind it and that the scenario takes."""
+    law, found = scenario.law, list[str]()
+    if isinstance(law, IBVS | Partitioned | Hybrid) and law.visibility.margin_px == 0:
+        least = replace(law, visibility=replace(law.visibility, margin_px=1.0))
+        found += ["law.visibility"] * _takes(scenario, least)
+    if not isinstance(law, QP) and _takes(scenario, QP()):
+        found.append("law: qp")
+    start = "a start nearer to the goal view"
+    return f", {start}, or a law that minds the border ({', '.join(found)})" if found else f" or {start}"
+
+
+def _takes(scenario: Scenario, law: Law[Any]) -> bool:
+    """Whether the scenario would be accepted with another law."""
+    try:
+        replace(scenario, law=law)
+    except VstestbedError:
+        return False
+    return True
+
 
 DRIVEN_TO = (Outcome.target_lost, Outcome.diverged, Outcome.collided)
 """Ends to which a loop that swings or grows may drive a robot before its time is over."""

@@ -2,21 +2,128 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from vstestbed.camera import Look, Picture
-from vstestbed.loop.exposure import Exposure
-from vstestbed.loop.row_views import RowViews
-from vstestbed.loop.stamps import Stamps
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Look, Picture
+from vstestbed.core.geometry import Array
+from vstestbed.loop.ego_motion import Exposure
+from vstestbed.robots import Reading
+from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import TIMING_STREAM
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.delay_line import DelayLine
 from vstestbed.sim.link import BurstyLink
 from vstestbed.sim.scene.flicker import STEADY
+from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
 from vstestbed.sim.timing import Planned, Shutter
 from vstestbed.vision.base import TruthView
+
+# What an oracle sees through a rolling shutter: each marker when the row that it is in is exposed.
+
+
+ROUNDS = 12
+"""Iterations to the time at which a marker is exposed. Each divides the error by H / (readout_s v'), v' the marker's speed down the
+picture [px/s]: 24 for one that crosses it in half a second while 20 ms are read out."""
+
+
+class RowViews:
+    """Views of the truth while a picture is read out, and the one view that the picture is of.
+
+    Marker i is exposed at the time t_i that solves t = d(v_i(t)), with the delay d(v) of a row (`Camera.row_delay`) and v_i(t) the row
+    of the marker's centre at t; its place is interpolated between the views. A marker that the lens cannot project is taken at the
+    picture's time stamp, one beyond the picture at the begin or end of the readout.
+
+    Args:
+        camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
+    """
+
+    def __init__(self, camera: Camera, times: Array):
+        self._camera, self._times = camera, times
+        self._ends = camera.row_delay(np.array([0.0, camera.height - 1.0]))
+        self._views: list[TruthView] = []
+
+    def add(self, view: TruthView) -> None:
+        """Add the view at the next of the times."""
+        self._views.append(view)
+
+    def taken(self) -> TruthView:
+        """The view in which each marker is where it was when its row was exposed; the next view is the first one of the next picture."""
+        views, self._views = self._views, []
+        p = np.stack([view.p_camera for view in views])
+        t = np.zeros(p.shape[1])
+        for _ in range(ROUNDS):
+            v = self._camera.project(self._at(p, t))[:, 1]
+            t = np.clip(np.where(np.isfinite(v), self._camera.row_delay(v), 0.0), *self._ends)
+        nearest = np.abs(self._times[:, None] - t).argmin(axis=0)
+        hidden: NDArray[np.bool_] = np.stack([view.hidden for view in views])
+        return TruthView(self._at(p, t), hidden[nearest, np.arange(len(t))])
+
+    def _at(self, p: Array, t: Array) -> Array:
+        """Places (N, 3), each at its own time (N,), between those at all times (K, N, 3)."""
+        k = np.clip(np.searchsorted(self._times, t, side="right") - 1, 0, len(self._times) - 2)
+        share = ((t - self._times[k]) / (self._times[k + 1] - self._times[k]))[:, None]
+        i = np.arange(len(t))
+        return (1 - share) * p[k, i] + share * p[k + 1, i]
+
+
+# Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
+
+
+READING_S = 0.002
+"""Time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints."""
+KEPT_S = 10.0
+"""How long readings are kept [s]."""
+
+
+class Stamps:
+    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp.
+
+    Args:
+        scenario: the experiment, with `timing.stamps`. plant: gives the readings.
+    """
+
+    def __init__(self, scenario: Scenario, plant: Plant):
+        timing = scenario.timing
+        self._timing, self._plant, self._rng = timing, plant, scenario.rng(STAMP_STREAM)
+        self._camera, self._robot = timing.camera_clock or CameraStamps(), timing.robot_clock or RobotStamps()
+        # At the steps at which an onboard controller reads the sensors anyway, no other noise is drawn for it.
+        self._every = max(1, round((scenario.robot.control_period_s or READING_S) / plant.step_s))
+        self._steps: deque[int] = deque(maxlen=math.ceil(KEPT_S / (self._every * plant.step_s)))
+        self._readings: deque[Reading] = deque(maxlen=self._steps.maxlen)
+
+    def next_event(self) -> int:
+        """The step of the next reading."""
+        return self._steps[-1] + self._every if self._steps else 0
+
+    def act(self, step: int) -> None:
+        """Take a reading when it is due."""
+        if step >= self.next_event():
+            self._steps.append(step)
+            self._readings.append(self._plant.reading())
+
+    def received(self, shot: Exposure, step: int) -> tuple[Exposure, float]:
+        """What the controller gets of an exposure that arrives at this step, and its stamp [s], which may lie in the future."""
+        now = step * self._plant.step_s
+        stamp = self._camera.at(now if self._camera.stamped == "arrival" else shot.t)
+        stamp += self._timing.jittered(self._camera.jitter_s, self._rng)
+        t = min(stamp, now)
+        picture = None if shot.picture is None else replace(shot.picture, t=t)
+        return replace(shot, t=t, picture=picture, reading=self._reading(stamp)), stamp
+
+    def _reading(self, stamp: float) -> Reading:
+        """The reading whose stamp is nearest to this one [s], of those that have come."""
+        at = self._robot.true(stamp) / self._plant.step_s
+        i = bisect_left(self._steps, at)
+        if i == len(self._steps) or (i > 0 and at - self._steps[i - 1] <= self._steps[i] - at):
+            i -= 1
+        return self._readings[i]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Mapping
 
-from vstestbed.core.contract import Contract
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
-from vstestbed.robots.base import Robot
+from vstestbed.robots.base import Reading, Robot
 from vstestbed.robots.car import Car
 from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.free import Free
@@ -14,7 +14,6 @@ from vstestbed.robots.omni import Omni
 from vstestbed.robots.orders import Order
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
-from vstestbed.robots.reading import Reading
 
 ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
 # The base has a control period where its drive has a lag, while the contract asks for one of the class.

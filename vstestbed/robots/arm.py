@@ -2,19 +2,139 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
+from vstestbed.core.errors import UnreachableError
+from vstestbed.core.geometry import Array, inverse, log, rigid_error
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
+from vstestbed.robots.base import Reading
 from vstestbed.robots.defaults import RobotBase
-from vstestbed.robots.inverse import joints_at
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.resolved_rate import resolved_rate, share
+
+# Resolved-rate control of serial arms: joint speeds for a flange twist, damped near singularities.
+
+
+THRESHOLD = 0.05
+"""Smallest singular value that is left undamped, with lengths in the arm's own unit."""
+
+
+def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRESHOLD) -> Array:
+    """Damped resolved-rate control: joint speeds for a flange twist.
+
+    dq = Js^T (Js Js^T + lambda^2 I)^-1 ts,  where Js and ts have v divided by unit_m, and
+    lambda^2 = (1 - (s_min / threshold)^2) threshold^2 where s_min < threshold, else 0.
+    Exact away from singularities, continuous across the threshold, and |dq| <= |ts| / threshold everywhere
+    (the largest damping equals the threshold, so the gain along the weakest direction is s_min / threshold^2).
+    With fewer than six joints the twist is met in the least-squares sense, with more dq is the smallest.
+
+    Args:
+        J: Jacobian, shape (6, n), rows (v, w).
+        twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
+        unit_m: length that makes metres and radians comparable [m].
+        threshold: smallest singular value of Js that is left undamped.
+
+    Returns:
+        dq (n,) [rad/s, m/s]; `J @ dq` is the realised twist.
+
+    Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski & Klein 1988,
+    doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994, doi:10.1109/87.294335.
+    """
+    scale = unit_scale(unit_m)
+    U, s, Vt = np.linalg.svd(J * scale[:, None], full_matrices=False)
+    damping2 = _damping2(float(s[-1]), threshold)
+    return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
+
+
+def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
+    """The lambda^2 of `resolved_rate`: 0 away from singularities."""
+    return _damping2(float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]), threshold)
+
+
+def _damping2(least: float, threshold: float) -> float:
+    return max(0.0, threshold**2 - least**2)
+
+
+@functools.cache
+def unit_scale(unit_m: float) -> Array:
+    """Factors (6,) that give the linear part of a twist in lengths of unit_m."""
+    return np.array([1 / unit_m] * 3 + [1.0] * 3)
+
+
+def share(realised: Array, commanded: Array, unit_m: float) -> float:
+    """Projection of a realised twist (6,) on the commanded one, as a share of it, 0 to 1, lengths in unit_m; 1 for a zero command."""
+    scale = unit_scale(unit_m)
+    a, b = realised * scale, commanded * scale
+    size = float(b @ b)
+    return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0
+
+
+# Inverse kinematics of an arm by Newton steps: the joint positions that put its flange somewhere, near those that it has.
+
+
+MOST_STEPS = 200
+LARGEST_STEP = 0.3
+"""Largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess."""
+NEAR_M, NEAR_RAD = 1e-7, 1e-7
+"""Distance from the wanted pose at which the joints count as found: a ten-thousandth of what a camera can tell."""
+
+
+def joints_at(
+    kinematics: Callable[[Array], tuple[Array, Array]],
+    T_world_flange: Array,
+    near: Array,
+    limits: Array,
+    unit_m: float,
+    inward: Callable[[Array], Array] = np.zeros_like,
+) -> Array:
+    """Joint positions (n,) [rad, m] of a flange pose (4, 4).
+
+    q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate`, without the columns of joints that
+    stand at a limit and would move beyond it, and N the null space of J for more than six joints.
+
+    Args:
+        kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,). T_world_flange: the pose that is wanted.
+        near: joints to begin at: of several postures the one that Newton's steps reach from there is found.
+        limits: lowest and highest position of each joint (n, 2). unit_m: length that makes metres and radians comparable [m].
+        inward: motion of the joints (n,) away from their limits, in the null space of a seventh joint.
+
+    Raises:
+        UnreachableError: the arm does not get there; with how near it comes.
+
+    Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
+    """
+    q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
+    for _ in range(MOST_STEPS):
+        T, J = kinematics(q)
+        away_m, away_rad = rigid_error(T, T_world_flange)
+        if away_m < NEAR_M and away_rad < NEAR_RAD:
+            return q
+        step = _step(J, log(inverse(T) @ T_world_flange), q, limits, unit_m)
+        if len(q) > 6:
+            free = inward(q) * min(1.0, away_rad + away_m / unit_m)  # it fades: with the damped inverse it moves the flange a little
+            step = step + free - resolved_rate(J, J @ free, unit_m)
+        q = np.clip(q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), *limits.T)
+    words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
+    raise UnreachableError("robot.start", words)
+
+
+def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Array:
+    """Motion of the joints (n,) for a twist (6,) of the flange: joints at their limits stay, and the others make up for them."""
+    low, high = limits.T
+    step = resolved_rate(J, twist, unit_m)
+    for _ in q:
+        blocked = ((q <= low) & (step < 0)) | ((q >= high) & (step > 0))
+        if not blocked.any():
+            break
+        J = np.where(blocked, 0.0, J)
+        step = resolved_rate(J, twist, unit_m)
+    return step
+
 
 LIMIT_MARGIN = math.radians(1.0)
 """Distance from its hard stop at which a joint comes to rest [rad; m for one that slides]."""

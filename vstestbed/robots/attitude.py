@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from typing import Literal, NamedTuple
 
-from vstestbed.core.quantity import GainOrZero, PositiveGain
+from vstestbed.core.quantity import Bias, GainOrZero, PositiveGain, Sigma
 from vstestbed.core.spec import spec
 
 GRAVITY = 9.81
@@ -132,3 +132,26 @@ def heading_rate(R: Level, rates: Vector) -> float:
     """
     xx, _, _, _, yy, yz, _, _, _ = R
     return (yy * rates[2] - yz * rates[1]) / (xx if xx > 0.1 else 0.1)
+
+
+# The inertial measurement unit of the quadrotor.
+
+
+@spec
+class Imu:
+    """Noise of each reading (at the control rate) and constant bias, in body axes.
+
+    The defaults are an MPU-6000's by its data sheet (InvenSense 2013: .005 deg/s and 400 ug per root hertz, here over 500 Hz), with
+    the bias that calibration leaves.
+
+    Args:
+        gyro_sigma_radps: standard deviation of the gyro's noise on each axis [rad/s].
+        gyro_bias_radps: the gyro's bias (x, y, z) [rad/s].
+        accel_sigma_mps2: standard deviation of the accelerometer's noise on each axis [m/s^2].
+        accel_bias_mps2: the accelerometer's bias (x, y, z) [m/s^2].
+    """
+
+    gyro_sigma_radps: Sigma = 0.002
+    gyro_bias_radps: Bias = (0.003, -0.002, 0.001)
+    accel_sigma_mps2: Sigma = 0.09
+    accel_bias_mps2: Bias = (0.05, -0.03, 0.08)

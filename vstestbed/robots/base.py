@@ -2,23 +2,174 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
 from vstestbed.robots.mechanics import Mechanics
+from vstestbed.robots.orders import Order
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotLog
-from vstestbed.robots.supervisor import Supervisor
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.uneven_floor import UnevenFloor
+
+# A robot's sensor reading at one instant.
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Proprioception: joint encoders, and the two quantities of orientation that an observer can use.
+
+    A robot with more sensors has a subclass with more fields (`FlightReading`).
+
+    Attributes:
+        q, qd: joint positions and velocities [rad, rad/s], shape (n,) each.
+        heading: by a compass, from the world's x axis, counter-clockwise [rad]; None without one.
+        tilt: estimated roll and pitch, shape (2,) [rad]; None where the robot estimates none.
+    """
+
+    q: Array
+    qd: Array
+    heading: float | None = None
+    tilt: Array | None = None
+
+
+# Supervisor: may override the law's order for the robot's safety, from proprioception alone.
+#
+#     follow --no measurement--> hold (the law rests, or drives on by what it knew) --lost_after_s, lost_after_m--> stop
+#     follow, hold --the law fails--> stop
+#
+# Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is decided here, and for a craft that must
+# set down besides in `failsafe`.
+
+
+FOLLOWS, HOLDS, STOPS = range(3)
+"""Modes, as numbered in the log's column `supervisor`."""
+STANDS_RADPS = 0.02
+"""A robot whose joints are all slower than this stands [rad/s; m/s for joints that slide]: the rim of a car's wheel makes 3 mm/s."""
+
+
+@dataclass
+class Supervisor:
+    """Passes the law's order on, until the target has been out of sight for too long, or the law has failed: then it stops the robot.
+
+    Attributes:
+        lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own sensors [m], without a measurement.
+        aborted: why the task was aborted; None while it goes on. mode: see FOLLOWS, ...
+    """
+
+    DOWN: ClassVar[tuple[str, str]] = "the robot stands", "the robot was still moving when the time ran out"
+    """The end of an aborted task, in words: brought to rest, or not in time."""
+    lost_after_s: float = math.inf
+    lost_after_m: float = math.inf
+    aborted: Verdict | None = None
+    mode: int = FOLLOWS
+    _lost_at: float = math.nan
+    _blind_m: float = 0.0
+    _seen_once: bool = False
+    _stands: bool = False
+
+    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
+        """The order that goes to the robot.
+
+        Args:
+            t: time of exposure [s].
+            blind: why the law has no measurement ("" while it has one). Without one it may command motion by what it knew.
+            reading: the robot's sensor reading.
+            order: the law's, after allocation.
+            basis: camera twists (6, n) of the robot's motions.
+            moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it counts while blind.
+        """
+        if (why := self._look(t, blind, moved_m)) and not self.aborted:
+            self.abort(t, Outcome.target_lost, why if self._seen_once else f"{why}, from the start on")
+        if not self.aborted:
+            self.mode = HOLDS if blind else FOLLOWS
+            return order
+        self.mode, self._stands = STOPS, bool(np.abs(reading.qd).max(initial=0.0) < STANDS_RADPS)
+        return order.halted(self.aborted[1], latched=True)
+
+    def abort(self, t: float, outcome: Outcome, reason: str) -> None:
+        """Give the task up at a time [s]."""
+        self.aborted = outcome, reason
+
+    @property
+    def may_touch(self) -> bool:
+        """Whether ground contact of the robot's feet is allowed now."""
+        return True
+
+    def down(self, t: float) -> bool:
+        """Whether the robot has come to rest for good, by its own sensors."""
+        return self.aborted is not None and self._stands
+
+    def _look(self, t: float, blind: str, moved_m: float) -> str:
+        """Note whether there is a measurement; once it has been missing for too long, why ("" before)."""
+        if not blind:
+            self._lost_at, self._blind_m, self._seen_once = math.nan, 0.0, True
+            return ""
+        if math.isnan(self._lost_at):
+            self._lost_at = t  # the way to here was commanded by a picture that showed the target
+        else:
+            self._blind_m += moved_m
+        # Times are sums of steps: without 1e-9 a rounding would cost a frame.
+        if t - self._lost_at + 1e-9 >= self.lost_after_s:
+            return f"{blind} for {self.lost_after_s:g} s"
+        return f"{blind} for {self.lost_after_m:g} m of the way" if self._blind_m >= self.lost_after_m else ""
+
+
+# The columns that only one kind of robot has in a log.
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and nowhere else.
+
+    Attributes:
+        t: time [s]. T_world_base: true pose of the base (4, 4).
+        place, odometry: (x, y, heading) [m, m, rad] as the observer estimates them, NaN where it has none.
+        reading: the robot's sensor reading.
+        act: true activations of its actuators (nu,). wind: true velocity of the air in the world (3,) [m/s].
+    """
+
+    t: float
+    T_world_base: Array
+    place: Array
+    odometry: Array
+    reading: Reading
+    act: Array
+    wind: Array
+
+
+class RobotLog:
+    """The columns that only this robot has in a log, and their values frame by frame.
+
+    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or goes on by what it knew), 2 stops
+    for good. Each run makes its own: it may hold the last frame's state.
+
+    Args:
+        supervisor: the robot's.
+    """
+
+    columns: tuple[str, ...] = ("supervisor",)
+
+    def __init__(self, supervisor: Supervisor):
+        self.supervisor = supervisor
+
+    def row(self, state: RobotState) -> Array:
+        """Values of the columns at one exposure, shape (len(columns),)."""
+        return np.array([self.supervisor.mode])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Entries of `Robot.proprioception` by name, shape (frames,) each, as far as the robot's own columns of a log tell them."""
+        return {}
+
 
 Base = Literal["fixed", "planar", "floating"]
 
@@ -276,3 +427,35 @@ class Robot(Protocol):
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force."""
         ...
+
+
+# The nominal start round which a seed has drawn another one: a run states both, and a further seed draws round the first.
+
+
+R = TypeVar("R", bound=Robot)
+WHERE = "drawn_about"
+"""The field of a start block that states it; robots of a user's own may lack it."""
+
+
+def undrawn(robot: R) -> R:
+    """The robot at the nominal start round which its own one was drawn; itself where none was."""
+    about = getattr(robot.start, WHERE, None)
+    return robot if about is None else _started(robot, nominal=about, drawn_about=None)
+
+
+def stated(robot: R, given: Robot) -> R:
+    """The robot, which states that its start was drawn round that of `given`."""
+    return _started(robot, drawn_about=given.start.nominal) if hasattr(robot.start, WHERE) else robot
+
+
+def without_drawn(block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+    """A robot's block in a file, before `changes` are put over it: another nominal start is also the one to draw round."""
+    start = block.get("start")
+    if isinstance(start, Mapping) and any(path == "start.nominal" or path.startswith("start.nominal.") for path in changes):
+        return {**block, "start": {name: value for name, value in start.items() if name != WHERE}}
+    return dict(block)
+
+
+def _started(robot: R, **changes: object) -> R:
+    any_robot: Any = robot  # a dataclass, which a protocol cannot say
+    return replace(any_robot, start=replace(robot.start, **changes))

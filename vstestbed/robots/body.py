@@ -1,4 +1,4 @@
-"""What other physical parameters change in a robot's MJCF file, as plain data; `sim/scene/reshape.py` applies it."""
+"""What other physical parameters change in a robot's MJCF file, as plain data; `sim/scene/attach.py` applies it."""
 
 from __future__ import annotations
 

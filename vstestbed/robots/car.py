@@ -8,8 +8,9 @@ The body is in models/car.xml, which `parameters` changes (`car_body.CarParamete
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
@@ -18,20 +19,303 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import AngleWidth, Narrower, PositiveRate, PositiveSpeed
+from vstestbed.core.planar import moved
+from vstestbed.core.quantity import AngleWidth, Mass, Narrower, PositiveLength, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Allocation, Limit, Mount
-from vstestbed.robots.bicycle import STANDSTILL, BicycleLimits, within_limits, yaw_rate
-from vstestbed.robots.body import Change, Loosen, Scale, Set
-from vstestbed.robots.car_body import BUGGY, CarParameters
+from vstestbed.robots.attitude import GRAVITY
+from vstestbed.robots.base import Reading
+from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
 from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.reading import Reading
 from vstestbed.robots.realism import Level
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.vehicle_presets import CAR
 from vstestbed.robots.wheels import WHEELS
 from vstestbed.robots.worn_vehicle import WornVehicle
+
+# Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
+#
+# With the frame under the middle of the rear axle, x forward, L the wheelbase and gamma the steering angle of the middle of the
+# front axle:
+#
+#     x_dot = v cos(heading),  y_dot = v sin(heading),  heading_dot = w = v tan(gamma) / L
+#
+# Places are (x, y, heading), shape (..., 3), [m, m, rad]; speeds and angles have the leading axes; a single car has none.
+#
+# Reference: Corke 2017, Robotics, Vision & Control, eq. 4.2, doi:10.1007/978-3-319-54413-7.
+
+
+STANDSTILL = 1e-6
+"""Below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there."""
+
+
+@dataclass(frozen=True, slots=True)
+class BicycleLimits:
+    """Limits of a car.
+
+    Attributes:
+        speed_mps, steering_rad: largest sizes of speed and steering angle.
+        acceleration_mps2, steering_rate_radps: largest changes of both; infinity for a car that obeys at once.
+    """
+
+    speed_mps: float = 1.0
+    steering_rad: float = 1.0
+    acceleration_mps2: float = np.inf
+    steering_rate_radps: float = np.inf
+
+
+def steering_of(v: Array | float, w: Array | float, wheelbase: float) -> Array:
+    """The steering angle for a speed v [m/s] and a yaw rate w [rad/s]: gamma = atan(L w / v), in [-pi/2, pi/2]."""
+    v, w = np.asarray(v, dtype=float), np.asarray(w, dtype=float)
+    # atan2(sign(v) L w, |v|) and not atan2(L w, v): in reverse that would point the wheels backwards. At v = 0 it is a quarter turn.
+    return np.arctan2(np.where(v < 0, -w, w) * wheelbase, np.abs(v))
+
+
+def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Array:
+    """The yaw rate w = v tan(gamma) / L [rad/s] of a speed [m/s] and a steering angle [rad]."""
+    return np.asarray(v * np.tan(steering) / wheelbase)
+
+
+def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits) -> tuple[Array, Array]:
+    """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
+
+    A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates,
+    with the sign of the arc's curvature, and the speed stays as commanded. A car that is to stand, or to turn on the spot, keeps its
+    steering angle `held`.
+
+    Args:
+        v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...).
+        held: the present steering angle, shape (...), [rad].
+        wheelbase: L [m].
+        limits: of the speed and of the steering angle.
+
+    Returns:
+        (v, gamma): speed [m/s] and steering angle [rad], shape (...) each.
+    """
+    steering = np.clip(steering_of(v, w, wheelbase), -limits.steering_rad, limits.steering_rad)
+    # Else rest would straighten the wheels, or turn them to their stop, under a car that stands.
+    steering = np.where(np.abs(v) < STANDSTILL, held, steering)
+    # The angle is that of the arc before the speed is cut, so the yaw rate shrinks with the speed and the arc stays. In a bend that is
+    # too tight the speed is not cut: a slower car turns no tighter, and keeping the yaw rate would take a faster one.
+    return np.clip(v, -limits.speed_mps, limits.speed_mps), steering
+
+
+def toward(now: Array, setpoint: Array, most: float) -> Array:
+    """Rate limiter: `now` moved towards `setpoint` by `most` at the most."""
+    return now + np.clip(setpoint - now, -most, most)
+
+
+def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: float) -> Array:
+    """The place after `duration` [s] at constant speed and steering angle from `place` (..., 3): the exact arc."""
+    v = np.asarray(v, dtype=float)
+    motion = np.stack(np.broadcast_arrays(v, 0.0, yaw_rate(v, steering, wheelbase)), axis=-1)
+    return moved(place, motion, duration)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Trajectory of the ideal bicycle, time along the first axis.
+
+    Attributes:
+        t: instants (T,) [s].
+        place: (x, y, heading) (T, ..., 3); the heading is not wrapped.
+        v, steering: held from each instant to the next, (T, ...) [m/s], [rad]; the last ones repeat.
+    """
+
+    t: Array
+    place: Array
+    v: Array
+    steering: Array
+
+
+def drive(
+    law: Callable[[Array], tuple[Array, Array]],
+    start: Array,
+    wheelbase: float,
+    limits: BicycleLimits,
+    duration: float,
+    period: float = 0.01,
+) -> Drive:
+    """Closed loop of a law and a bicycle that knows its place, rolls without slip, and follows commands within its limits.
+
+    Args:
+        law: maps places (..., 3) to commanded speed and yaw rate (v, w), shape (...) each.
+        start: (x, y, heading), shape (..., 3); it stands, wheels straight.
+        wheelbase: L [m].
+        limits: of speed and steering angle, and of their rates.
+        duration: how long [s].
+        period: of the law; the motion between is an exact arc [s].
+    """
+    steps = round(duration / period)
+    place = np.empty((steps + 1, *np.shape(start)))
+    v, steering = np.zeros(place.shape[:-1]), np.zeros(place.shape[:-1])
+    place[0] = start
+    now_v, now_steering = v[0], steering[0]
+    for k in range(steps):
+        commanded = within_limits(*law(place[k]), now_steering, wheelbase, limits)
+        now_v = toward(now_v, commanded[0], limits.acceleration_mps2 * period)
+        now_steering = toward(now_steering, commanded[1], limits.steering_rate_radps * period)
+        v[k], steering[k] = now_v, now_steering
+        place[k + 1] = rolled(place[k], now_v, now_steering, wheelbase, period)
+    v[-1], steering[-1] = now_v, now_steering
+    return Drive(np.linspace(0.0, steps * period, steps + 1), place, v, steering)
+
+
+# A car's physical parameters: what they change in models/car.xml, and Ackermann steering for any track and wheelbase.
+
+
+GRIP = 0.8
+"""Friction of the tyres on a dry floor (models/car.xml)."""
+ROLLING_NM = 1.32
+"""Rolling resistance of the buggy's four wheels [Nm]."""
+ON_FRONT, ON_REAR = 0.2044, 0.2956
+"""Shares of the weight on each front and each rear wheel: of the sprung four fifths .386 are on the front axle."""
+MOST_WHEEL_RAD = 1.25
+"""How far a front wheel can turn under the deck [rad]."""
+CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
+"""Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3."""
+WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279
+"""Polynomial from the left crank to the left front wheel there."""
+
+
+@spec
+class CarParameters:
+    """Physical parameters of a car, which its onboard servos and its odometry know; the defaults are the buggy of models/car.xml.
+
+    The chassis is stretched with wheelbase and track, and raised by twice what the wheels' radius grows. All masses grow alike, springs,
+    dampers and rolling resistance with them, so that the ride frequency of 3 Hz stays; the gain of the motor's speed loop grows with
+    mass_kg wheel_radius_m^2, so that its time constant stays.
+
+    Args:
+        mass_kg: mass of the whole car [kg].
+        wheelbase_m: L, distance from the rear to the front axle [m].
+        track_m: distance between the middles of a pair of wheels, front and rear [m].
+        wheel_radius_m: radius of all four wheels [m].
+        motor_torque_nm: largest torque of the motor at the rear axle [Nm].
+    """
+
+    mass_kg: Annotated[Mass, Narrower(ge=5, le=2000)] = 60.0
+    wheelbase_m: Annotated[PositiveLength, Narrower(ge=0.4, le=4)] = 1.0
+    track_m: Annotated[PositiveLength, Narrower(ge=0.3, le=3)] = 0.6
+    wheel_radius_m: Annotated[PositiveLength, Narrower(ge=0.1, le=0.4)] = 0.15
+    motor_torque_nm: Annotated[float, Ge(0.1), Le(1e4)] = 25.0
+
+    def __post_init__(self) -> None:
+        """Refuse wheels that meet, and a car that tips."""
+        L, track, r = self.wheelbase_m, self.track_m, self.wheel_radius_m
+        if 2 * r + 0.1 > L:
+            words = f"must be at least {2 * r + 0.1:.3g} m at wheel_radius_m {r:g}: front and rear wheels would meet"
+            raise ParameterError("wheelbase_m", words, L)
+        least = max(2 * r, 2 * GRIP * self._height)
+        if track < least:
+            words = f"must be at least {least:.3g} m at wheel_radius_m {r:g}: a narrower car tips in a bend before its tyres slide"
+            raise ParameterError("track_m", words, track)
+
+    @property
+    def _height(self) -> float:
+        """Of the centre of mass over the floor [m]: four fifths of the mass are sprung."""
+        return 0.264 + 1.8 * (self.wheel_radius_m - 0.15)
+
+    @property
+    def slant(self) -> float:
+        """Track over twice the wheelbase, which decides how far the front wheels' angles differ."""
+        return self.track_m / (2 * self.wheelbase_m)
+
+    @property
+    def most_steering_rad(self) -> float:
+        """The steering angle of the middle of the axle at which the inner wheel stands at MOST_WHEEL_RAD [rad]: cot = cot + slant."""
+        return math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + self.slant))
+
+    def torque_for(self, acceleration: float, rolling: float | None = None) -> float:
+        """Torque at the rear axle for an acceleration [m/s^2], with a rolling resistance [1]; None: that of the file [Nm]."""
+        resistance = ROLLING_NM / 0.15 * (self.mass_kg / 60.0) if rolling is None else rolling * self.mass_kg * GRAVITY
+        return (self.mass_kg * acceleration + resistance) * self.wheel_radius_m
+
+    def rolling(self, coefficient: float) -> tuple[Change, ...]:
+        """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
+        whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
+        shares = ON_FRONT, ON_FRONT, ON_REAR, ON_REAR
+        return tuple(Set("joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """The x of the rear and the front bumper [m]."""
+        longer = self.wheelbase_m - 1.0
+        return -0.188 - 0.17 * longer, 1.208 + 1.19 * longer
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """What makes the buggy of the file this car; () where it is that one."""
+        if self == BUGGY:
+            return ()
+        L, half, r = self.wheelbase_m, self.track_m / 2, self.wheel_radius_m
+        heavier, larger, wide = self.mass_kg / 60.0, r / 0.15, self.track_m / 0.6
+        raised = 2 * (r - 0.15)
+        found: list[Change] = [Scale("geom", "mass", heavier), Stretch("base", (L, wide, 1.0), (0.0, 0.0, raised))]
+        for name, x, y in (("column", 0.98, 0.0), ("crank_left", 0.94, 0.05), ("crank_right", 0.94, -0.05)):
+            found.append(Set("body", name, "pos", (x * L, y * wide, 0.30 + raised)))
+        for end, part, x in (("front", "fork", L), ("rear", "carrier", 0.0)):
+            for side, y in (("left", half), ("right", -half)):
+                holder, wheel = f"{end}_{side}_{part}", f"{end}_{side}_wheel"
+                found += [
+                    Set("body", holder, "pos", (x, y, r)),
+                    Stretch(holder, (1.0, 1.0, larger)),
+                    Scale("joint", "stiffness", heavier, holder),
+                    Scale("joint", "damping", heavier, holder),
+                    Scale("geom", "size", (larger, 1.0, larger), wheel),
+                    Scale("joint", "frictionloss", heavier * larger, wheel),
+                ]
+        gain, fastest = 50 * heavier * larger**2, 22 / larger
+        found += [
+            Set("actuator", "drive", "gainprm", (gain,)),
+            Set("actuator", "drive", "biasprm", (0.0, 0.0, -gain)),
+            Set("actuator", "drive", "ctrlrange", (-fastest, fastest)),
+            Set("actuator", "drive", "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
+        ]
+        crank, wheel = ackermann(self.slant)
+        for side, sign in (("left", 1.0), ("right", -1.0)):  # the right side is the left's mirror image, -q(-p(-d))
+            mirrored = [tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)]
+            found += [Couple(f"crank_{side}", mirrored[0]), Couple(f"front_{side}_steer", mirrored[1])]
+        return tuple(found)
+
+
+BUGGY = CarParameters()
+"""The car of models/car.xml."""
+
+
+@functools.lru_cache(maxsize=64)
+def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Polynomials p, q of order 4, (5,) each, with q(p(d)) = atan2(sin d, cos d - slant sin d): the left wheel for a steering angle d.
+
+    Least squares by Levenberg and Marquardt's method over the steering angles that the car can have, from the solution for a slant of .3.
+    """
+    if slant == BUGGY.slant:
+        return CRANK, WHEEL
+    most = min(1.05, math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + slant)) + 0.05)
+    d = most * np.cos(np.linspace(0, np.pi, 121))  # denser at the ends, where polynomials miss most
+    wanted = np.arctan2(np.sin(d), np.cos(d) - slant * np.sin(d))
+    x = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array([1, 2, 3, 0, 1, 2, 3])
+    damping, (error, J) = 1e-3, _miss(x, d, wanted)
+    for _ in range(300):
+        tried = x - np.linalg.solve(J.T @ J + damping * np.diag((J**2).sum(axis=0)), J.T @ error)
+        now = _miss(tried, d, wanted)
+        if now[0] @ now[0] < error @ error:
+            x, (error, J), damping = tried, now, max(damping / 4, 1e-12)
+        else:
+            damping *= 4
+    a, b, c, *q = x.tolist()
+    return (0.0, 1.0, a, b, c), (0.0, *q)
+
+
+def _miss(x: Array, d: Array, wanted: Array) -> tuple[Array, Array]:
+    """Errors (N,) of the two polynomials (7,) and their Jacobian (N, 7)."""
+    powers = np.arange(2, 5)
+    crank = d + d[:, None] ** powers @ x[:3]
+    of_crank = crank[:, None] ** np.arange(1, 5)
+    slope = (np.arange(1, 5) * crank[:, None] ** np.arange(4)) @ x[3:]
+    return of_crank @ x[3:] - wanted, np.hstack([slope[:, None] * d[:, None] ** powers, of_crank])
+
 
 SPEED_INTEGRAL = 8.0
 """Integral gain of the speed servo [1/s]. It removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is
@@ -73,7 +357,7 @@ class CarLimits:
     steering_rate_radps: Annotated[PositiveRate, Narrower(le=4)] = 2.0
 
     def bicycle(self) -> BicycleLimits:
-        """The same for the ideal bicycle: `vstestbed.robots.bicycle.drive`."""
+        """The same for the ideal bicycle: `vstestbed.robots.car.drive`."""
         return BicycleLimits(self.speed_mps, self.steering_rad, self.acceleration_mps2, self.steering_rate_radps)
 
 

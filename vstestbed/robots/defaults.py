@@ -11,15 +11,11 @@ from numpy.typing import ArrayLike
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
-from vstestbed.robots.base import Base
+from vstestbed.robots.base import Base, Reading, RobotLog, Supervisor, without_drawn
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
-from vstestbed.robots.drawn_start import without_drawn
 from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import CAMERA, OwnModel
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotLog
-from vstestbed.robots.supervisor import Supervisor
 from vstestbed.robots.tyres import Tyres
 from vstestbed.robots.uneven_floor import UnevenFloor
 

@@ -17,13 +17,19 @@ Brescianini & D'Andrea 2020, doi:10.1016/j.automatica.2019.108703 (tilt first, h
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
-from vstestbed.core.geometry import clip
+import numpy as np
+
+from vstestbed.core.geometry import Array, clip
+from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body
+from vstestbed.robots.base import FOLLOWS, HOLDS, Reading, Supervisor
+from vstestbed.robots.orders import Order
 from vstestbed.robots.rotors import X4, QuadrotorParameters
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
@@ -216,3 +222,183 @@ def rate_loop(
         tx, ty = clip(tx, -MAX_RATE_TRIM, MAX_RATE_TRIM), clip(ty, -MAX_RATE_TRIM, MAX_RATE_TRIM)
         z = clip(z, -most, most)
     return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)
+
+
+# What a quadrotor's instruments read and its flight loops estimate, and the setpoints of its failsafe.
+
+
+HOLD = np.zeros(4)
+"""The setpoint that levels the craft and holds it where it is."""
+
+
+def descend(speed_mps: float) -> Array:
+    """The setpoint (4,) of a level vertical descent at a speed [m/s]."""
+    return np.array([0.0, 0.0, -speed_mps, 0.0])
+
+
+class Instruments(NamedTuple):
+    """What the instruments read at one instant; plain floats, since the flight loops read them at 1 kHz.
+
+    Attributes:
+        gyro: body rates (3,) [rad/s]. force: specific force of the accelerometer, body axes (3,) [m/s^2].
+        velocity: of the optical-flow instrument, body axes (3,) [m/s]. range_m: of the range finder that looks down, inf over nothing [m].
+        voltage_v: of the battery, NaN where none is modelled [V].
+    """
+
+    gyro: Vector
+    force: Vector
+    velocity: Vector
+    range_m: float
+    voltage_v: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class FlightEstimate:
+    """State of the flight loops at one instant: estimates, and the references that each loop gives to the next.
+
+    Attributes:
+        velocity: in body axes (3,) [m/s]. rates: body rates without the gyro's bias (3,) [rad/s].
+        ref_tilt: reference roll and pitch, from the velocity loop (2,) [rad]. ref_rates: reference body rates, from the attitude loop
+            (3,) [rad/s].
+        rotor_limit_s: for how long a rotor has been at its limit [s].
+        overturned: tilted beyond 60 degrees, or still levelling after that. stands: its feet carry its weight.
+    """
+
+    velocity: Array
+    rates: Array
+    ref_tilt: Array
+    ref_rates: Array
+    rotor_limit_s: float
+    overturned: bool
+    stands: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightReading(Reading):
+    """A quadrotor's reading at one instant: its range finder, and what its flight loops estimate from all instruments.
+
+    Attributes:
+        range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
+        voltage_v: of the battery, NaN where none is modelled [V].
+    """
+
+    range_m: float
+    estimate: FlightEstimate
+    voltage_v: float = math.nan
+
+    @property
+    def body_twist(self) -> Array:
+        """(v, w) of the base in body axes (6,), estimated."""
+        return np.concatenate([self.estimate.velocity, self.estimate.rates])
+
+
+# The quadrotor's failsafe: a state machine that overrides the law's setpoint, from onboard estimates alone.
+#
+#     follow --target lost--> hold (the law rests, or coasts after a moving target) --lost_after_s, lost_after_m--> sink --feet down--> off
+#     follow --overturned, a rotor at its limit, or the law fails--> hold --HOLD_S--> sink --feet down--> off
+#
+# A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
+# levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
+# tracked. These end the task for good, since none of them is cured by seeing the target.
+
+
+HOLD_S = 2.0
+"""How long the craft holds after an abort before it sinks [s]."""
+SINK_MPS = 0.4
+"""Descent rate [m/s], under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)."""
+RESUME_M = 0.5
+"""Below this height the descent goes on even when the target is seen again [m]."""
+LIMIT_S = 1.0
+"""A rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment."""
+DOWN_S = 0.5
+"""How long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s."""
+SINKS, OFF = 2, 3
+"""Modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`."""
+
+
+@dataclass
+class Failsafe(Supervisor):
+    """The failsafe of one flight: where other robots stop, it holds the craft, and then sets it down.
+
+    Attributes:
+        lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
+    """
+
+    DOWN: ClassVar[tuple[str, str]] = "the craft set down", "the craft was still on its way down when the time ran out"
+    lands: bool = False
+    off_at: float = math.nan
+    _since: float = math.nan
+
+    def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
+        """The order that the flight loops get: the law's, or a stop (hold, rotors off), or the velocity of the descent."""
+        assert isinstance(reading, FlightReading)
+        self._update_abort(t, blind, self._look(t, blind, moved_m), reading)
+        self.mode = self._next_mode(t, blind, reading.estimate)
+        if self.mode == OFF:
+            return order.halted(f"{self._why}the craft stands: rotors off", latched=True, stop="off")
+        if self.mode == SINKS:
+            down = descend(SINK_MPS)
+            return Order(down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final)
+        return order.halted(f"{self._why}the craft holds", latched=self._final) if self.aborted else order
+
+    @property
+    def _why(self) -> str:
+        """Why the task was given up, before what is done about it."""
+        return f"{self.aborted[1]}: " if self.aborted else ""
+
+    @property
+    def may_touch(self) -> bool:
+        """Whether ground contact of the feet is allowed: in a landing, or once it sinks."""
+        return self.lands or self.mode in (SINKS, OFF)
+
+    def down(self, t: float) -> bool:
+        """Whether the rotors have been off for DOWN_S."""
+        # NaN while they are on: the comparison is False then.
+        return t - self.off_at >= DOWN_S
+
+    def abort(self, t: float, outcome: Outcome, reason: str) -> None:
+        """Give the task up at a time [s], which a reason names: the craft is down much later."""
+        self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
+
+    def _next_mode(self, t: float, blind: str, estimate: FlightEstimate) -> int:
+        """The mode of this frame; nothing leads out of OFF."""
+        self._note_touchdown(t, estimate)
+        if not math.isnan(self.off_at):
+            return OFF
+        if not self.aborted:
+            return HOLDS if blind else FOLLOWS
+        # A lost target has already had its `lost_after_s` of holding before the task was given up.
+        holds = t - self._since < HOLD_S and self._final
+        return HOLDS if holds else SINKS
+
+    def _note_touchdown(self, t: float, estimate: FlightEstimate) -> None:
+        """Note when rotors go off: once the craft stands, if it was to land or to set down."""
+        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
+            self.off_at = t
+
+    def _update_abort(self, t: float, blind: str, lost: str, reading: FlightReading) -> None:
+        """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
+        if not math.isnan(self.off_at) or self._final:
+            return
+        if self.aborted and not blind and reading.range_m > RESUME_M:
+            self.aborted = None
+        if cause := self._cause(lost, reading.estimate):
+            self.abort(t, *cause)
+
+    @property
+    def _final(self) -> bool:
+        """Whether the task was given up for good: overturned, a rotor at its limit, or no law that works."""
+        return self.aborted is not None and self.aborted[0] is not Outcome.target_lost
+
+    def _cause(self, lost: str, estimate: FlightEstimate) -> Verdict | None:
+        """Why the task must be given up in this frame, the most urgent cause first; None where it need not.
+
+        lost: why the target counts as lost in this frame ("" while it does not).
+        """
+        if estimate.overturned:
+            return Outcome.overturned, Outcome.overturned.value
+        if estimate.rotor_limit_s > LIMIT_S:
+            return Outcome.rotor_limit, f"a rotor stood at its limit for {LIMIT_S:g} s"
+        if lost and not self.aborted:
+            return Outcome.target_lost, lost
+        return None

@@ -4,12 +4,106 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Gt, Le
 
-from vstestbed.robots.flight_reading import Instruments
-from vstestbed.robots.groundspeed import READING_S, VelocitySource
-from vstestbed.robots.imu import Imu
+from vstestbed.core.quantity import PositiveGain, PositiveTime, Sigma
+from vstestbed.core.spec import OneOf, spec
+from vstestbed.robots.attitude import GRAVITY, Imu, Level, Vector, to_body, to_level
+from vstestbed.robots.flight import Instruments
+
+# Ground-speed estimation: a noisy velocity sensor, filtered for use at the control rate.
+#
+# The sensor (optical flow with a range finder, or Doppler) measures the velocity in body axes. Two filters, both in the level
+# frame, which turns with the heading at the rate r:
+#
+#   flow      fused with the accelerometer. With f = R_level_body a - (0, 0, g), the innovation i = R_level_body v_measured - v and
+#             an estimated offset d:  v_dot = f - r z x v + 2 w i + d,  d_dot = w^2 i.
+#             d absorbs the bias of the accelerometer and the error of the attitude, so v has no steady error.
+#   filtered  a first-order low pass: v_dot = i / tau, a trade of noise against lag.
+#
+# Reference: fixed-gain form of the observer of Hua 2010, doi:10.1016/j.conengprac.2010.01.016.
+
+
+READING_S = 0.02
+"""A flow sensor's exposure and period [s], 50 Hz, to which `sigma_mps` refers. The controller reads faster, with noise of the same
+power spectrum."""
+
+
+@spec
+class Flow:
+    """A velocity fused with the accelerometer.
+
+    Args:
+        sigma_mps: noise of a reading of 20 ms on each axis [m/s].
+        scale_error: relative error of the scale, of the range by which a flow is multiplied [1].
+        bandwidth: w [1/s], the crossover: the velocity sensor counts below it, the accelerometer above.
+    """
+
+    kind: Literal["flow"] = "flow"
+    sigma_mps: Sigma = 0.03
+    scale_error: Annotated[float, Gt(-1), Le(10)] = 0.0
+    bandwidth: PositiveGain = 2.0
+
+
+@spec
+class Filtered:
+    """A velocity through a low pass.
+
+    Args:
+        sigma_mps: noise of a reading of 20 ms on each axis [m/s].
+        scale_error: relative error of the scale [1].
+        tau_s: time constant of the low pass [s].
+    """
+
+    kind: Literal["filtered"] = "filtered"
+    sigma_mps: Sigma = 0.03
+    scale_error: Annotated[float, Gt(-1), Le(10)] = 0.0
+    tau_s: PositiveTime = 0.1
+
+
+VELOCITIES = OneOf("velocity", Flow, Filtered)
+Source = Flow | Filtered
+VelocitySource = Annotated[Source, VELOCITIES]
+
+
+class Groundspeed(NamedTuple):
+    """Estimated `velocity` (3,) [m/s] and `offset` d (3,) [m/s^2] in the level frame, and `acceleration` (3,) [m/s^2] in body axes."""
+
+    velocity: Vector = (0.0, 0.0, 0.0)
+    offset: Vector = (0.0, 0.0, 0.0)
+    acceleration: Vector = (0.0, 0.0, 0.0)
+
+
+def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
+    """One step of the filter.
+
+    Args:
+        R: R_level_body, estimated.
+        measured: the sensor's velocity in body axes (3,) [m/s].
+        force: the accelerometer's reading in body axes (3,) [m/s^2].
+        yaw_rate: the level frame's rate about z [rad/s].
+        dt: [s].
+    """
+    (vx, vy, vz), (dx, dy, dz), _ = memory
+    mx, my, mz = to_level(R, measured)
+    ix, iy, iz = mx - vx, my - vy, mz - vz
+    if isinstance(source, Filtered):
+        k = 1.0 / source.tau_s
+        ax, ay, az = k * ix, k * iy, k * iz
+        # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
+        v = vx + ax * dt, vy + ay * dt, vz + az * dt
+        return Groundspeed(v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az)))
+    fx, fy, fz = to_level(R, force)
+    w = source.bandwidth
+    # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
+    k, j = 2.0 * w, w * w * dt
+    ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
+    v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt
+    return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az)))
+
 
 READINGS_AHEAD = 64
 """For how many readings noise is drawn at once."""

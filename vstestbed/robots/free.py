@@ -12,9 +12,9 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Mount
+from vstestbed.robots.base import Reading
 from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.puma560 import Puma560, PumaStart
-from vstestbed.robots.reading import Reading
 
 
 @spec

@@ -17,11 +17,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.quantity import AngleWidth, Distance, Narrower
 from vstestbed.core.spec import spec
-from vstestbed.robots.base import Base
+from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor
 from vstestbed.robots.defaults import RobotBase
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotLog, RobotState
-from vstestbed.robots.supervisor import Supervisor
 
 PLANE = np.zeros((6, 3))
 """Selection matrix (6, 3): a planar motion (vx, vy, wz) as a body twist (v, w); its transpose projects a twist on the plane."""

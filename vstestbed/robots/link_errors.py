@@ -77,7 +77,7 @@ class GeometryError:
 class Payload:
     """A load at the flange: a cube of uniform density that touches nothing.
 
-    A start at which the weight asks more of a joint than its motor and friction hold is refused (`sim/static_load.py`).
+    A start at which the weight asks more of a joint than its motor and friction hold is refused.
 
     Args:
         mass_kg: its mass [kg]; e.g. `1.5`.

@@ -17,11 +17,11 @@ from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angle, OneForAll, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import Actuation, Mount, Servo
+from vstestbed.robots.base import Reading
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple
 from vstestbed.robots.link_errors import GeometryError
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.reading import Reading
 from vstestbed.robots.real_arm import RIGID, RealArm
 from vstestbed.robots.realism import Level
 

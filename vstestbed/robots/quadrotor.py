@@ -12,36 +12,133 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from pydantic import model_validator
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import PositiveRate, PositiveSpeed, Sigma
+from vstestbed.core.quantity import Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
+from vstestbed.core.spatial import is_matrix, upright
 from vstestbed.core.spec import spec
-from vstestbed.robots import groundspeed
+from vstestbed.robots import flight_sensors
 from vstestbed.robots.airframe import Airframe
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, heading_rate, level, to_body
+from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base
+from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor
 from vstestbed.robots.body import Change
 from vstestbed.robots.disturbance import Disturbance
-from vstestbed.robots.failsafe import Failsafe
-from vstestbed.robots.flight import RECOVER_RAD, STILL, Gains, Loops, fly
-from vstestbed.robots.flight_log import FlightLog
-from vstestbed.robots.flight_reading import HOLD, FlightEstimate, FlightReading, Instruments
+from vstestbed.robots.flight import HOLD, RECOVER_RAD, STILL, Failsafe, FlightEstimate, FlightReading, Gains, Instruments, Loops, fly
 from vstestbed.robots.flight_realism import FlightRealism
-from vstestbed.robots.flight_sensors import drawn_noise, instruments
-from vstestbed.robots.flight_start import LOWEST_M, FlightPose, FlightStart
-from vstestbed.robots.groundspeed import Flow, Groundspeed, VelocitySource
-from vstestbed.robots.imu import Imu
+from vstestbed.robots.flight_sensors import Flow, Groundspeed, VelocitySource, drawn_noise, instruments
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.reading import Reading
-from vstestbed.robots.robot_log import RobotLog
 from vstestbed.robots.rotors import X4, Four, QuadrotorParameters, mix, speed_control
-from vstestbed.robots.supervisor import Supervisor
+
+# Where a craft hovers at the start of a run.
+
+
+LOWEST_M = 0.2
+"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
+
+
+@spec
+class FlightPose:
+    """Where the craft hovers at the start; in Python also an upright SE3.
+
+    Args:
+        xyz: its centre in the world [m].
+        yaw_deg: its heading [deg].
+    """
+
+    xyz: Position = (0.0, 0.0, 2.0)
+    yaw_deg: Angle = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_matrix(cls, given: Any) -> Any:
+        return dict(zip(("xyz", "yaw_deg"), upright(given), strict=True)) if is_matrix(given) else given
+
+
+@spec
+class FlightBox:
+    """A box from which random starts are drawn.
+
+    Args:
+        xyz: half widths along world axes [m].
+        yaw_deg: half width in heading [deg].
+        about: the middle of the box; None: the nominal start.
+    """
+
+    xyz: Position = (0.0, 0.0, 0.0)
+    yaw_deg: AngleWidth = 0.0
+    about: FlightPose | None = None
+
+
+@spec
+class FlightStart:
+    """Where the craft hovers at the start: `nominal`, and the box from which `random` starts are drawn.
+
+    Args:
+        nominal: place and heading at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
+    """
+
+    nominal: FlightPose = FlightPose()
+    random: FlightBox | None = None
+    drawn_about: FlightPose | None = None
+
+
+# The columns of a quadrotor's log.
+
+
+ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")
+REFERENCE = ("ref_roll", "ref_pitch", "ref_wx", "ref_wy", "ref_wz")
+WIND = ("wind_x", "wind_y", "wind_z")
+
+
+class FlightLog(RobotLog):
+    """Estimates, references and rotor speeds of a flight.
+
+    `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
+    craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
+    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks,
+    3 rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
+
+    Args:
+        supervisor: the craft's. rotors: names of its actuators. battery: whether it has one.
+    """
+
+    def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...], battery: bool = False):
+        super().__init__(supervisor)
+        more = ("battery_v",) if battery else ()
+        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor", *more)
+
+    def row(self, state: RobotState) -> Array:
+        """Values at one exposure."""
+        reading = state.reading
+        assert isinstance(reading, FlightReading) and reading.tilt is not None
+        roll, pitch = reading.tilt.tolist()
+        # The level frame is the estimate's own: with the true tilt, an error of tilt would show as one of velocity, too.
+        up = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
+        estimate = reading.estimate
+        velocity = to_level(level(up), tuple(estimate.velocity.tolist()))
+        loops = np.concatenate([estimate.rates, estimate.ref_tilt, estimate.ref_rates])
+        speeds = np.sqrt(np.maximum(state.act, 0.0))  # activations are squared speeds
+        row = [roll, pitch, *velocity, *loops, *state.wind, *speeds, self.supervisor.mode, reading.voltage_v]
+        return np.array(row[: len(self.columns)])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Tilt and body twist; the velocity back from the estimate's level frame into body axes. The range is not in the log."""
+        roll, pitch = log["est_roll"], log["est_pitch"]
+        up = zip((-np.sin(pitch)).tolist(), (np.cos(pitch) * np.sin(roll)).tolist(), (np.cos(pitch) * np.cos(roll)).tolist(), strict=True)
+        velocities = zip(*(log[f"est_v{axis}"].tolist() for axis in "xyz"), strict=True)
+        body = np.array([to_body(level(z), v) for z, v in zip(up, velocities, strict=True)]).reshape(-1, 3)
+        rates = {f"w{axis}": log[f"est_w{axis}"] for axis in "xyz"}
+        return {"roll": roll, "pitch": pitch, **dict(zip(("vx", "vy", "vz"), body.T, strict=True)), **rates}
+
 
 STANDING_MARGIN_M = 0.05
 """Within this of `standing_m` the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
@@ -263,7 +360,7 @@ class Quadrotor(FlightRealism):
         R = level(attitude.up)
         (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
         rates = gx - bx, gy - by, gz - bz
-        ground = groundspeed.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
+        ground = flight_sensors.step(ground, R, speed, force, heading_rate(R, rates), self.velocity, dt)
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt, craft)
             return Flight(attitude, ground, Loops(), W, rates, False), orders

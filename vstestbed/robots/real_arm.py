@@ -15,11 +15,11 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
 from vstestbed.robots.arm import Arm
+from vstestbed.robots.base import Reading
 from vstestbed.robots.chain import reader
 from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple, each
 from vstestbed.robots.link_errors import GeometryError, Payload
 from vstestbed.robots.mechanics import DRIVES_STEP_S, FINEST, Mechanics, quickest
-from vstestbed.robots.reading import Reading
 from vstestbed.robots.realism import Realistic
 from vstestbed.robots.strain_wave import StrainWave
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 from pydantic import model_validator
 from pydantic_core import ArgsKwargs
 
-from vstestbed.core.mapping import to_mapping
+from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
 from vstestbed.robots.defaults import RobotBase
 

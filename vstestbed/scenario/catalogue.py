@@ -4,15 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import typing
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import Room, blocks_in, fields_of, is_list
-from vstestbed.core.spec import kind_of
+import pydantic
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import DataclassSchema
+
+from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
+from vstestbed.core.errors import ParameterError, ScenarioError, nearest
+from vstestbed.core.named_files import PACKAGE, bundled_comparisons, bundled_scenarios
+from vstestbed.core.registry import Room, blocks_in, fields_of, is_list, to_mapping
+from vstestbed.core.spec import kind_of, needed_fields, refresh_specs
+from vstestbed.scenario.dump import flow_text
+from vstestbed.scenario.load import load, text_of
+from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.yaml_marks import plain_mapping, read_value
 
 
 @dataclass(frozen=True)
@@ -41,10 +53,10 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     while waiting:
         owner, cls = waiting.popleft()
         kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        for field, listed, room, inner in _blocks_of(cls):
-            place = f"{field}[]" if listed else field
+        for at, listed, room, inner in _blocks_of(cls):
+            place = f"{at}[]" if listed else at
             if room is None:
-                name = _field_name(owner if _alike(kinds, field) else kind_of(cls), field, cls, inner, found)
+                name = _field_name(owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found)
             else:
                 name = f"{room.what}.{kind_of(inner)}"
                 found.setdefault(room.what, Entry(room.what, None, room, place))
@@ -56,10 +68,10 @@ def catalogue(**roots: type) -> dict[str, Entry]:
 
 def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
     """Field, whether it is a list, room and class of each block that a block may hold."""
-    for field in dataclasses.fields(cls):
-        if field.init:
-            hint = hint_of(cls, field.name)
-            yield from ((field.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
+    for each in dataclasses.fields(cls):
+        if each.init:
+            hint = hint_of(cls, each.name)
+            yield from ((each.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
@@ -136,3 +148,331 @@ def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     """The kinds at the end of a dotted path that the field before it may hold: `pnp` for `law.depth.pnp`."""
     field, _, kind = path.rpartition(".")
     return [entries[name] for room in _held_in(field, entries) if (name := f"{room.name}.{kind}") in entries]
+
+
+# Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
+
+
+MOST_NAMED = 6
+"""Most paths that a message lists of a word that is a field of many blocks."""
+
+
+@dataclass(frozen=True)
+class FieldPlace:
+    """A field in all the blocks that have it at one place of a scenario.
+
+    Attributes:
+        path: as it was asked for; of a name alone the path to it. name: its own.
+        owners: the classes that have it, by the names of their entries. settable: whether `--set` takes the path.
+    """
+
+    path: str
+    name: str
+    owners: Mapping[str, type]
+    settable: bool
+
+
+def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
+    """A kind, a block or a field, by any of its names.
+
+    Raises:
+        ParameterError: there is none, or there are several: it has the nearest, or their names.
+    """
+    return entry_of(word, entries) or _at(word, entries)
+
+
+def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
+    """What stands at a dotted path, with or without kinds and places in a list."""
+    *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
+    if not before:
+        return _top_or_only(name, entries)
+    holders = {_name_of(cls, entries): cls for cls in _holders(path, before, entries)}
+    if owners := {named_so: cls for named_so, cls in holders.items() if name in fields_of(cls)}:
+        return FieldPlace(path, name, owners, _settable(before, entries))
+    for named_so, cls in holders.items():
+        if _kind(cls) == name:
+            return entries[named_so]
+    raise _none_in(path, name, before, list(holders.values()))
+
+
+def _name_of(cls: type, entries: Mapping[str, Entry]) -> str:
+    """The name of a class's first entry."""
+    return next(entry.name for entry in entries.values() if entry.cls is cls)
+
+
+def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> list[type]:
+    """The classes of the blocks to which the parts of a path before its last one lead.
+
+    Raises:
+        ParameterError: one of them leads nowhere.
+    """
+    holders = [_scenario(entries)]
+    for i, part in enumerate(before):
+        within = list(_within(holders, part)) if i else _begun(part, entries)
+        if not within:
+            raise _none_in(path, part, before[:i], holders)
+        holders = within
+    return holders
+
+
+def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
+    """A field of the scenario itself, else the one of this name in all of it."""
+    scenario, held = _scenario(entries), dict[str, dict[str, type]]()
+    if name in fields_of(scenario):
+        return FieldPlace(name, name, {"scenario": scenario}, True)
+    for entry in entries.values():
+        if entry.cls is not None and name in fields_of(entry.cls):
+            place = entry.name if entry.room is None else entry.room.what
+            held.setdefault(f"{place}.{name}", {})[entry.name] = entry.cls
+    if len(held) == 1:
+        path, owners = next(iter(held.items()))
+        return FieldPlace(path, name, owners, _settable(path.split(".")[:-1], entries))
+    if held:
+        shown = ", ".join(list(held)[:MOST_NAMED])
+        raise ParameterError(name, f"is a field of {len(held)} blocks; give its path, such as {shown}")
+    raise ParameterError(name, f"is no kind, block or field of a scenario; {_nearest_of_all(name, entries)}")
+
+
+def _scenario(entries: Mapping[str, Entry]) -> type:
+    cls = entries["scenario"].cls
+    assert cls is not None  # it is a block, and no list of kinds
+    return cls
+
+
+def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
+    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name.
+
+    Raises:
+        ParameterError: it is no word at all.
+    """
+    scenario = _scenario(entries)
+    if word in fields_of(scenario):
+        return list(_within([scenario], word))
+    found = [e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.room is not None and e.room.what == word))]
+    if not found:
+        raise ParameterError(word, f"is no kind and no block of a scenario; {_nearest_of_all(word, entries)}")
+    return found
+
+
+def _within(holders: Sequence[type], part: str) -> Iterator[type]:
+    """The classes of the blocks to which a part of a path leads: those that a field of this name holds, and the kind of this name."""
+    inner = [inner for cls in holders if part in fields_of(cls) for _, inner in blocks_in(hint_of(cls, part))]
+    yield from dict.fromkeys([*inner, *(cls for cls in holders if _kind(cls) == part)])
+
+
+@functools.cache
+def _kind(cls: type) -> str:
+    """The word of a kind; "" for a block that has none."""
+    return next((str(f.default) for f in dataclasses.fields(cls) if f.name == "kind"), "")
+
+
+def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
+    """Whether the blocks on the way to a field are fields of fields of a scenario, and no lists."""
+    holders = [_scenario(entries)]
+    for part in before:
+        hints = [hint_of(cls, part) for cls in holders if part in fields_of(cls)]
+        if not hints or any(map(is_list, hints)):
+            return False
+        holders = list(_within(holders, part))
+    return True
+
+
+def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
+    """The error for a part of a path that leads nowhere, behind the parts `before` it."""
+    inside = {inner for cls in holders for inner in fields_of(cls) if inner != "kind"}
+    if name in inside:
+        return ParameterError(path, f"is no field of a scenario: {'.'.join((*before, name))} is no block, and has no fields")
+    return ParameterError(path, f"is no field of a scenario: {'.'.join(before)} has no {name}; {nearest(name, inside)}")
+
+
+def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
+    """The nearest name, or where to begin: a list of all names would fill a screen."""
+    fields = {name for entry in entries.values() if entry.cls is not None for name in fields_of(entry.cls)}
+    hint = nearest(word, {named(entry) for entry in entries.values()} | set(entries) | fields)
+    return hint if hint.startswith("did you mean") else f"a scenario has {', '.join(fields_of(_scenario(entries)))}"
+
+
+# What the bundled scenarios and comparisons use: which kinds, which fields, and the values that people wrote there.
+
+
+@dataclass
+class Uses:
+    """What is written in bundled files.
+
+    Attributes:
+        files: names of the files that use a class, by class, in their order.
+        blocks: the field and the block in the first of them; the field is `NAME[]` where the block is one of a list.
+        values: what is written in each field, by the name of its class and its own, in the order of the files.
+    """
+
+    files: dict[type, list[str]] = field(default_factory=dict)
+    blocks: dict[type, tuple[str, Any]] = field(default_factory=dict)
+    values: dict[tuple[str, str], list[Any]] = field(default_factory=dict)
+
+    def add(self, cls: type, file: str, name: str, written: Any) -> None:
+        """Take in a block of a class, as it is written in a field of a file: a mapping, or the shorthand for one."""
+        files = self.files.setdefault(cls, [])
+        if file not in files:
+            files.append(file)
+        self.blocks.setdefault(cls, (name, written))
+        self.add_fields(cls.__name__, written)
+
+    def add_fields(self, name: str, written: Any) -> None:
+        """Take in the fields of a block of the class of this name; a shorthand has none."""
+        for inner, value in written.items() if isinstance(written, Mapping) else ():
+            self.values.setdefault((name, inner), []).append(value)
+
+
+@functools.cache
+def bundled_uses() -> Uses:
+    """The uses in all bundled scenarios, and in comparisons of what no scenario has before.
+
+    A scenario with an arm's file inside a package is left out where that package is not installed.
+    """
+    uses = Uses()
+    for name, path in bundled_scenarios().items():
+        try:
+            built = load(name)
+        except ScenarioError:
+            if PACKAGE in text_of(path):
+                continue
+            raise
+        for cls, key, written in _in_scenario("scenario", _plain(path), built):
+            uses.add(cls, name, key, written)
+    for name, path in bundled_comparisons().items():
+        plain = _plain(path)
+        uses.add_fields("Comparison", plain)  # by their names: their room is above this one
+        for table in plain.get("tasks", {}).values():
+            uses.add_fields("StartTable", table)
+        for cls, key, written in _in_comparison("", plain):
+            uses.add(cls, f"compare/{name}", key, written)
+    return uses
+
+
+def _plain(path: Path) -> dict[str, Any]:
+    return plain_mapping(text_of(path), str(path), "")[0]
+
+
+def _in_scenario(key: str, written: Any, built: Any) -> Iterator[tuple[type, str, Any]]:
+    """Class, field and text of each block that is written in a scenario, by the object that was built of it."""
+    if isinstance(written, list) and isinstance(built, tuple):
+        for one, made in zip(written, built, strict=False):
+            yield from _in_scenario(f"{key}[]", one, made)
+    elif dataclasses.is_dataclass(built):
+        yield type(built), key, written
+        for name, value in written.items() if isinstance(written, Mapping) else ():
+            yield from _in_scenario(name, value, getattr(built, name, None))
+
+
+def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
+    """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or in a list of values."""
+    what, kind = key.rpartition(".")[2], written.get("kind") if isinstance(written, Mapping) else written
+    if isinstance(kind, str) and kind in (members := _members(what)):
+        yield members[kind], what, written
+    if isinstance(written, Mapping):
+        for name, value in written.items():
+            yield from _in_comparison(str(name), value)
+    elif isinstance(written, list):
+        for value in written:
+            yield from _in_comparison(key, value)
+
+
+def _members(what: str) -> dict[str, type]:
+    """The kinds of a field; none where it has no kinds."""
+    return next((room.members for room in KINDS.values() if room.what == what), {})
+
+
+# JSON Schema with the words of the docstrings: a description, a unit and an example for every field.
+#
+# Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves room for such: a reader that does not
+# know it passes over it.
+
+
+LONGEST_EXAMPLE = 100
+"""Longest example of a field, in characters of its YAML."""
+_NOTHING = ({}, [], "", None)
+
+
+def schema_of(cls: type) -> dict[str, Any]:
+    """JSON Schema of a spec class, Scenario or Comparison, with the kinds that plugins have added until now."""
+    refresh_specs()
+    draft = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return draft | pydantic.TypeAdapter(cls).json_schema(schema_generator=_Described)
+
+
+class _Described(GenerateJsonSchema):
+    """Pydantic's generator, which takes a whole docstring for a class and nothing for its fields."""
+
+    def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
+        """The block of a class."""
+        block, cls = super().dataclass_schema(schema), schema["cls"]
+        words, uses = class_text(cls), bundled_uses()
+        block["description"] = "\n\n".join([words.summary, *filter(None, [words.text]), *(f"Source: {s}" for s in words.sources)])
+        # Pydantic has fields here, too, that no constructor takes.
+        block["properties"] = {name: p for name, p in block["properties"].items() if name in words.fields}
+        for name, rule in block["properties"].items():
+            rule.pop("title", None)  # the name of the field once more
+            rule |= _annotations(cls, name, words, uses)
+        return block
+
+    def sort(self, value: JsonSchemaValue, parent_key: str | None = None) -> JsonSchemaValue:
+        """As it was made: pydantic would sort the keys in examples, too."""
+        return value
+
+
+def _annotations(cls: type, name: str, words: ClassText, uses: Uses) -> dict[str, Any]:
+    """Description, unit and examples of a field, as far as there are any."""
+    if name == "kind":
+        return {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
+    field = words.fields[name]
+    found: dict[str, Any] = {"description": with_unit(field)} if field.description else {}
+    if field.unit:
+        found["unit"] = field.unit
+    examples = list(examples_of(cls, name, uses))
+    return found | ({"examples": examples} if examples else {})
+
+
+def with_unit(field: FieldText) -> str:
+    """A field's sentence, with its unit where the sentence has none."""
+    shown = field.unit in ("", DIMENSIONLESS) or "[" in field.description
+    return field.description if shown else f"{field.description} [{field.unit}]"
+
+
+def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
+    """One example of a field, if there is any: one in a bundled file that is not its default; the docstring's; the default."""
+    default = next(default_of(f) for f in dataclasses.fields(cls) if f.name == name)
+    written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING]
+    if written:
+        yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))  # the first that is short enough, else the shortest
+    elif example := class_text(cls).fields[name].example:
+        yield read_value(example)
+    elif (filled := _filled(default)) not in _NOTHING:
+        yield filled
+    else:
+        yield from _block_example(typing.get_type_hints(cls, include_extras=True)[name], uses)
+
+
+def _block_example(hint: Any, uses: Uses) -> Iterator[Any]:
+    """Of a field that holds a block, or a list of them."""
+    for _, cls in itertools.islice(blocks_in(hint), 1):
+        block = example_block(cls, uses)
+        yield [block] if is_list(hint) else block
+
+
+def example_block(cls: type, uses: Uses) -> dict[str, Any]:
+    """A block of a class, which need not be used anywhere: its kind and the fields that it needs, else its first field."""
+    names = [f.name for f in dataclasses.fields(cls) if f.init and f.name != "kind"]
+    kind = {"kind": kind_of(cls)} if "kind" in class_text(cls).fields else {}
+    return kind | {name: next(examples_of(cls, name, uses), None) for name in needed_fields(cls) or ([] if kind else names[:1])}
+
+
+def _filled(value: Any) -> Any:
+    """Plain values without the fields that are None, which say nothing in an example."""
+    return {name: _filled(inner) for name, inner in value.items() if inner is not None} if isinstance(value, dict) else value
+
+
+def default_of(field: dataclasses.Field[Any]) -> Any:
+    """A field's default as plain values; None where it has none."""
+    if field.default_factory is not dataclasses.MISSING:
+        return to_mapping(field.default_factory())
+    return None if field.default is dataclasses.MISSING else to_mapping(field.default)

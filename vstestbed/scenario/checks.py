@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from vstestbed.camera import DEPTH_SENSORS, Camera
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, exp, lengths
+from vstestbed.core.spec import kind_of
+from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
-from vstestbed.robots import VEHICLES, Robot
+from vstestbed.laws.points import at_goal
+from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Task
 from vstestbed.tasks.stop import Stop
-from vstestbed.vision import Detector
+from vstestbed.vision import DETECTORS, Detector
 
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
@@ -191,3 +195,314 @@ def check_mirror(camera: Camera, world: World) -> None:
     """Refuse a floor that mirrors where pictures are drawn by rays."""
     if world.floor.mirror and camera.renderer == "rays":
         raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", camera.renderer)
+
+
+# Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
+
+
+STEP = 1e-4
+"""Motions to both sides by which an outline's directions are differentiated [m, rad]."""
+LEAST_TOLD = 1e-6
+"""Share of the largest singular value from which a motion counts as told: the differences are exact to some 1e-8."""
+
+
+def runs_along(target: Target) -> bool:
+    """Whether the points are on an outline that lies elsewhere on the target for each place of the camera: they tell no pose."""
+    return target.outlined and not len(target.places)
+
+
+def is_sized(target: Target) -> bool:
+    """Whether the size of the target's outline tells its place: of a ball, not of a disc."""
+    return target.by_size(np.zeros((len(target.points), 3))) is not None
+
+
+def called(target: Target) -> str:
+    """A target whose outline runs along it, in words."""
+    return "a ball" if is_sized(target) else "a disc"
+
+
+def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
+    """How many of a camera's motions the picture of the target's points tells at most, at a pose (4, 4): the rank of d directions / d u.
+
+    A feature is a function of that picture, whatever its own interaction matrix says: that of points takes each for fixed to the
+    target. All motions where the points have places of their own, as far as their features tell them.
+
+    Args:
+        basis: the robot's motions as twists of the camera in its own frame, (6, n).
+    """
+    if not runs_along(target):
+        return basis.shape[1]
+    before, after = (target.points_at(exp(way * STEP * basis.T) @ T_camera_target) for way in (1, -1))  # the camera moves the other way
+    rates = (after / lengths(after) - before / lengths(before)) / (2 * STEP)
+    if not np.isfinite(rates).all():  # from inside a ball; the goal view is refused elsewhere
+        return basis.shape[1]
+    return int(np.linalg.matrix_rank(rates.reshape(len(rates), -1), rtol=LEAST_TOLD))
+
+
+# Checks of what is measured against what the law and the task need: markers, a detector's own points, depths.
+
+
+BY_ESTIMATE = ("position_m", "rotation_deg")
+"""Conditions of convergence by the robot's own estimate."""
+FIRST_POSE = 4
+"""Fewest points that tell a pose by themselves."""
+ON_ONE_LINE = 1e-6
+"""Ratio of the second to the first singular value of marker positions under which they count as collinear."""
+
+
+def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
+    """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
+
+    Args:
+        needs_pose: the task needs the target's pose, which not every depth source estimates.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    _check_marker_kind(target.marker.kind, detector)
+    _check_read(target, detector, law)
+    _check_shown(target, detector)
+    _check_marker_count(robot, camera, target, detector, law)
+    _check_outline(target, law, needs_pose)
+    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
+        raise _open_pose(robot, target.points, law, needs_pose)
+
+
+def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
+    """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    if not detector.needs_goal:
+        return
+    if len(camera.panels) > 1:
+        words = f"may not be {detector.kind} with a camera that sees all round: it compares single pictures; use perspective or fisheye"
+        raise ParameterError("detector", words)
+    if len(views) > 1:
+        words = f"may not be {detector.kind} with {len(views)} goal views in turn: it compares with the picture of one; use goal: view"
+        raise ParameterError("detector", words)
+    if detector.fleeting and law.depth.estimator is not None:
+        words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
+        raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
+    _check_first_pose(robot, detector, law)
+    if not detector.changing:
+        return
+    if law.needs_same_markers:
+        raise _same_markers_needed(law, detector.kind)
+    if "radius_px" in law.inputs:
+        raise _kept_inside(law, detector.kind)
+
+
+def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse three points where the pose is needed: they have up to four, and only the last picture's pose would tell which is meant."""
+    upright = robot.base == "planar"  # one of the four has the base upright on the floor
+    needed = law.depth.needs_pose or "T_camera_target" in law.inputs
+    if upright or not needed or detector.rows is None or detector.rows >= FIRST_POSE:
+        return
+    words = f"must be at least {FIRST_POSE} where the target's pose is needed, since three points have up to four poses"
+    depths = ", or law.depth goal or sensor" if _has_depth(law) and "T_camera_target" not in law.inputs else ""
+    field = "detector.best" if hasattr(detector, "best") else "detector"
+    raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
+
+
+def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:
+    """The error for a law, or for its feature, that a detector of changing points cannot serve."""
+    wanted = f"the same markers in every picture, and detector {detector} shows other points"
+    for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
+        feature = getattr(part, "feature", None)
+        if feature is not None and part is not None and part.needs_same_markers:
+            words = (
+                f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}; use point, polar or spherical"
+            )
+            return ParameterError(f"{place}.feature", words)
+    return ParameterError("law", f"may not be {law.kind}: it needs {wanted}; use ibvs, pbvs or hybrid")
+
+
+def _kept_inside(law: Any, detector: str) -> ParameterError:
+    """The error for a law that keeps points from the border or a plane: a detector of the picture's own points has them all over it."""
+    given = {name: "null" for name in ("margin_px", "plane_m") if getattr(law, name, None) is not None}
+    if getattr(getattr(law, "visibility", None), "margin_px", 0) > 0:
+        given["visibility.margin_px"] = "0"
+    words = f"keeps points from the border or a plane, and those of detector {detector} are all over the picture"
+    remedy = " and ".join(f"law.{name}: {off}" for name, off in given.items()) or "a law, or a condition, that does not"
+    return ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
+
+
+def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers, a pose that
+    an outline does not tell or the law does not take from it.
+
+    Raises:
+        ParameterError: it names the condition, and what would work.
+    """
+    goal, in_grey = stop.converged, "image" in law.inputs
+    if goal.error_grey is not None and not in_grey:
+        words = f"is of a law that works on grey levels (photometric), and law {law.kind} does not; use error_px"
+        raise ParameterError("stop.converged.error_grey", words)
+    field = next((name for name in ("error_px", *BY_ESTIMATE) if getattr(goal, name) is not None), None)
+    if detector.rows == 0 and field:
+        words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
+        raise ParameterError(f"stop.converged.{field}", words)
+    for name in BY_ESTIMATE:
+        if getattr(goal, name) is not None and (words := _untold_pose(target, law)):
+            raise ParameterError(f"stop.converged.{name}", f"needs the target's pose, {words}", getattr(goal, name))
+
+
+def _untold_pose(target: Target, law: Law[Any]) -> str:
+    """Why the pose of an outline is not estimated, and what would work; empty where it is, and for markers."""
+    if not target.outlined:  # of markers some detectors solve the pose themselves
+        return ""
+    if runs_along(target):
+        return f"which the outline of {called(target)} does not tell; works: error_px alone"
+    if law.depth.needs_pose or {"T_camera_target", "place"} & set(law.inputs):
+        return ""
+    return f"which law.depth {law.depth.kind} does not estimate; works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
+
+
+def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
+    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
+    seen = detector.markers
+    if seen and marker not in seen:
+        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
+        able = [kind for kind, member in _of_markers().items() if not member.markers or marker in member.markers]
+        raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+
+
+def _of_markers() -> dict[str, type]:
+    """The detectors that find a target's markers, by their kinds."""
+    return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
+
+
+def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse, with a law that reads nothing but the picture, points of the goal's picture and markers that are not drawn."""
+    if set(law.inputs) != {"image"}:
+        return
+    if detector.needs_goal:
+        words = f"may not be {detector.kind}: law {law.kind} works on the whole picture, and reads no points of it; use none"
+        raise ParameterError("detector", words)
+    if detector.markers and not target.shows_markers:
+        words = f"may not be {detector.kind}: no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
+        raise ParameterError("detector", words)
+
+
+def _check_shown(target: Target, detector: Detector[Any]) -> None:
+    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things.
+
+    Refuse also a detector of the target's picture where there is none.
+    """
+    if detector.needs_sheet and target.sheet is None:
+        words = (
+            f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
+        )
+        raise ParameterError("target", words, kind_of(type(target)))
+    if target.shows_markers or target.sheet is not None or not detector.markers:
+        return
+    able = [kind for kind, member in _of_markers().items() if not member.markers]
+    words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
+    raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
+
+
+def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
+    """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
+    sized = is_sized(target)
+    if law.depth.needs_size and not sized:
+        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
+    if not runs_along(target) or not (law.depth.needs_pose or needs_pose):
+        return
+    words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
+    raise ParameterError(
+        "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
+    )
+
+
+def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse fewer markers than the law needs for the motions that the robot can make."""
+    points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    # One at least: a robot whose motions need none would still have nothing to look at.
+    needed = max(law.markers_needed(basis), 1)
+    if detector.rows is not None and detector.rows < law.markers_needed(basis):
+        words = f"may not be {detector.kind}: it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use"
+        raise ParameterError("detector", f"{words} another one, or law photometric")
+    if detector.rows is None and len(points) < needed:
+        markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
+        words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
+        less = _needed_on_floor(robot, law, basis)
+        enough = less is not None and len(points) >= less
+        raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
+
+
+def check_determined(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> None:
+    """Refuse a feature that tells fewer motions than the robot has, where the law does not leave motions open.
+
+    Features of all markers together may, and all features of an outline that looks alike from other places.
+
+    Raises:
+        ParameterError: it names the feature, and what would work.
+    """
+    for servo, own, seen, all_motions in _told(robot, camera, target, law, goal):
+        told, alike, each = min(own, seen), seen < all_motions, servo.feature.rows_per_marker
+        if servo.redundant or told == all_motions or (each and not alike):
+            continue
+        words = f"{servo.feature.kind} tells {told} of this robot's {all_motions} motions at the goal"
+        words += f", since {called(target)} looks alike from other places" if alike else ""
+        words += f"; use law.redundant: true, which leaves the others {'open' if each else 'alone'}"
+        more = ", or more rows (law.feature.rows)" if hasattr(servo.feature, "rows") and own < seen else ""
+        raise ParameterError("law.feature", words + more)
+
+
+def free_motions(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> int:
+    """How many of the robot's motions a law with `redundant` leaves free at a goal view, where its pose is not determined; 0 for none."""
+    told = _told(robot, camera, target, law, goal)
+    return max((motions - min(own, seen) for servo, own, seen, motions in told if servo.redundant), default=0)
+
+
+def _told(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> list[tuple[Any, int, int, int]]:
+    """Each law with a feature that may leave motions open, how many motions of the robot's its interaction matrix tells at a goal view, how
+    many the target's picture does, and how many the robot has.
+    """
+    basis = robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
+    seen = motions_told(target, goal.T_camera_target, basis)
+    views = ((servo, at_goal(servo.feature, goal)) for servo in _image_based(law))
+    return [
+        (servo, int(np.linalg.matrix_rank(servo.feature.interaction(*inputs) @ basis, rtol=servo.solve.cutoff)), seen, basis.shape[1])
+        for servo, inputs in views
+        if inputs is not None
+    ]
+
+
+def _image_based(law: Any) -> list[Any]:
+    """The laws with a feature that may leave motions open: this law, or those within it."""
+    within = [law.law] if hasattr(law, "law") else [part.law for part in getattr(law, "laws", ())]
+    own = [law] if law.feature is not None and hasattr(law, "redundant") else []
+    return own + [servo for part in within for servo in _image_based(part)]
+
+
+def _leaves_pose_open(points: Array) -> bool:
+    """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
+    # Rotation about their common line is not observable: the scatter round the centroid has rank one.
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
+
+
+def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
+    """The error for markers that do not determine the pose."""
+    if not _has_depth(law):
+        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
+        return ParameterError("target", words)
+    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
+    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
+    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
+    return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
+
+
+def _has_depth(law: Law[Any]) -> bool:
+    """Whether the source of depth is a parameter of the law."""
+    return any(field.name == "depth" for field in fields(law))
+
+
+def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
+    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
+    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
+        return None
+    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, Protocol
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"

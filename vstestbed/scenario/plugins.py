@@ -16,8 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import PluginError
-from vstestbed.core.modules import line_of, load_file, module_of
-from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there
+from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there, line_of, load_file, module_of
 from vstestbed.core.registry import ROOMS
 from vstestbed.core.spec import refresh_specs, undone_on_error
 from vstestbed.scenario.validation import KINDS

@@ -17,37 +17,64 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.robots.drawn_start import stated, undrawn
-from vstestbed.scenario.check_points import check_determined, check_judged, check_markers, check_own_points, free_motions
+from vstestbed.robots.base import stated, undrawn
 from vstestbed.scenario.checks import (
     check_carrier,
     check_clocks,
     check_depth,
+    check_determined,
     check_goal_pictures,
+    check_judged,
+    check_markers,
     check_memory,
     check_metres,
     check_mirror,
+    check_own_points,
     check_robot,
     check_step,
     check_views_metres,
+    free_motions,
 )
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
-from vstestbed.scenario.in_view import in_view
 from vstestbed.scenario.noise import Noise
-from vstestbed.scenario.randomise import check_randomise, drawn
-from vstestbed.scenario.streams import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM
+from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
+from vstestbed.sim.base import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.clock import Clock, longest_step
-from vstestbed.sim.scene.start_pose import flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
+from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import DETECTORS, Blobs, Detector
+from vstestbed.vision.derotate import Derotation
 from vstestbed.vision.perturb import Perturbed
-from vstestbed.vision.pose.derotate import Derotation
+
+# Whether a start sees the target.
+
+
+VIEW_MARGIN_PX = 10.0
+"""Margin round each whole marker in the picture of a random start [px]."""
+
+
+def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World) -> bool:
+    """Whether the robot's start has the whole target in the picture, or all of it that counts for the first goal, seen from its front."""
+    T_world_camera = camera_start(robot, camera, target)
+    T = inverse(T_world_camera) @ target_start(robot, target)
+    if detector.rows is not None:  # points that are not its markers: its middle must be seen from the front
+        return bool(T[2, 2] > 0.17 and camera.whole(T[None, :3, 3], 0.0, VIEW_MARGIN_PX).all())
+    p = target.seen_from(inverse(T))
+    facing = float(T[:3, 2] @ T[:3, 3]) / max(float(np.linalg.norm(T[:3, 3])), 1e-9)  # cosine of the view on the plane
+    turned = T[2, 2] if isinstance(camera, Perspective) else facing
+    faces = turned > 0.17 or not target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
+    whole = camera.whole(p, target.marker.radius, VIEW_MARGIN_PX) & ~target.hides(inverse(T))
+    if world.scenery is not None and whole.any():
+        names = world.scenery_before(T_world_camera, p, target.marker.height_m + HIDDEN_M)
+        whole &= np.array([not name for name in names])
+    return bool(faces and (whole if goal.counted is None else whole[goal.counted]).all())
+
 
 TRIES = 1000
 """Largest number of random starts drawn until the target is in view."""

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 import pydantic
 
 from vstestbed.camera import CAMERAS
-from vstestbed.core.conversions import converted
 from vstestbed.core.errors import Mistake, ScenarioError
-from vstestbed.core.mapping import to_mapping
-from vstestbed.core.refusals import findings
+from vstestbed.core.refusals import converted, findings
+from vstestbed.core.registry import ROOMS, to_mapping
 from vstestbed.core.spec import OneOf, refresh_specs
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
 from vstestbed.laws.base import GAINS
 from vstestbed.laws.feedforward import FEEDFORWARDS
-from vstestbed.laws.projection import PROJECTIONS
+from vstestbed.laws.ibvs import PROJECTIONS
 from vstestbed.robots import ROBOTS
 from vstestbed.scenario.distributions import DISTRIBUTIONS
-from vstestbed.scenario.yaml_marks import Marks, place_of
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of
 from vstestbed.targets import TARGETS
-from vstestbed.targets.attached import MOTIONS
 from vstestbed.targets.markers import MARKERS
+from vstestbed.targets.motion import MOTIONS
 from vstestbed.targets.route import ROUTES
 from vstestbed.tasks import GOALS, VIEWS
 from vstestbed.tasks.metrics import METRICS
@@ -82,3 +82,29 @@ def _reading_order(mistake: Mistake) -> tuple[int, ...]:
     """Sort key (line, column) of a mistake; those of --set, which have no position, come last."""
     place = mistake.where.rsplit(":", 2)[1:]
     return tuple(int(n) for n in place) if len(place) == 2 else (1 << 31,)
+
+
+# Values by dotted path put over a scenario's mapping: `--set`, `overrides` in Python, a comparison's settings, what a seed draws.
+
+
+def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
+    """Put values over a mapping, in place and in their order; the robot first loses what they take the place of as a whole.
+
+    Args:
+        plain: the scenario, which is changed. values: by dotted path, such as `law.gain`. marks: positions of its keys, which are changed,
+            too. places: positions of the values, and of the keys in them, by dotted path.
+
+    Raises:
+        ScenarioError: a path goes through a value, or to an item that a list does not have.
+    """
+    robot = plain.get("robot")
+    changes = {path.removeprefix("robot."): value for path, value in values.items() if path.startswith("robot.")}
+    kind: Any = KINDS["robots"].members.get(str(robot.get("kind"))) if changes and isinstance(robot, dict) else None
+    if kind is not None:
+        plain["robot"] = kind.before_changes(robot, changes)
+    for path, value in values.items():
+        override(plain, path, value, marks, _is_kind, places.get(path, FROM_PYTHON))
+
+
+def _is_kind(word: str) -> bool:
+    return any(word in room.members for room in ROOMS)

@@ -66,8 +66,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
-    from vstestbed.sim.render.depth_camera import depth_camera
-    from vstestbed.sim.render.image_sensor import ImageSensor
+    from vstestbed.sim.render.image_sensor import ImageSensor, depth_camera
     from vstestbed.sim.render.imaging import imaging_of
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage

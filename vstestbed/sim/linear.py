@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import model_path
 from vstestbed.robots import Robot
 from vstestbed.sim.scene.attach import add_robot
-from vstestbed.sim.scene.indices import StateIndices
+from vstestbed.sim.scene.stage import StateIndices
 
 
 @dataclass(frozen=True, eq=False)

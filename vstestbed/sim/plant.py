@@ -8,30 +8,320 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.camera import Look, Picture
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
-from vstestbed.core.planar import place_of, pose_on_ground
+from vstestbed.core.planar import place_of, pose_on_ground, relative
+from vstestbed.robots import Mount, Robot
+from vstestbed.robots.base import Reading
 from vstestbed.robots.orders import Orders, Stop
-from vstestbed.robots.reading import Reading
 from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
-from vstestbed.sim.contacts import RobotContacts
-from vstestbed.sim.equilibrium import settle
+from vstestbed.sim.gl_probe import may_end_here
 from vstestbed.sim.hands import Push, hold_plate, moved_path
 from vstestbed.sim.motor_torques import motor_loops
-from vstestbed.sim.process_end import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.row_weights import Contribution
+from vstestbed.sim.scene.attach import compensated
 from vstestbed.sim.scene.disturbed import Disturbed
-from vstestbed.sim.scene.lead_vehicle import LeadVehicle
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.relief import AROUND, RELIEF
+from vstestbed.sim.scene.stage import Stage, StateIndices
 from vstestbed.sim.scene.tyre_forces import TyreForces
 from vstestbed.sim.scene.wind import WindField
-from vstestbed.sim.sensor_reader import SensorReader
-from vstestbed.sim.taught import shown_at
 from vstestbed.targets.motion import Path
+
+# What a robot touches.
+
+
+class RobotContacts:
+    """Tells the contacts that a robot may have, of feet or wheels on the ground, from collisions.
+
+    Args:
+        model: the scene with the robot under `robot/`. robot: names its feet.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot):
+        self._model = model
+        bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
+        self._feet = np.zeros(model.ngeom, dtype=bool)
+        self._feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
+        self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
+        floors = ("floor", RELIEF, AROUND)
+        self._floors = [geom for name in floors if (geom := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)) >= 0]
+        self._on_wheels = robot.base == "planar"
+
+    def touching(self, data: mujoco.MjData) -> tuple[str, str]:
+        """What the robot touches: with anything but its feet, and with its feet; `forearm and floor`, "" where nothing."""
+        if not data.ncon:
+            return "", ""
+        pairs = data.contact.geom
+        feet = self._first(pairs, self._feet)
+        if self._on_wheels:  # wheels and casters always touch the floor; whatever else of a vehicle does goes unnoticed
+            pairs = pairs[~np.isin(pairs, self._floors).any(axis=1)]
+        # A pair within the robot counts, too: the arm's own links are paired in its file to end a run at the first touch.
+        return self._first(pairs, self._body), feet
+
+    def _first(self, pairs: NDArray[np.int32], own: NDArray[np.bool_]) -> str:
+        """The first pair of geoms (contacts, 2) one of which is among the robot's `own`, that one first; "" if there is none."""
+        touching = own[pairs]
+        found = np.flatnonzero(touching.any(axis=1))
+        if not len(found):
+            return ""
+        pair = pairs[found[0]].tolist()
+        return " and ".join(self._name(geom) for geom in (pair if touching[found[0], 0] else pair[::-1]))
+
+    def _name(self, geom: int) -> str:
+        """Name of a geom, or of the body it belongs to, without the prefix of its part of the scene."""
+        name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
+        return (
+            name.removeprefix("robot/").removeprefix("scenery/").strip("/").replace("/", " ").replace("_", " ")
+            or "something without a name"
+        )
+
+
+# Sensor readings of a robot: joints and MJCF sensors, with the noise of its sensor model.
+
+
+NONE = np.zeros(0)
+
+
+class SensorReader:
+    """Reads a robot's joints and MJCF sensors, once for each physics step.
+
+    Args:
+        stage: the scene. rng: generator of the noise. disturbed: adds to what the sensors meet; None for nothing.
+    """
+
+    def __init__(self, stage: Stage, rng: np.random.Generator, disturbed: Disturbed | None = None):
+        self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
+        self._at = stage.at if self._robot.joints else None
+        self._noise, self._disturbed = self._robot.noise(rng), disturbed
+        self._sensors = []
+        for name in self._robot.sensors:
+            sensor = stage.model.sensor(f"robot/{name}")
+            self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
+        self._read_at = -1
+        self._reading: Any = None
+
+    def joints(self) -> tuple[Array, Array]:
+        """True joint positions and speeds (n,) each."""
+        at, data = self._at, self._data
+        return (NONE, NONE) if at is None else (data.qpos[at.qpos], data.qvel[at.qvel])
+
+    def _motors(self) -> tuple[Array, Array]:
+        """True positions and speeds (n,) each of what the encoders are on."""
+        at, data = self._at, self._data
+        return (NONE, NONE) if at is None else (data.qpos[at.motor_qpos], data.qvel[at.motor_qvel])
+
+    def restart(self) -> None:
+        """Forget the last reading."""
+        self._read_at = -1
+
+    def read(self, step: int) -> Any:
+        """What the sensors read at a physics step (`Robot.measured`)."""
+        # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
+        if step != self._read_at:
+            values = self._values.tolist()
+            sensors = {name: values[where] for name, where in self._sensors}
+            if self._disturbed is not None:
+                sensors = self._disturbed.felt(sensors)
+            self._reading, self._read_at = self._robot.measured(*self._motors(), sensors, self._noise), step
+        return self._reading
+
+
+# An arm put where it is shown its goal: by its true geometry, which is not the one that it computes with.
+
+
+ROUNDS = 3
+"""Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
+
+
+def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
+    """Joints (n,) at which the true flange, which carries the camera, is at a pose (4, 4); those of the arm's own model are q (n,).
+
+    q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage is left at the joints before the last.
+
+    Raises:
+        UnreachableError: the arm does not get there.
+    """
+    robot = stage.parts.robot
+    if robot.mechanics is None or robot.mechanics.links is None or stage.parts.target.on_gripper:
+        return q
+    for _ in range(ROUNDS):
+        stage.place(stage.data.time, stage.target_pose(), q)
+        own = robot.flange_pose(q)
+        true = stage.camera_pose() @ stage.mount_inverse
+        q = robot.configuration_at(T_world_flange @ inverse(true) @ own, q)
+    return q
+
+
+# Whether an arm's motors can hold it where it starts: an arm that cannot falls before its law has seen a picture.
+
+
+def check_static_load(stage: Stage) -> None:
+    """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
+
+    tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
+    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes
+    0.1 ms at the start of a run.
+
+    Raises:
+        UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
+    """
+    robot, model, data = stage.parts.robot, stage.model, stage.data
+    if stage.root is not None or not robot.joints:
+        return
+    # at rest the bias is gravity alone
+    weight = (data.qfrc_bias if compensated(robot) else data.qfrc_bias - data.qfrc_gravcomp)[stage.at.qvel]
+    holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
+    if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
+        return
+    joint = int(over[np.argmax(np.abs(weight[over]) / holds[over])])
+    slides = model.joint(f"robot/{robot.joints[joint]}").type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+    unit = "N" if slides else "Nm"
+    words = (
+        f"asks {robot.joints[joint]} for {abs(weight[joint]):.4g} {unit} to hold the arm at its start, and its motor and friction have "
+        f"{holds[joint]:.4g} {unit}: it would fall"
+    )
+    payload = None if robot.mechanics is None else robot.mechanics.payload
+    if payload is None:
+        raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
+    most = _most_kg(weight, weight - payload.mass_kg * _weight_of_a_kilogram(stage), holds, payload.mass_kg)
+    remedy = f"at most {_down(most):g} kg here" if most > 0 else "another start, for it falls without a payload, too"
+    raise UnreachableError("robot.payload.mass_kg", f"{words}; works: {remedy}", payload.mass_kg)
+
+
+def _largest_torques(stage: Stage) -> Array:
+    """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
+    model = stage.model
+    motors = np.array([model.actuator(f"robot/{name}").id for name in stage.parts.robot.actuators], dtype=int)
+    motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
+    return np.array([_largest_torque(model, turned, motors) for turned in model.dof_jntid[stage.at.motor_qvel]])
+
+
+def _largest_torque(model: mujoco.MjModel, joint: int, motors: NDArray[np.int_]) -> float:
+    """The same of one joint, by its number; motors: numbers of the actuators that act on joints."""
+    own = motors[model.actuator_trnid[motors, 0] == joint]
+    limited = len(own) and model.actuator_forcelimited[own].all()
+    most = float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum()) if limited else np.inf
+    return min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most
+
+
+def _weight_of_a_kilogram(stage: Stage) -> Array:
+    """What a kilogram of the payload asks of each joint (n,) [Nm/kg, N/kg]: -J^T g, with the Jacobian J of its centre."""
+    model, data = stage.model, stage.data
+    J = np.zeros((3, model.nv))
+    mujoco.mj_jacBodyCom(model, data, J, None, model.body("robot/payload").id)
+    return -(J.T @ model.opt.gravity)[stage.at.qvel]
+
+
+def _most_kg(weight: Array, without: Array, holds: Array, mass_kg: float) -> float:
+    """The largest payload m for which |without + (weight - without) m / mass_kg| <= holds in every joint; 0 where none is held."""
+    if (np.abs(without) > holds).any():
+        return 0.0
+    each = (weight - without) / mass_kg
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = (holds - np.sign(each) * without) / np.abs(each)
+    return float(np.nanmin(np.where(each == 0, np.inf, most)))
+
+
+def _down(value: float) -> float:
+    """A number under the value, of three digits: one that was rounded up would be too much."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
+    return float(f"{np.floor(value / unit) * unit:.3g}")
+
+
+# The equilibrium in which a robot begins: its servos carry its weight, and its gears are wound up by it.
+
+
+NO_LOAD = 1e-6
+"""Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
+
+
+def settle(stage: Stage) -> None:
+    """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
+
+    The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
+    theta, and sags.
+
+    Raises:
+        UnreachableError: an arm's motors cannot hold it there.
+    """
+    # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
+    model, data, at = stage.model, stage.data, stage.at
+    mechanics = stage.parts.robot.mechanics
+    stage.rest()
+    mujoco.mj_forward(model, data)
+    check_static_load(stage)
+    load = data.qfrc_bias - data.qfrc_gravcomp
+    if mechanics is not None and at.motor_qpos is not at.qpos:
+        soft = mechanics.stiffness > 0
+        asked = load[at.qvel][soft]
+        torsion = mechanics.torsion(load[at.qvel])[soft]
+        play = np.where(np.abs(asked) > NO_LOAD, np.sign(asked) * mechanics.play[soft] / 2, 0.0)
+        data.qpos[at.motor_qpos[soft]] += torsion + play
+        load[at.motor_qvel] = load[at.qvel]
+    if mechanics is not None and mechanics.gravity is not None:
+        load[:] = 0.0
+    for i in range(model.nu):
+        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
+            joint = model.actuator_trnid[i, 0]
+            kp = -model.actuator_biasprm[i, 1]
+            data.act[model.actuator_actadr[i]] = data.qpos[model.jnt_qposadr[joint]] + load[model.jnt_dofadr[joint]] / kp
+    mujoco.mj_forward(model, data)
+
+
+# The lead vehicle, which carries the target along a route, with path following by its true place.
+
+
+PERIOD_S = 0.01
+"""Period of the path following [s], that of a car's onboard servos."""
+CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
+"""Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The offset decays within some 1.6 m."""
+
+
+class LeadVehicle:
+    """Drives the target's vehicle: w = v (curvature - CROSS_GAIN offset - HEADING_GAIN (heading - route's)).
+
+    That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0 by arc length.
+
+    Args:
+        stage: the scene with the vehicle under `leader/`.
+
+    Reference: Samson 1995, path following in arc length, doi:10.1109/9.362899.
+    """
+
+    def __init__(self, stage: Stage):
+        motion = stage.parts.target.carrier
+        if motion is None or stage.leader is None or stage.parts.leader is None:
+            raise TypeError("no vehicle carries the target")
+        self._stage, self._motion, self._root = stage, motion, stage.leader
+        self._robot = stage.parts.leader
+        self._mount = Mount.of(np.eye(4))
+        self._at = StateIndices.of(stage.model, self._robot, "leader/")
+        self._memory: Any = self._robot.begin()
+        self._s = motion.from_m
+        self.steps = max(1, round(PERIOD_S / stage.parts.step))
+
+    def drive(self, dt: float) -> None:
+        """One period dt [s] of the path following."""
+        place = place_of(self._root.pose(self._stage.data))
+        route = self._motion.route
+        # Near its last arc length, since the route may cross itself: .5 m is far more than it drives in a period.
+        self._s, _ = route.nearest(place[:2], around=self._s, reach=0.5)
+        x, y, heading, curvature = route.at(self._s)
+        _, offset, turn = relative(np.array([x, y, heading]), place)
+        v = self._motion.speed_mps
+        # curvature / (1 - curvature offset) is that of the parallel on which it drives; bounded near the centre of the bend.
+        w = v * (curvature / max(1 - curvature * offset, 0.1) - CROSS_GAIN * offset - HEADING_GAIN * math.sin(turn))
+        twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
+        data = self._stage.data
+        reading = Reading(data.qpos[self._at.qpos], data.qvel[self._at.qvel])
+        setpoint = self._robot.allocate(twist, reading, self._mount, dt).setpoint
+        self._memory, data.ctrl[self._at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0

@@ -1,6 +1,6 @@
 """Targets of the camera: their markers, their shape, their motion."""
 
-from vstestbed.core.contract import Contract
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.targets.base import Name, Pad, Target, TargetContract
 from vstestbed.targets.ground_lines import GroundLines

@@ -12,7 +12,36 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.targets.tag_families import APRILTAGS, Family
+
+# Families of square tags, by the words of a scenario.
+
+
+Family = Literal[
+    "apriltag_16h5",
+    "apriltag_25h9",
+    "apriltag_36h10",
+    "apriltag_36h11",
+    "aruco_4x4_50",
+    "aruco_4x4_100",
+    "aruco_4x4_250",
+    "aruco_4x4_1000",
+    "aruco_5x5_50",
+    "aruco_5x5_100",
+    "aruco_5x5_250",
+    "aruco_5x5_1000",
+    "aruco_6x6_50",
+    "aruco_6x6_100",
+    "aruco_6x6_250",
+    "aruco_6x6_1000",
+    "aruco_7x7_50",
+    "aruco_7x7_100",
+    "aruco_7x7_250",
+    "aruco_7x7_1000",
+]
+"""Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and number of tags."""
+APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
+"""Bits along a side and number of tags of the AprilTag families."""
+
 
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
@@ -282,3 +311,35 @@ class Stripe(Flat):
 
 
 MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
+
+
+# The marker of a region: the edge of the target's body.
+
+
+@spec
+class Outline(Flat):
+    """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.
+
+    Args:
+        lit: whether the scene's lights shade the region; otherwise its colour is constant.
+    """
+
+    kind: Literal["outline"] = "outline"
+    lit: bool = True
+
+    @property
+    def solid(self) -> None:
+        """None: the target's body is drawn."""
+        return None
+
+    @property
+    def radius(self) -> float:
+        """A point of an outline has no extent [m]."""
+        return 0.0
+
+    def looks(self, count: int) -> str:
+        """The region."""
+        return "a region of the target's colour"
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Nothing: the points of an outline may be as near as they like."""

@@ -1,17 +1,13 @@
 """Tasks, one file for each kind of goal: the reference frame by frame, and when the task is completed or failed."""
 
-from vstestbed.core.contract import Contract
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.tasks.base import Task, TaskBase
-from vstestbed.tasks.gap import GoalGap
+from vstestbed.tasks.following import GoalGap, GoalLine
 from vstestbed.tasks.landing import GoalLanding
-from vstestbed.tasks.line import GoalLine
-from vstestbed.tasks.path import GoalPath
-from vstestbed.tasks.place import GoalPlace
-from vstestbed.tasks.setup import Setup
-from vstestbed.tasks.track import GoalTrack
-from vstestbed.tasks.via_points import GoalViews
-from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
+from vstestbed.tasks.monitor import Setup
+from vstestbed.tasks.path import GoalPath, GoalViews
+from vstestbed.tasks.view import VIEWS, GoalPlace, GoalTrack, GoalView, GoalViewFrom
 
 FIELDS = {
     "T_camera_target": "view",

@@ -5,29 +5,218 @@ A goal block of a scenario is a `Task`: parameters and behaviour in one frozen o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from annotated_types import Gt, Le
+from numpy.typing import NDArray
 
+from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.named_files import absolute_file, place_of_file
+from vstestbed.core.quantity import Narrower, Sigma
+from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Law
 from vstestbed.robots import Robot
-from vstestbed.robots.base import Base
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
+from vstestbed.targets.markers import HIDDEN_M
+from vstestbed.targets.picture import read_rgb
 from vstestbed.tasks.frame import ImageError
-from vstestbed.tasks.goal_picture import GoalPicture
 from vstestbed.tasks.judged import JudgedError, by_convergence
-from vstestbed.tasks.monitor import TaskMonitor
-from vstestbed.tasks.reached import GoalMonitor
-from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.monitor import GoalMonitor, Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
-from vstestbed.tasks.visible import check_level, check_visible
-from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
+from vstestbed.vision import Detector
+from vstestbed.vision.observe import pose_by_depth, shown_goal
+
+# Checks of goal views: markers within the picture and not hidden, a flying robot level.
+
+
+PLANE_INPUTS = {"xy", "depth", "relative"}
+"""Fields of an observation that exist only for points in front of the camera."""
+LEVEL_DEG = 1.0
+"""Largest tilt of the craft at a goal view [deg]."""
+
+
+def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
+    """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
+
+    Args:
+        setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,);
+            None: all.
+
+    Raises:
+        ParameterError: it names the field, the markers, what hides them, and what would work.
+    """
+    camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
+    p = target.seen_from(inverse(T_camera_target))
+    counted = np.ones(len(p), dtype=bool) if counted is None else counted
+    if (behind := _behind_image_plane(camera, law, p)).any():
+        raise _not_visible(field, target, behind, *_behind_words(camera, law))
+    if detector.rows is not None:  # it finds other points than the target's markers
+        return
+    if (outside := _outside_picture(camera, detector, p) & counted).any():
+        where = f"outside the {camera.width} x {camera.height} picture"
+        raise _not_visible(field, target, outside, where, "a wider camera")
+    if _limited(detector):
+        _check_hidden(setup, field, T_camera_target, counted)
+
+
+def _check_hidden(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_]) -> None:
+    """Refuse a goal view in which the target itself, or the scenery, hides a marker that counts."""
+    target = setup.target
+    if (hidden := target.hides(inverse(T_camera_target)) & counted).any():
+        words = f"is a view in which {_markers(target, hidden)} hidden by the target itself"
+        raise ParameterError(field, f"{words}; move the goal, or let goal.markers name those that are to be seen")
+    if target.moves and not target.on_gripper:  # where the goal view is in the room is not known before the run
+        return
+    T_world_camera = setup.camera.mount.T if target.on_gripper else target.T_world_start @ inverse(T_camera_target)
+    names = setup.world.scenery_before(T_world_camera, target.seen_from(inverse(T_camera_target)), target.marker.height_m + HIDDEN_M)
+    if (hidden := np.array([bool(name) for name in names]) & counted).any():
+        what = ", ".join(dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts))
+        words = f"is a view in which {_markers(target, hidden)} hidden by the scenery ({what})"
+        remedy = "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the markers that are to be seen"
+        raise ParameterError(field, f"{words}; {remedy}")
+
+
+def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.bool_]:
+    """Which markers (N, 3) lie behind a plane that the lens or the law projects them onto; none for a law of rays or poses."""
+    if isinstance(camera, Perspective) or PLANE_INPUTS & set(law.inputs):
+        return p[:, 2] <= 0
+    return np.zeros(len(p), dtype=bool)
+
+
+def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArray[np.bool_]:
+    """Which markers (N, 3) project outside of the picture, or nowhere."""
+    uv = camera.project(p)
+    # An oracle may report markers all round, and six panels have no border between them.
+    has_borders = len(camera.panels) == 1 and _limited(detector)
+    return ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
+
+
+def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
+    """Where a marker behind the camera is, and the remedy."""
+    if isinstance(camera, Perspective):
+        return "behind the camera", "a wider camera"
+    return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
+
+
+def _limited(detector: Detector[Any]) -> bool:
+    """Whether the detector sees only what is in the picture; an oracle may see all."""
+    return getattr(detector, "field_of_view", "limited") == "limited"
+
+
+def _markers(target: Target, which: NDArray[np.bool_]) -> str:
+    """Markers (N,) with their verb, as `marker 2 is`."""
+    called = [target.called(int(i)) for i in np.flatnonzero(which)]
+    return f"marker {called[0]} is" if len(called) == 1 else f"markers {', '.join(called)} are"
+
+
+def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
+    """The error for a goal view in which markers (N,) are not visible."""
+    words = f"is a view in which {_markers(target, bad)} {where}; move the goal back, or use {remedy} or a smaller target"
+    return ParameterError(field, words)
+
+
+def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
+    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
+
+    Raises:
+        ParameterError: it names the field, and what would work.
+    """
+    if robot.base != "floating":
+        return
+    # z of the base, in the world's axes: its last component is the cosine of the tilt.
+    up = (target.T_world_start @ inverse(T_camera_target) @ inverse(camera.mount.T))[2, 2]
+    lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
+    if lean > LEVEL_DEG:
+        words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
+        raise ParameterError(field, words)
+
+
+# The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.
+
+
+MID_GREY = 128.0
+"""The grey level that a change of contrast leaves as it is."""
+Factor = Annotated[float, Gt(0), Le(10)]
+
+
+@spec
+class GoalPicture:
+    """The picture that was taken at the goal, for a law or a detector that compares with it.
+
+    Without a file the simulated camera takes it there before the run, without noise. Under other light than the run's its grey levels I
+    become contrast (brightness I - 128) + 128.
+
+    Args:
+        file: a PNG or JPEG file of the camera's size, from a real camera at the goal; its name alone is enough; e.g. `goal.png`.
+        brightness: factor on the grey levels [1].
+        contrast: factor on their distance from mid-grey [1].
+        image_sigma: standard deviation of Gaussian noise on each channel [grey levels].
+    """
+
+    file: str | None = None
+    brightness: Factor = 1.0
+    contrast: Factor = 1.0
+    image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Make the name independent of the folder; refuse other light for a picture that is taken already."""
+        if self.file is None:
+            return
+        object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its picture is
+        if self.other_light:
+            words = "is for a picture that the simulated camera takes; leave it out, or the file"
+            raise ParameterError("brightness" if self.brightness != 1 else "contrast" if self.contrast != 1 else "image_sigma", words)
+
+    @property
+    def other_light(self) -> bool:
+        """Whether the picture that is taken is changed."""
+        return (self.brightness, self.contrast, self.image_sigma) != (1.0, 1.0, 0.0)
+
+    @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference to the picture: it has noise."""
+        return self.image_sigma > 0
+
+    @property
+    def source(self) -> Path | None:
+        """The file; None where the simulated camera takes the picture.
+
+        Raises:
+            ParameterError: it is not there.
+        """
+        return None if self.file is None else place_of_file(self.file)
+
+    def read(self, camera: Camera) -> Image:
+        """The file's picture (H, W, 3) RGB.
+
+        Raises:
+            ParameterError: it cannot be read, or is of another size than the camera's pictures.
+        """
+        assert self.source is not None
+        image = read_rgb(self.source)
+        height, width = image.shape[:2]
+        if (width, height) != (camera.width, camera.height):
+            words = f"has {width} x {height} px, and the camera's pictures have {camera.width} x {camera.height}"
+            raise ParameterError("file", f"{words}; take it with this camera, or set camera.width and camera.height", self.file)
+        return image
+
+    def under_its_light(self, image: Image, rng: np.random.Generator) -> Image:
+        """A picture (H, W, 3) that was taken in the light of the run, as it is under the light of teaching."""
+        if not self.other_light:
+            return image
+        made = self.contrast * (self.brightness * image.astype(np.float32) - MID_GREY) + MID_GREY
+        made += rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.image_sigma)
+        return np.clip(made + 0.5, 0, 255).astype(np.uint8)
+
 
 Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""

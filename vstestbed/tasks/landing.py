@@ -13,14 +13,12 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import PositiveAngle, PositiveLength, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.robots.base import Base
-from vstestbed.robots.supervisor import Supervisor
+from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, TaskBase, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end, largest
-from vstestbed.tasks.reached import GoalMonitor
-from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.monitor import GoalMonitor, Setup
 from vstestbed.tasks.stop import Stop
 
 DEEPEST = -0.25

@@ -2,18 +2,213 @@
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+import math
+from collections import deque
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import inverse, rigid_error
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import Position
+from vstestbed.core.quantity import Position, PositiveAngle, PositiveLength, PositiveRateDeg, PositiveSpeed
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.rules import AfterPictures, Settles
-from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.monitor import Setup
+
+# Rules by which published protocols end and judge a run: monitors, by the truth. No law is told of them.
+
+
+Pictures = Annotated[int, Ge(1), Le(1_000_000)]
+Share = Annotated[float, Gt(0), Le(1)]
+Away = tuple[float, float]
+"""Distance [m] and angle [rad] of the camera from its goal."""
+EARLY_PICTURES = 10
+"""In so many pictures in turn both errors must be under `early` of their limits: one alone may be there on its way through."""
+
+NEARER = 0.98
+"""A run comes nearer where the larger of both errors falls under this share of its smallest value so far."""
+
+
+def away_from_goal(frame: Frame) -> Away:
+    """True distance [m] and angle [rad] between the camera and its goal, the law's goal view of the target as it truly stands."""
+    truth = frame.truth
+    return rigid_error(truth.T_world_camera, truth.T_world_target @ inverse(frame.goal.T_camera_target))
+
+
+class _Early:
+    """Whether a run may be ended because its verdict is as good as certain."""
+
+    def __init__(self, share: float | None):
+        self._share, self._count = share, 0
+
+    def certain(self, near: float) -> bool:
+        """Whether the errors have been under the share of their limits for long enough; near: the larger one over its limit."""
+        self._count = self._count + 1 if self._share is not None and near < self._share else 0
+        return self._count >= EARLY_PICTURES
+
+
+class _Stuck:
+    """Whether a run may be ended because it does not come nearer any more."""
+
+    def __init__(self, pictures: int | None):
+        self._pictures, self._nearest, self._since = pictures, math.inf, 0
+
+    def hopeless(self, near: float) -> bool:
+        """Whether the errors have not been smaller than before for long enough; near: the larger one over its limit."""
+        nearer = near < NEARER * self._nearest
+        self._nearest, self._since = (near, 0) if nearer else (self._nearest, self._since + 1)
+        return self._pictures is not None and self._since >= self._pictures and near > 1
+
+
+@spec
+class Settles:
+    """The run ends when the commanded motion has died down, and has converged where both errors fell to a share of the start's.
+
+    It has settled when, of the last two windows of pictures, the mean speed and the mean rate of the first are under their limits, and
+    those of the second are no smaller. It has converged where distance and angle from the goal are both under `share` of the
+    start's, or under `or_position_m` and `or_rotation_deg`. It has diverged beyond `diverged` times the start's distance. Where
+    `stop.rest_after_s` is None, a run that rests elsewhere, or that is stuck, goes on.
+
+    The defaults are the rule of ViT-VS (Scherl et al. 2025, arXiv:2503.04545) in the units of its paper, where a step takes a second:
+    at R pictures a second, multiply `speed_mps` and `rate_degps` by R.
+
+    Args:
+        window: number of pictures in each of the two windows [1].
+        speed_mps: mean speed under which the camera counts as still [m/s].
+        rate_degps: mean rate under which the camera counts as still [deg/s].
+        least: number of pictures before which no run has settled [1].
+        most: number of pictures after which a run is judged as it is [1].
+        share: of the start's distance and angle, within which the run has converged [1].
+        or_position_m: distance from the goal that is near enough from any start, with or_rotation_deg [m]; None: none is; e.g. `0.01`.
+        or_rotation_deg: the angle that goes with it [deg]; e.g. `1`.
+        diverged: how many times the start's distance is too far [1].
+        early: end a run as converged once both errors have been under this share of their limits for EARLY_PICTURES pictures in turn, also
+            before it has settled [1]; None: never. It saves two thirds of their pictures; the errors at the end are then larger;
+            e.g. `0.1`.
+        stuck: end a run as not converged once the larger error, over its limit, has not been smaller than before for so many pictures [1];
+            None: never. A run that would have found its way later counts as lost then, so that it must be long; e.g. `400`.
+    """
+
+    kind: Literal["settles"] = "settles"
+    window: Pictures = 100
+    speed_mps: PositiveSpeed = 1e-3
+    rate_degps: PositiveRateDeg = 0.1
+    least: Pictures = 300
+    most: Pictures = 1500
+    share: Share = 0.1
+    or_position_m: PositiveLength | None = None
+    or_rotation_deg: PositiveAngle | None = None
+    diverged: Annotated[float, Gt(1), Le(1000)] = 5.0
+    early: Share | None = None
+    stuck: Pictures | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse half of the alternative, and an end before the beginning."""
+        if (self.or_position_m is None) != (self.or_rotation_deg is None):
+            raise ParameterError("or_position_m", "goes with or_rotation_deg: give both, or neither", self.or_position_m)
+        if self.least > self.most:
+            raise ParameterError("least", f"must not be over `most`, {self.most}", self.least)
+
+    def monitor(self, setup: Setup) -> _Settles:
+        """By the true place of the camera and the commanded twist."""
+        return _Settles(self, rest_ends=math.isfinite(setup.stop.rest_after))
+
+    def near(self, away: Away, start: Away) -> float:
+        """The larger of both errors, each over its limit; under 1 the run has converged."""
+        shares = max(error / (self.share * max(first, 1e-12)) for error, first in zip(away, start, strict=True))
+        if self.or_position_m is None or self.or_rotation_deg is None:
+            return shares
+        return min(shares, max(away[0] / self.or_position_m, math.degrees(away[1]) / self.or_rotation_deg))
+
+
+class _Settles:
+    def __init__(self, rule: Settles, rest_ends: bool = True):
+        self._rule, self._early, self._stuck = rule, _Early(rule.early), _Stuck(rule.stuck if rest_ends else None)
+        self._rest_ends = rest_ends
+        self._speeds: deque[tuple[float, float]] = deque(maxlen=2 * rule.window)
+        self._start: Away | None = None
+        self._pictures = 0
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Converged, a rest elsewhere, diverged, or too many pictures."""
+        rule, away = self._rule, away_from_goal(frame)
+        start = self._start = self._start or away
+        self._pictures += 1
+        v = frame.command.twist
+        self._speeds.append((float(np.linalg.norm(v[:3])), math.degrees(float(np.linalg.norm(v[3:])))))
+        if away[0] > rule.diverged * start[0]:
+            return Outcome.diverged, f"{away[0] / max(start[0], 1e-12):.1f} times as far from the goal as at the start"
+        near = rule.near(away, start)
+        if self._early.certain(near):
+            return Outcome.converged, self._words("within", near, "before it settled")
+        if self._stuck.hopeless(near):
+            return Outcome.timed_out, self._words("not within", near, f"no nearer for {rule.stuck} pictures")
+        ended = self._pictures >= rule.most
+        if not (ended or self._settled()):
+            return None
+        if near < 1:
+            return Outcome.converged, self._words("within", near, "when it settled" if not ended else "at the end")
+        outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
+        return None if outcome is None else (outcome, self._words("not within", near, "when it settled"))
+
+    def _settled(self) -> bool:
+        rule, n = self._rule, self._rule.window
+        if self._pictures < rule.least or len(self._speeds) < 2 * n:
+            return False
+        speeds = np.array(self._speeds)
+        first, second = speeds[:n].mean(axis=0), speeds[n:].mean(axis=0)
+        return bool((first < (rule.speed_mps, rule.rate_degps)).all() and (second >= first).all())
+
+    def _words(self, within: str, near: float, when: str) -> str:
+        rule = self._rule
+        limit = f"{100 * rule.share:g} % of the start's distance and angle"
+        other = f", or {rule.or_position_m:g} m and {rule.or_rotation_deg:g} deg" if rule.or_position_m is not None else ""
+        return f"{within} {limit}{other}, at {near:.3g} of the limit, {when}, after {self._pictures} pictures"
+
+
+@spec
+class AfterPictures:
+    """The run ends after a number of pictures, and has converged where the camera is near its goal.
+
+    The defaults are the rule of CNS (Chen et al. 2023, arXiv:2309.09047).
+
+    Args:
+        pictures: after how many pictures the run is judged [1].
+        share: of the distance between camera and target at the goal, within which the camera must be from its goal [1].
+        rotation_deg: angle within which it must be [deg].
+        early: as of `settles` [1]; e.g. `0.1`.
+    """
+
+    kind: Literal["after_pictures"] = "after_pictures"
+    pictures: Pictures = 600
+    share: Share = 0.1
+    rotation_deg: PositiveAngle = 10.0
+    early: Share | None = None
+
+    def monitor(self, setup: Setup) -> _AfterPictures:
+        """By the true place of the camera."""
+        return _AfterPictures(self)
+
+
+class _AfterPictures:
+    def __init__(self, rule: AfterPictures):
+        self._rule, self._early, self._pictures = rule, _Early(rule.early), 0
+
+    def update(self, frame: Frame) -> Verdict | None:
+        """Converged or not, after the last picture."""
+        rule, (distance, angle) = self._rule, away_from_goal(frame)
+        self._pictures += 1
+        limit = rule.share * float(np.linalg.norm(frame.goal.T_camera_target[:3, 3]))
+        near = max(distance / limit, math.degrees(angle) / rule.rotation_deg)
+        certain = self._early.certain(near)
+        if not certain and self._pictures < rule.pictures:
+            return None
+        at = f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after {self._pictures} pictures"
+        words = f"{at}; the limits are {limit:.3g} m and {rule.rotation_deg:g} deg"
+        return (Outcome.converged if near < 1 else Outcome.timed_out), words
 
 
 class Monitor(Protocol):

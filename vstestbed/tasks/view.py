@@ -1,4 +1,4 @@
-"""A view: see the target from a given pose, or as a vehicle's camera sees it from a given place."""
+"""Views as goals: a pose from which the target is seen, a place on the floor, the view of a moving target."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import numpy as np
 from annotated_types import Ge, Len, Lt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, inverse
+from vstestbed.core.geometry import Array, Pose, inverse, rigid_error
 from vstestbed.core.planar import GroundPose
 from vstestbed.core.spec import OneOf, Shorthand, spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
 from vstestbed.targets import Name, Target
-from vstestbed.tasks.base import TaskBase
-from vstestbed.tasks.goal_picture import GoalPicture
-from vstestbed.tasks.setup import Setup
+from vstestbed.tasks.base import GoalPicture, TaskBase
+from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
+from vstestbed.tasks.monitor import Setup
+
+# A view: see the target from a given pose, or as a vehicle's camera sees it from a given place.
 
 
 @spec
@@ -119,3 +121,77 @@ class GoalViewFrom(TaskBase):
 
 
 VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})
+
+
+# Docking at a place: a vehicle drives to a pose on the floor, by landmarks.
+
+
+@spec
+class GoalPlace(TaskBase):
+    """The goal as a place of a vehicle in the world, reached by landmarks.
+
+    Args:
+        pose: the place.
+    """
+
+    kind: Literal["pose"] = "pose"
+    pose: GroundPose
+    asks: ClassVar[str] = "pose"
+    bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
+    needs_pose: ClassVar[bool] = True
+    needs_still: ClassVar[bool] = True
+
+    def check(self, setup: Setup) -> None:
+        """The goal must be judged by the estimate, with a threshold beyond the distance at which the law rests."""
+        super().check(setup)
+        near, law = setup.stop.converged.position_m, setup.law
+        if not setup.stop.converged.by_estimate:
+            words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
+            raise ParameterError("stop.converged", words)
+        if near is not None and law.rest_m >= near:
+            words = f"must be under stop.converged.position_m = {near:g} m: nearer than rest_m the vehicle stands for good"
+            raise ParameterError("law.rest_m", words, law.rest_m)
+
+    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
+        """Nothing: the goal is a place, and markers may be out of the picture there."""
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """The target seen from the place, through the mount."""
+        return (inverse(self.pose.T @ mount) @ target.pose.T,)
+
+    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
+        """The view with the place, which the law uses."""
+        return tuple(replace(view, place=self.pose.place) for view in super().goal_views(setup))
+
+
+# Tracking: keep a view of a moving target.
+
+
+@spec
+class GoalTrack(Continuing):
+    """Continuing task: keep a view of a moving target.
+
+    Args:
+        T_camera_target: the pose from which the target is to be seen at all times.
+        band_m: tolerance of the camera's distance from that pose once settled [m].
+        settle_s: settling time [s].
+    """
+
+    kind: Literal["track"] = "track"
+    T_camera_target: Pose
+    band_m: Tolerance = 0.05
+    settle_s: Settle = 5.0
+
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """The pose, whatever the mount."""
+        return (self.T_camera_target.T,)
+
+    @property
+    def view_fields(self) -> tuple[str, ...]:
+        """The pose."""
+        return ("goal.T_camera_target",)
+
+    def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
+        """Distance of the camera from its goal pose."""
+        T_camera = T_world_base @ setup.camera.mount.T
+        return rigid_error(T_camera, T_world_target @ inverse(self.T_camera_target.T))[0]

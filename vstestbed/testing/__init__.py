@@ -8,16 +8,11 @@
 Each raises AssertionError with a sentence that says what was expected and what was found. `vstestbed new` writes files that have one.
 """
 
-from vstestbed.testing.cameras import check_camera
-from vstestbed.testing.detectors import check_detector
-from vstestbed.testing.features import check_feature
-from vstestbed.testing.keypoints import check_keypoints
-from vstestbed.testing.laws import check_law
-from vstestbed.testing.motions import check_motion
+from vstestbed.testing.laws import check_feature, check_law
 from vstestbed.testing.nuisances import check_metric, check_monitor, check_noise
+from vstestbed.testing.perception import check_camera, check_detector, check_keypoints
 from vstestbed.testing.robots import check_robot
-from vstestbed.testing.targets import check_target
-from vstestbed.testing.tasks import check_task
+from vstestbed.testing.targets import check_motion, check_target, check_task
 
 __all__ = [
     "check_camera",

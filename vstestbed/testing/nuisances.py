@@ -10,13 +10,13 @@ import numpy as np
 from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
 from vstestbed.loop.recording import Recording
-from vstestbed.loop.run import run, uninterrupted
+from vstestbed.loop.session import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics, figures_of
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
-from vstestbed.testing.scenarios import quick
+from vstestbed.testing.laws import quick
 from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
 
 DRAWS = 200

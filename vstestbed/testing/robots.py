@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.registry import Contract
 from vstestbed.features import ThetaU
 from vstestbed.robots import Mount, Robot, RobotBase
-from vstestbed.robots.reading import Reading
+from vstestbed.robots.base import Reading
 
 STEP = 1e-6
 """Difference by which a configuration is moved [rad or m]: the quotient then has 9 digits."""

@@ -5,21 +5,20 @@ OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores
 
 import cv2
 
-from vstestbed.core.contract import Contract
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
+from vstestbed.vision.association import centre_bias
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
-from vstestbed.vision.detect.blobs import Blobs
-from vstestbed.vision.detect.centre import centre_bias
-from vstestbed.vision.detect.keypoints import Keypoints
-from vstestbed.vision.detect.lines import Lines
-from vstestbed.vision.detect.none import NoDetector
-from vstestbed.vision.detect.oracle import Oracle
-from vstestbed.vision.detect.patch import PatchDetector
-from vstestbed.vision.detect.region import RegionDetector
-from vstestbed.vision.detect.tags import Tags
-from vstestbed.vision.match.features import KEYPOINTS
+from vstestbed.vision.blobs import Blobs
+from vstestbed.vision.keypoints import Keypoints
+from vstestbed.vision.lines import Lines
+from vstestbed.vision.local_features import KEYPOINTS
 from vstestbed.vision.observe import Observer, ObserverMemory
-from vstestbed.vision.pose.pnp import solve_pose, solve_pose_from_rays
+from vstestbed.vision.oracle import NoDetector, Oracle
+from vstestbed.vision.patch import PatchDetector
+from vstestbed.vision.pnp import solve_pose, solve_pose_from_rays
+from vstestbed.vision.region import RegionDetector
+from vstestbed.vision.tags import Tags
 
 cv2.setNumThreads(1)
 

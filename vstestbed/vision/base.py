@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Picture
-from vstestbed.core.geometry import Array
+from vstestbed.camera import Camera, Look, Picture, Window
+from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.features.depth import depth_at
 from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 
@@ -136,3 +139,82 @@ class DetectorBase:
     def look(self, memory: Any, camera: Camera, target: Target) -> Look | None:
         """The whole picture."""
         return None
+
+
+# Points of the goal's picture as a goal: their depths by the depth camera or by the target's plane.
+
+
+def goal_of_points(goal: Goal, uv: Array) -> Goal:
+    """The goal with other points: those at uv (K, 2) [px] of its picture, in place of the target's markers.
+
+    Their depths are the depth camera's at the nearest pixel where it measured, else those of the target's plane z = 0 at the goal pose,
+    which the robot knows as it knows a target's dimensions.
+    """
+    ray = goal.camera.ray(uv)
+    z = _depth_of_plane(goal.T_camera_target, ray)
+    if goal.image is not None and goal.image.depth is not None:
+        measured = depth_at(goal.image.depth, uv)
+        z = np.where(np.isfinite(measured), measured, z)
+    z = np.where(z > 0, z, np.nan)
+    p = ray * (z / ray[:, 2])[:, None]
+    known = np.isfinite(p[:, 0])
+    if np.count_nonzero(known) < 3:  # they span no plane
+        reach = np.where(known, np.linalg.norm(p, axis=1), np.nan)
+        return replace(goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None)
+    made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
+    full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
+    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None if known.all() else known)
+
+
+def points_of(goal: Goal) -> Array:
+    """The goal's points (K, 3) in the target's frame [m], by their depths in its view."""
+    return transform(inverse(goal.T_camera_target), goal.ray * goal.range[:, None])
+
+
+def _depth_of_plane(T_camera_target: Array, ray: Array) -> Array:
+    """Depth (K,) [m] along unit rays (K, 3) at which they meet the target's plane z = 0; negative behind the camera."""
+    normal = T_camera_target[:3, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return (normal @ T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]
+
+
+# Search windows around tracked objects in the next picture.
+
+
+Move = tuple[float, float]
+"""Displacement (du, dv) of an object from one picture to the next [px]."""
+MOST_WINDOWED = 0.3
+"""Share of the image area that the windows may cover together; beyond it a search of the whole image is faster."""
+
+
+def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window | None:
+    """The window around an object's predicted box, clipped to the image; None outside of the image.
+
+    The box is predicted at constant velocity; the window has `margin` [px] and half of the last move around it.
+    """
+    (left, top, right, bottom), (du, dv) = box, move
+    grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
+    left, top = max(0, int(left + du - grow_u)), max(0, int(top + dv - grow_v))
+    right, bottom = min(lens.width, math.ceil(right + du + grow_u)), min(lens.height, math.ceil(bottom + dv + grow_v))
+    return (left, top, right, bottom) if left < right and top < bottom else None
+
+
+def windows_round(
+    boxes: Sequence[Window | None], moves: Sequence[Move], panels: Sequence[int], camera: Camera, margin: float
+) -> list[Window] | None:
+    """A window around each object's predicted box, in its panel; None where an object is lost or a whole search is faster.
+
+    Args:
+        boxes: bounding boxes in the last picture [px]; None for a lost object.
+        moves: displacements since the picture before [px].
+        panels: index of the camera's panel in which each object is.
+        margin: margin around the predicted box [px].
+    """
+    out: list[Window] = []
+    for box, move, panel in zip(boxes, moves, panels, strict=True):
+        window = window_round(box, move, camera.panels[panel].lens, margin) if box else None
+        if window is None:
+            return None
+        out.append(window)
+    covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in out)
+    return out if out and covered <= MOST_WINDOWED * sum(p.lens.width * p.lens.height for p in camera.panels) else None

@@ -12,10 +12,10 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.camera import Image
-from vstestbed.core.contract import Contract
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime
+from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)

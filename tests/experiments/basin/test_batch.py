@@ -11,22 +11,21 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import book_camera
 from tests.loop.test_golden_loops import ROWS, SET, STARTS, decided_by_rounding, law_of, pose
-from vstestbed.core.assets import bundled_scenarios
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
-from vstestbed.experiments.basin.batch import fly
-from vstestbed.experiments.basin.setup import ideal, start_of, started_at
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.features import FEATURES, Ellipse, Feature, LineFeature, Moments, Polar, Polygon
 from vstestbed.features.depth import AtGoal, Constant, Estimate, OracleDepth
 from vstestbed.features.observation import Observation
 from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned, Predictive
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
+from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import Solve
-from vstestbed.laws.visibility import Visibility
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.batch import fly, ideal, start_of, started_at
 from vstestbed.targets import Target
 from vstestbed.targets.points import Points, Square
 from vstestbed.tasks import GoalView
@@ -222,7 +221,7 @@ def test_runs_do_not_know_of_one_another():
 def test_many_more_than_fly_at_once_keep_their_order(monkeypatch: pytest.MonkeyPatch):
     s, starts = scenario(PBVS(gain=FAST)), drawn(30)
     whole = fly(s, starts)
-    monkeypatch.setattr("vstestbed.experiments.basin.batch.AT_ONCE", 7)
+    monkeypatch.setattr("vstestbed.studies.batch.AT_ONCE", 7)
     parts = fly(s, starts)
     assert (parts.steps == whole.steps).all() and parts.run_steps == whole.run_steps
 

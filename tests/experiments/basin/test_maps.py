@@ -15,10 +15,10 @@ import vstestbed as vs
 from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
-from vstestbed.experiments.basin import maps as basin
-from vstestbed.experiments.basin.maps import Axis, laws, starts
-from vstestbed.experiments.basin.setup import ideal, start_of, started_at
-from vstestbed.experiments.comparison import chosen
+from vstestbed.studies import basin
+from vstestbed.studies.basin import Axis, laws, starts
+from vstestbed.studies.batch import ideal, start_of, started_at
+from vstestbed.studies.comparison import chosen
 
 FAST = {"law.gain": 1.0, "detector": {"kind": "oracle", "field_of_view": "unlimited"}}
 """A tenth a step with ibvs_book's ten pictures a second."""
@@ -179,7 +179,7 @@ def test_frontal_centred_starts_end_as_in_the_time_loop(law: dict[str, str], mon
     assert len(views) == len(basin.ON_AXIS_DEG) and all(T[:2, 3] == pytest.approx(0, abs=1e-12) for T in views)
     assert all(T[2, :3] == pytest.approx([0, 0, 1], abs=1e-12) and T[2, 3] == pytest.approx(1) for T in views)
     # No pose is solved in those views: the check tells.
-    monkeypatch.setattr("vstestbed.vision.pose.pnp.planar_poses", lambda xy, points: [])
+    monkeypatch.setattr("vstestbed.vision.pnp.planar_poses", lambda xy, points: [])
     assert [d.full for d in basin._on_axis(s)] == ["target_lost"] * len(basin.ON_AXIS_DEG)  # pyright: ignore[reportPrivateUsage]
 
 

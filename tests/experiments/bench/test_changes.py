@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import ScenarioError
-from vstestbed.experiments.bench.changes import BesideFloor, SpeedChange, SpeedChanges, read_saved
+from vstestbed.studies.bench import BesideFloor, SpeedChange, SpeedChanges, read_saved
 
 
 def timing(*ratios: float) -> BesideFloor:

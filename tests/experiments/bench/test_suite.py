@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from vstestbed.experiments.bench import suite
-from vstestbed.experiments.bench.changes import read_saved
+from vstestbed.studies import bench
+from vstestbed.studies.bench import read_saved
 
 
 def test_what_is_printed_is_read_again(tmp_path: Path):
     begun: list[str] = []
-    measured = suite.measure_all(2, ("run folder",), begun.append)
+    measured = bench.measure_all(2, ("run folder",), begun.append)
     assert begun == list(measured.timings) == ["run folder"]
     assert len(measured.timings["run folder"].seconds) == 2
     (tmp_path / "old.json").write_text(json.dumps(measured.as_dict()), encoding="utf-8")
@@ -21,7 +21,7 @@ def test_what_is_printed_is_read_again(tmp_path: Path):
 
 
 def test_bench_compares_with_an_earlier_one(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(suite, "_benchmarks", lambda: {"one": ("a floor", lambda: (3.0, 1.0)), "other": ("a floor", lambda: (1.0, 1.0))})
+    monkeypatch.setattr(bench, "_benchmarks", lambda: {"one": ("a floor", lambda: (3.0, 1.0)), "other": ("a floor", lambda: (1.0, 1.0))})
     old = {"machine": {}, "timings": {"one": {"floor": "a floor", "seconds": [2.0, 2.0], "floor_seconds": [1.0, 1.0]}}}
     (tmp_path / "old.json").write_text(json.dumps(old), encoding="utf-8")
     ended = command("bench", "--compare", tmp_path / "old.json", "--repeats", 2, "--json")

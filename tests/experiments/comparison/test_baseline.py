@@ -12,10 +12,10 @@ import pytest
 from ruamel.yaml import YAML
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.experiments.comparison import Comparison, controllers, jobs
-from vstestbed.experiments.comparison.baseline import Baseline, write_changes
-from vstestbed.report.comparison import baseline_section
+from vstestbed.report.comparison import baseline
 from vstestbed.report.comparison.baseline import FILE, BaselineChanges, read_changes
+from vstestbed.studies.comparison import Comparison, controllers, jobs
+from vstestbed.studies.comparison.baseline import Baseline, write_changes
 
 GUIDE = Path(__file__).resolve().parents[3] / "scenarios/guides/comparing.md"
 PLAN = Comparison(base=("quick",), axes={"law.gain": (1, 2)}, metrics=("time_to_converge_s", "min_border_margin_px", "sim_time_s"))
@@ -52,8 +52,8 @@ def test_the_same_again_differs_in_nothing(tmp_path: Path, suffix: str) -> None:
     assert (changes.matched, changes.only_now, changes.only_before) == (12, (), ())
     assert {m.difference for c in changes.controllers for m in c.metrics} == {0.0}
     assert changes.regressions(0.0) == []
-    assert "6 runs without any difference" in baseline_section.text(changes)
-    assert "Nothing got worse" in baseline_section.section(tmp_path)
+    assert "6 runs without any difference" in baseline.text(changes)
+    assert "Nothing got worse" in baseline.section(tmp_path)
 
 
 def test_a_slower_law_is_worse_beyond_the_tolerance_only(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_slower_law_is_worse_beyond_the_tolerance_only(tmp_path: Path) -> None
     (words,) = changes.regressions()
     assert re.fullmatch(r"gain=2: time to converge 4\.305 s, before 4\.1 s: \+0\.205 \[.*\], 5 % worse \(tolerance 2 %\)", words)
     assert changed(tmp_path, table(time_s=4.2), table()).regressions() == []  # sooner is not worse
-    assert "    time to converge 4.305 s, before 4.1 s" in baseline_section.text(changes)
+    assert "    time to converge 4.305 s, before 4.1 s" in baseline.text(changes)
 
 
 def test_of_a_margin_less_is_worse_and_the_simulated_time_judges_nothing(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_what_has_no_counterpart_is_said(tmp_path: Path) -> None:
     assert changes.matched == 6
     assert changes.only_now == ("gain=1, 6 of 6 runs",)
     assert changes.only_before == ("quick, law.gain=3, 6 runs",)
-    assert "only then: quick, law.gain=3, 6 runs" in baseline_section.text(changes)
+    assert "only then: quick, law.gain=3, 6 runs" in baseline.text(changes)
 
 
 def test_a_baseline_of_something_else_is_refused_before_anything_runs(quick: Path, tmp_path: Path) -> None:

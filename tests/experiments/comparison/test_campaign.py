@@ -21,11 +21,10 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import Here, run_here
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
-from vstestbed.experiments.comparison import Campaign, Comparison, Job, compare, controllers, jobs
-from vstestbed.experiments.comparison.folder import table_of
-from vstestbed.experiments.comparison.pools import LocalPool, WorkerLostError
-from vstestbed.experiments.comparison.worker import RunRequest, crashed, execute, request_of
-from vstestbed.report.comparison.differences import paired_difference
+from vstestbed.report.comparison.statistics import paired_difference
+from vstestbed.studies.comparison import Campaign, Comparison, Job, compare, controllers, jobs
+from vstestbed.studies.comparison.folder import table_of
+from vstestbed.studies.comparison.pools import LocalPool, RunRequest, WorkerLostError, crashed, execute, request_of
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''

@@ -17,15 +17,14 @@ import pytest
 import vstestbed as vs
 from tests.experiments.comparison.test_campaign import logs, timeless
 from tests.shortcuts import run_here
-from vstestbed.experiments.comparison import Comparison, chosen, compare, controllers, jobs
-from vstestbed.experiments.comparison.flights import LEAST, MOST, BatchRequest, batches, flies_in_batch
-from vstestbed.experiments.comparison.folder import table_of
-from vstestbed.experiments.comparison.pools import RUNNING
-from vstestbed.experiments.comparison.worker import execute, request_of
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison import Comparison, chosen, compare, controllers, jobs
+from vstestbed.studies.comparison.campaign import LEAST, MOST, BatchRequest, batches, flies_in_batch
+from vstestbed.studies.comparison.folder import table_of
+from vstestbed.studies.comparison.pools import RUNNING, execute, request_of
 from vstestbed.vision import Oracle
 
 MOODS = ("wall_time_s", "real_time_factor", "time_ms", "batch")
@@ -158,15 +157,15 @@ def test_a_law_that_overrides_its_step_alone_has_no_batch():
 def test_a_resumed_comparison_flies_the_same_batches(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whatever is missing, and in groups of any size, the bytes are those of a comparison that was never cut off."""
     run_here(monkeypatch)
-    monkeypatch.setattr("vstestbed.experiments.comparison.runs.SIDE_BY_SIDE", 8)
-    monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 6)
+    monkeypatch.setattr("vstestbed.studies.comparison.runs.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 6)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     seeds = 2 * LEAST
     table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
     assert table["batch"].to_list() == [None] + [True] * (seeds - 1)  # the first may be filmed
     shutil.copytree(whole, cut)
     every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
-    monkeypatch.setattr("vstestbed.experiments.comparison.folder.GROUP", 10_000)
+    monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 10_000)
     assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
     for place in ("0/0", "0/3", "8/11"):
         (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.experiments.comparison import Comparison, chosen, controllers, jobs
-from vstestbed.experiments.comparison.plan import read_comparison
+from vstestbed.core.named_files import bundled_comparisons
+from vstestbed.studies.comparison import Comparison, chosen, controllers, jobs
+from vstestbed.studies.comparison.plan import read_comparison
 
 LONG = ("canonical_arm", "calibration_error", "depth_error", "realism")
 """Comparisons of hundreds of scenarios: reading them all takes seconds."""

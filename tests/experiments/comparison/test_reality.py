@@ -10,11 +10,11 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import Array
-from vstestbed.experiments.comparison import chosen, controllers, jobs
 from vstestbed.laws.base import TwistLimits
 from vstestbed.robots.arm import LIMIT_MARGIN
 from vstestbed.robots.puma560 import JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.comparison import chosen, controllers, jobs
 
 LIMITS = np.degrees(JOINT_LIMITS)
 MARGIN = math.degrees(LIMIT_MARGIN)

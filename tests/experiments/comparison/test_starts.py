@@ -15,14 +15,13 @@ import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA
 from tests.shortcuts import draw_one_figure, run_here
-from vstestbed.core.assets import bundled_comparisons
 from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
-from vstestbed.experiments.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
-from vstestbed.experiments.comparison.folder import table_of
-from vstestbed.experiments.comparison.plan import merged
-from vstestbed.experiments.comparison.pools import LocalPool
-from vstestbed.experiments.comparison.starts import StartTable
+from vstestbed.core.named_files import bundled_comparisons
+from vstestbed.studies.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
+from vstestbed.studies.comparison.folder import table_of
+from vstestbed.studies.comparison.plan import StartTable, merged
+from vstestbed.studies.comparison.pools import LocalPool
 
 YAML = """
 description: Two laws turn back.

@@ -12,23 +12,24 @@ import pytest
 import vstestbed as vs
 from vstestbed import Timing
 from vstestbed.cli import app as cli
-from vstestbed.cli.delay import _summary_line
+from vstestbed.cli.studies import _summary_line
 from vstestbed.core.errors import ParameterError
-from vstestbed.experiments.delay.lag import Lag, measure_lags
-from vstestbed.experiments.delay.measure import (
+from vstestbed.loop.stability import closed_form, gain_limit, led_form
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.time_stamps import CameraStamps
+from vstestbed.studies.delay import (
     OFF,
     OFF_WITH_FRICTION,
+    Lag,
     Limit,
     delays_of,
     displaced,
     find_limit,
     find_limits,
     growth,
+    measure_lags,
     prepared,
 )
-from vstestbed.loop.theory import closed_form, gain_limit, led_form
-from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.time_stamps import CameraStamps
 
 PERIOD = 0.04
 

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.experiments.delay.linear import linear_gain_limit, sampled
-from vstestbed.experiments.delay.measure import displaced, find_limits, growth, prepared
-from vstestbed.loop.theory import closed_form, gain_limit
+from vstestbed.loop.stability import closed_form, gain_limit
 from vstestbed.robots.joint_effects import Gears
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import LinearArm, linear_arm
+from vstestbed.studies.delay import displaced, find_limits, growth, linear_gain_limit, prepared, sampled
 
 PERIOD = 0.04
 

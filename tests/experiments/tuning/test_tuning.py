@@ -19,17 +19,16 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
-from vstestbed.experiments.tuning.search import NoListener
-from vstestbed.experiments.tuning.space import Choice, Range, parameter
-from vstestbed.experiments.tuning.trials import Trial, best_of, read_record
 from vstestbed.report.studies.tuning import ParameterAxis
+from vstestbed.studies.tuning.search import NoListener
+from vstestbed.studies.tuning.space import Choice, Range, Trial, best_of, parameter, read_record
 
 SMALL: dict[str, Any] = {"trials": 6, "seeds": 2, "check": 1, "set": {"camera.rate_hz": 10, "stop.converged.hold_s": 0.1}}
 
 
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.experiments.tuning.result.write_page", lambda *_: None)
+    monkeypatch.setattr("vstestbed.studies.tuning.result.write_page", lambda *_: None)
 
 
 class Interrupts(NoListener):

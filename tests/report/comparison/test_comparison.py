@@ -17,8 +17,8 @@ from tests.report.comparison.comparisons import build, errors, start_px
 from vstestbed.core.errors import RunFolderError
 from vstestbed.loop.log_file import FolderLog
 from vstestbed.report.comparison.columns import ComparisonResults, Metric, short_names
+from vstestbed.report.comparison.figures import INSTANTS, read_series
 from vstestbed.report.comparison.pairs import TIME, against, pairs
-from vstestbed.report.comparison.series import INSTANTS, read_series
 from vstestbed.report.comparison.summary_text import headline, pair_text
 
 

@@ -10,9 +10,8 @@ import polars as pl
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.figures import Data, each_run, medians
+from vstestbed.report.comparison.figures import Data, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
-from vstestbed.report.comparison.series import read_series
 from vstestbed.report.html.canvas import save, style, to_svg
 
 PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"

@@ -8,12 +8,10 @@ import pytest
 from matplotlib.text import Text
 
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.differences import paired_difference
-from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.figures import Data, Series
 from vstestbed.report.comparison.grid import Grid, grid, real
 from vstestbed.report.comparison.pairs import TIME
-from vstestbed.report.comparison.series import Series
-from vstestbed.report.comparison.statistics import holm
+from vstestbed.report.comparison.statistics import holm, paired_difference
 
 SHIFT_S = {"none": 0.0, "late": 0.5, "noisy": -0.25}
 

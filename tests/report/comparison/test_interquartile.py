@@ -11,8 +11,7 @@ from scipy import stats
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.interquartile import MOST, _levels, _resampled, interquartile_mean, interquartiles
-from vstestbed.report.comparison.resampling import draws
+from vstestbed.report.comparison.statistics import MOST_RUNS, _levels, _resampled, draws, interquartile_mean, interquartiles
 
 
 def iqm(values: np.ndarray) -> float:
@@ -76,8 +75,8 @@ def test_failed_runs_are_worse_than_any_with_a_number() -> None:
 
 def test_of_many_runs_the_normal_interval_is_that_of_the_bootstrap() -> None:
     rng = np.random.default_rng(2)
-    for strata in (None, np.arange(MOST + 100) % 4):
-        x = rng.exponential(1, MOST + 100) + (0 if strata is None else strata)
+    for strata in (None, np.arange(MOST_RUNS + 100) % 4):
+        x = rng.exponential(1, MOST_RUNS + 100) + (0 if strata is None else strata)
         found = interquartile_mean(x, strata)
         blocks = x if strata is None else np.concatenate([np.sort(x[strata == k]) for k in range(4)])
         means = _resampled(np.sort(x) if strata is None else blocks, (len(x),) if strata is None else (len(x) // 4,) * 4, 0, 1500)

@@ -18,10 +18,9 @@ from vstestbed.core.errors import OutputError
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import page as comparison_page
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
-from vstestbed.report.comparison.differences import MOST, paired_difference
+from vstestbed.report.comparison.figures import read_series
 from vstestbed.report.comparison.page import write_comparison_report
-from vstestbed.report.comparison.series import read_series
-from vstestbed.report.comparison.statistics import success_rate
+from vstestbed.report.comparison.statistics import MOST_PAIRS, paired_difference, success_rate
 from vstestbed.report.run.numbers import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
@@ -268,8 +267,8 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
     built: tuple[Path, pl.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, frame = built
-    monkeypatch.setattr("vstestbed.report.comparison.series.SAMPLED", 0)
-    monkeypatch.setattr("vstestbed.report.comparison.series.LEAST_SAMPLED", 5)
+    monkeypatch.setattr("vstestbed.report.comparison.figures.SAMPLED", 0)
+    monkeypatch.setattr("vstestbed.report.comparison.figures.LEAST_SAMPLED", 5)
     comparison = ComparisonResults(frame)
     series = read_series(folder, comparison)
     assert [e.shape[0] for e in series.errors] == [5, 5] and series.sampled == 5
@@ -281,6 +280,6 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
 
 
 def test_intervals_of_very_many_pairs_are_those_of_student() -> None:
-    d = np.random.default_rng(0).exponential(size=MOST)
+    d = np.random.default_rng(0).exponential(size=MOST_PAIRS)
     few, many = (paired_difference(x, np.zeros(len(x))) for x in (d, np.append(d, d.mean())))
     assert (many.high - many.low) == pytest.approx(few.high - few.low, rel=0.05)

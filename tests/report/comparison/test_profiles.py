@@ -11,11 +11,10 @@ import pytest
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.comparison.columns import ComparisonResults, Metric
-from vstestbed.report.comparison.interquartile import interquartiles
-from vstestbed.report.comparison.pairs import pairs
-from vstestbed.report.comparison.profiles import STEPS, profile
-from vstestbed.report.comparison.records import write_records
-from vstestbed.report.comparison.terminal import statistics_text
+from vstestbed.report.comparison.figures import STEPS, profile
+from vstestbed.report.comparison.pairs import pairs, write_records
+from vstestbed.report.comparison.statistics import interquartiles
+from vstestbed.report.comparison.tables import statistics_text
 
 
 @pytest.mark.parametrize("name", ["time_to_converge_s", "min_border_margin_px"])

@@ -9,8 +9,7 @@ import pytest
 from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
-from vstestbed.report.comparison.page import write_comparison_report
-from vstestbed.report.comparison.settings import differing, gains_alone, in_words, only_gains
+from vstestbed.report.comparison.page import differing, gains_alone, in_words, only_gains, write_comparison_report
 
 
 def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:

@@ -10,8 +10,7 @@ import pytest
 from scipy import stats
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.report.comparison.differences import paired_difference
-from vstestbed.report.comparison.statistics import holm, improvement, paired_success, spread, success_rate, wilson
+from vstestbed.report.comparison.statistics import holm, improvement, paired_difference, paired_success, spread, success_rate, wilson
 
 SEEDS = 20
 

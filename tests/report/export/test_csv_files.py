@@ -12,8 +12,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import OutputError
 from vstestbed.loop.log_file import read_log
-from vstestbed.report.export.csv_files import write_csv
-from vstestbed.report.export.source import opened
+from vstestbed.report.export.source import opened, write_csv
 
 
 def test_a_log_comes_back_as_it_was(folders: list[Path], home: Path, tmp_path: Path) -> None:

@@ -17,8 +17,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.report.export import lerobot
-from vstestbed.report.export.lerobot import write_dataset
-from vstestbed.report.export.lerobot_stats import PictureStatistics, statistics, together
+from vstestbed.report.export.lerobot import PictureStatistics, statistics, together, write_dataset
 from vstestbed.report.export.source import RecordedRun, opened
 
 KEY = "observation.image"

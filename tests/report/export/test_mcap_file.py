@@ -16,7 +16,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import vstestbed as vs
 from vstestbed.core.geometry import pose_from, transform
-from vstestbed.report.export import messages
+from vstestbed.report.export import mcap_file
 from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
 from vstestbed.report.export.source import RecordedRun, opened
 
@@ -51,7 +51,7 @@ def decoded(message: Any) -> np.ndarray:
 
 def stamp_ns(message: Any) -> int:
     """The time stamp of a message [ns]."""
-    return message.timestamp.seconds * messages.NS + message.timestamp.nanos
+    return message.timestamp.seconds * mcap_file.NS + message.timestamp.nanos
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +154,9 @@ def test_a_start_moves_all_times_and_commands_are_stamped_with_the_time_they_are
 
 
 def test_lenses_without_a_standard_model_have_no_calibration() -> None:
-    assert messages.lens_model(vs.load("car_catadioptric").camera) is None
-    assert messages.calibration(0, vs.load("spherical_book").camera) is None
-    fisheye = messages.calibration(0, vs.load("arm_fisheye").camera)
+    assert mcap_file.lens_model(vs.load("car_catadioptric").camera) is None
+    assert mcap_file.calibration(0, vs.load("spherical_book").camera) is None
+    fisheye = mcap_file.calibration(0, vs.load("arm_fisheye").camera)
     assert fisheye is not None and fisheye.distortion_model == "kannala_brandt" and len(fisheye.D) == 4
 
 
@@ -166,7 +166,7 @@ def test_runs_of_a_comparison_are_files_in_its_places_whole_or_not_at_all(
     out = write_mcaps(opened(folders), tmp_path / "out", home)
     assert sorted(p.relative_to(out).as_posix() for p in out.rglob("*.mcap")) == ["runs/0.mcap", "runs/1.mcap"]
     assert len(read(out / "runs/1.mcap")[0]["/camera/image"]) == 8
-    monkeypatch.setattr(messages, "circles", lambda *_: 1 / 0)
+    monkeypatch.setattr(mcap_file, "circles", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_mcaps(opened(folders), tmp_path / "broken", home)
     assert [p.name for p in tmp_path.iterdir()] == ["out"]

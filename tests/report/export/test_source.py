@@ -12,9 +12,8 @@ import vstestbed as vs
 from vstestbed.core.errors import RunFolderError
 from vstestbed.env.rollout import Rollout
 from vstestbed.loop.columns import Layout
-from vstestbed.report.export.columns import meaning, name_with_unit
-from vstestbed.report.export.lerobot_features import features_of, numbers_of
-from vstestbed.report.export.source import RecordedRun
+from vstestbed.report.export.lerobot import features_of, numbers_of
+from vstestbed.report.export.source import RecordedRun, meaning, name_with_unit
 
 VARIANTS = {
     "noise and drift": ("arm_ibvs", {"noise.image_sigma": 3.0, "noise.drift.brightness": 0.2, "noise.drift.color": 0.1}),

@@ -9,7 +9,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
-from vstestbed.report.run.expected_path import GroundTask, ideal_bicycle_path, largest_deviation, visible_region
+from vstestbed.report.run.tracks import GroundTask, ideal_bicycle_path, largest_deviation, visible_region
 
 AHEAD = np.array([[0, 0, 1.0, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """T_world_camera of a camera that looks along x, upright, 0 m up."""

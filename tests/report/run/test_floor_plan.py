@@ -12,10 +12,9 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.report import Setting
-from vstestbed.report.run import floor_plan as plane
-from vstestbed.report.run import path3d
-from vstestbed.report.run.expected_path import GroundTask
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run import robots as plane
+from vstestbed.report.run import space
+from vstestbed.report.run.tracks import GroundTask, Tracks
 
 ARC = np.linspace(0, np.pi / 2, 60)
 PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
@@ -91,5 +90,5 @@ def test_a_vehicle_that_stands_and_one_that_is_lost_are_drawn_too():
 
 
 def test_vehicles_have_the_plane_and_others_the_space():
-    assert plane.plane(tracks(None)) is None and path3d.camera_path(tracks(None)) is not None
-    assert path3d.camera_path(tracks(GROUND_TASK)) is None
+    assert plane.plane(tracks(None)) is None and space.camera_path(tracks(None)) is not None
+    assert space.camera_path(tracks(GROUND_TASK)) is None

@@ -10,9 +10,8 @@ import pytest
 
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.report import Setting
-from vstestbed.report.html.chart import ChartPanel
-from vstestbed.report.html.space import Space
-from vstestbed.report.run import path3d
+from vstestbed.report.html.chart import ChartPanel, Space
+from vstestbed.report.run import space as path3d
 from vstestbed.report.run.tracks import Tracks
 
 NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")

@@ -13,10 +13,9 @@ from vstestbed.core.geometry import Array, direction
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report import Setting, render_page
 from vstestbed.report.html.canvas import marker_colors
-from vstestbed.report.html.chart import Chart
-from vstestbed.report.html.space import Space
-from vstestbed.report.run import polar_angles as angles
-from vstestbed.report.run.sphere import drawn, towards_viewer
+from vstestbed.report.html.chart import Chart, Space
+from vstestbed.report.run import space as angles
+from vstestbed.report.run.space import drawn, towards_viewer
 from vstestbed.report.run.tracks import Tracks
 
 PI = np.pi

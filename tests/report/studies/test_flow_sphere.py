@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.report.html.canvas import INK, RULE, style
-from vstestbed.report.run.sphere import drawn, towards_viewer
+from vstestbed.report.run.space import drawn, towards_viewer
 from vstestbed.report.studies.flow import MOTIONS, draw_sphere
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
-from vstestbed.report.video import beside
-from vstestbed.report.video.beside import FilmThread
+from vstestbed.report.video import film as beside
+from vstestbed.report.video.film import FilmThread
 from vstestbed.report.video.quality import Pace
 
 

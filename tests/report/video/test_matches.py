@@ -9,8 +9,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.report.run.figures import features
 from vstestbed.report.run.tracks import Setting, Tracks
-from vstestbed.report.video.matches import GOAL, MEASURED, MatchOverlay, overlay_of
-from vstestbed.report.video.overlay import Overlay
+from vstestbed.report.video.overlay import GOAL, MEASURED, MatchOverlay, Overlay, overlay_of
 
 
 def test_a_match_is_a_point_a_ring_and_a_line():

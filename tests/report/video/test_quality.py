@@ -10,7 +10,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.report.video.film import Film
-from vstestbed.report.video.film_frame import FilmFrame
+from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.report.video.quality import DRAFT, FINE, RAYS, Pace, quality_of
 
 

@@ -9,10 +9,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.report.video.film import replay_of, rows_of
-from vstestbed.report.video.film_frame import FilmFrame
-from vstestbed.report.video.overlay import text_size, text_width
+from vstestbed.report.video.overlay import SHARE, WORDS, FilmFrame, Residual, _label, text_size, text_width
 from vstestbed.report.video.quality import DRAFT
-from vstestbed.report.video.residual import SHARE, WORDS, Residual, _label
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (1280, 720)])

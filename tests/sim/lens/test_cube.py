@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Camera, Catadioptric, Fisheye, Look, Picture, SphericalCamera
-from vstestbed.camera.radial import Radial
+from vstestbed.camera.wide import Radial
 from vstestbed.core.geometry import Array, Pose, direction
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.lens.cube import cube_of
+from vstestbed.sim.render.cube_map import cube_of
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -18,7 +18,7 @@ from vstestbed.sim.scene.world import World
 from vstestbed.targets.markers import Sphere
 from vstestbed.targets.points import Points
 from vstestbed.vision import Blobs
-from vstestbed.vision.detect.track import BlobsMemory
+from vstestbed.vision.blobs import BlobsMemory
 
 LENSES = {
     "equidistant": Fisheye(width=640, height=640),

@@ -11,14 +11,13 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Image, Look, Picture
-from vstestbed.loop.goal_image import take_goal_images
+from vstestbed.loop.plants import take_goal_images
+from vstestbed.scenario.randomise import IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.streams import IMAGING_STREAM
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.imaging import Imaging
-from vstestbed.sim.replay import Replay
-from vstestbed.sim.retake import Retake
+from vstestbed.sim.replay import Replay, Retake
 
 SMALL = {"camera.width": 160, "camera.height": 120}
 LOOK: Look = (((20, 20, 60, 60),),)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Camera, Catadioptric, Fisheye, Image, Perspective, Picture, SphericalCamera
-from vstestbed.core.assets import folder
 from vstestbed.core.geometry import Pose, inverse
+from vstestbed.core.named_files import folder
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.opengl import OpenGLRenderer

@@ -17,13 +17,12 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
-from vstestbed.sim.render import gl_probe as gl
+from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.noise import ImageNoise
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
-from vstestbed.sim.render.ray_view import RaySceneCamera
-from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer
+from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
@@ -32,7 +31,7 @@ from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Sphere, Tag
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs
-from vstestbed.vision.detect.colour_blobs import noise_level
+from vstestbed.vision.colour import noise_level
 
 NONE = np.zeros(0)
 BARREL = (-0.2, 0.05, 0.002, -0.001, 0.0)
@@ -267,7 +266,7 @@ class TestChoice:
 
     @pytest.mark.opengl
     def test_auto_takes_rays_without_opengl_and_gl_does_not(self, arm, monkeypatch: pytest.MonkeyPatch):
-        from vstestbed.sim.render import gl_probe as gl
+        from vstestbed.sim import gl_probe as gl
 
         monkeypatch.setenv("MUJOCO_GL", "disable")
         monkeypatch.setattr(gl, "_lack", [])

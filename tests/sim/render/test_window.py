@@ -10,8 +10,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
-from vstestbed.sim.render.window import REACH, part_round
+from vstestbed.sim.render.opengl import REACH, OpenGLRenderer, SceneCamera, part_round
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 

@@ -16,9 +16,7 @@ from vstestbed.camera import Image, Perspective, Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.scene.clutter import Clutter, Decoy
-from vstestbed.sim.scene.lighting import Light
-from vstestbed.sim.scene.world import World
+from vstestbed.sim.scene.world import Clutter, Decoy, Light, World
 from vstestbed.targets.markers import Disc
 from vstestbed.targets.points import Square
 from vstestbed.vision import Blobs

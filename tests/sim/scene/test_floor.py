@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.robots.flight_reading import FlightReading, descend
+from vstestbed.robots.flight import FlightReading, descend
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant

@@ -16,10 +16,8 @@ from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import refuse
 from vstestbed.sim.render.still import Lamp
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.floor import Floor
-from vstestbed.sim.scene.lighting import Light, WindowPane
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.sim.scene.world import Plate, World
+from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
 from vstestbed.targets.markers import Disc, Tag
 from vstestbed.targets.motion import Line, Sinusoid
 from vstestbed.targets.picture import PictureTarget

@@ -9,7 +9,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.sim.replay import Replay
 from vstestbed.sim.scene.meshes import solids
-from vstestbed.vision.detect.tag_print import PX_PER_MODULE, tag_picture
+from vstestbed.vision.tags import PX_PER_MODULE, tag_picture
 
 SIZES = {"sphere": (".3", 4 / 3 * np.pi * 0.3**3), "box": (".1 .2 .3", 8 * 0.1 * 0.2 * 0.3), "cylinder": (".2 .4", np.pi * 0.04 * 0.8)}
 SIZES |= {"capsule": (".2 .4", np.pi * 0.04 * 0.8 + 4 / 3 * np.pi * 0.008), "ellipsoid": (".1 .2 .3", 4 / 3 * np.pi * 0.006)}

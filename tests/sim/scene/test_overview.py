@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.assets import model_path
 from vstestbed.core.geometry import FLIP, Array, transform
+from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import moved
-from vstestbed.report.run.expected_path import GroundTask, ideal_bicycle_path
+from vstestbed.report.run.tracks import GroundTask, ideal_bicycle_path
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.attach import extent_of
 from vstestbed.sim.scene.compose import Parts, compose

@@ -7,10 +7,10 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, relative
-from vstestbed.robots.reading import Reading
+from vstestbed.robots.base import Reading
 from vstestbed.sim.build import build_plant, scene_files
+from vstestbed.sim.plant import LeadVehicle
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.lead_vehicle import LeadVehicle
 from vstestbed.sim.scene.overview import WIDE_PICTURE, eye_for
 from vstestbed.sim.scene.stage import Stage
 

@@ -12,8 +12,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.planar import place_of
-from vstestbed.robots.car import Car, CarLimits
-from vstestbed.robots.car_body import CarParameters
+from vstestbed.robots.car import Car, CarLimits, CarParameters
 from vstestbed.robots.ground import GroundStart
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.tyres import Tyres

@@ -16,7 +16,7 @@ from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection
-from vstestbed.vision.detect.colour_blobs import noise_level
+from vstestbed.vision.colour import noise_level
 
 CAMERA = Perspective()  # 640 x 480, f = 384 px
 RNG = np.random.default_rng(0)

@@ -16,17 +16,15 @@ from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation, Sight
-from vstestbed.laws.carry import carried_markers
 from vstestbed.laws.feedforward import KalmanCV
 from vstestbed.laws.following import Followed, change_of_markers
+from vstestbed.laws.points import carried_markers
 from vstestbed.laws.solve import PSEUDO_INVERSE
-from vstestbed.loop.unseen import detail
-from vstestbed.vision import Keypoints
-from vstestbed.vision.detect import keypoints
-from vstestbed.vision.match.features import Orb, extracted
-from vstestbed.vision.match.flow import Klt
-from vstestbed.vision.match.slots import Slots
-from vstestbed.vision.pose.flow_depth import FlowMemory
+from vstestbed.loop.controller import detail
+from vstestbed.vision import Keypoints, keypoints
+from vstestbed.vision.keypoints import Klt, Slots
+from vstestbed.vision.local_features import Orb, extracted
+from vstestbed.vision.observe import FlowMemory
 
 T_GOAL = np.eye(4)
 T_GOAL[2, 3] = 0.61

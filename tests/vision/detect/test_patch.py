@@ -19,9 +19,7 @@ from vstestbed.sim.scene.world import Plate
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.targets.points import Square
 from vstestbed.vision import Detection, PatchDetector
-from vstestbed.vision.detect.esm import normalised
-from vstestbed.vision.detect.patch import PatchMemory
-from vstestbed.vision.detect.template import template_of
+from vstestbed.vision.patch import PatchMemory, normalised, template_of
 
 RNG = np.random.default_rng(0)
 

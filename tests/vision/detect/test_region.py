@@ -16,10 +16,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features.observation import Goal
 from vstestbed.targets import Ball, Shape, Square, Target
-from vstestbed.targets.figures import FIGURES
-from vstestbed.targets.polygons import centroid, signed_area
+from vstestbed.targets.regions import FIGURES, centroid, signed_area
 from vstestbed.vision import Detection, RegionDetector
-from vstestbed.vision.detect.edges import bare_share, edge_points
+from vstestbed.vision.region import bare_share, edge_points
 
 CAMERA = Perspective(width=320, height=240, fovy_deg=60, multisampling=4)
 RNG = np.random.default_rng(0)

@@ -18,7 +18,7 @@ from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Disc, Family, Marker, Tag
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection, Tags
-from vstestbed.vision.detect.tag_print import dictionary, tag_picture
+from vstestbed.vision.tags import dictionary, tag_picture
 
 RNG = np.random.default_rng(0)
 
@@ -198,7 +198,7 @@ def test_no_target(scene_picture: TakeScene) -> None:
 
 
 def test_windows_say_what_the_whole_picture_says(scene_picture: TakeScene, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vstestbed.vision.detect import tags as module
+    from vstestbed.vision import tags as module
 
     target, tags, looked = _square(side=0.4), Tags(), []
     read = module._read

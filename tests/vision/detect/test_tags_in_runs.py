@@ -10,9 +10,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ScenarioError
-from vstestbed.experiments.run_folder import new_folder, run_into
+from vstestbed.studies.run_folder import new_folder, run_into
 from vstestbed.targets.markers import Tag
-from vstestbed.vision.detect.tag_print import tag_picture
+from vstestbed.vision.tags import tag_picture
 
 
 def test_the_arm_converges_and_its_model_loads_alone(tmp_path: Path) -> None:
@@ -36,7 +36,7 @@ def test_a_run_that_cannot_start_leaves_no_assets(tmp_path: Path, monkeypatch: p
     def broken(*_: object, **__: object) -> None:
         raise EnvironmentLackError("no OpenGL", "get some")
 
-    monkeypatch.setattr("vstestbed.loop.plant_of.build_plant", broken)
+    monkeypatch.setattr("vstestbed.loop.plants.build_plant", broken)
     with pytest.raises(EnvironmentLackError):
         run_into(new_folder(vs.load("arm_tags"), tmp_path / "run"), vs.load("arm_tags"), "none")
     assert not (tmp_path / "run").exists()

@@ -12,7 +12,7 @@ from vstestbed.targets.base import Target
 from vstestbed.targets.markers import Sphere
 from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Oracle, TruthView
-from vstestbed.vision.detect.track import BlobsMemory, hand_over, look_of
+from vstestbed.vision.blobs import BlobsMemory, hand_over, look_of
 
 RNG = np.random.default_rng(0)
 CAMERA = SphericalCamera(width=640, height=640)

@@ -12,12 +12,8 @@ import vstestbed as vs
 from tests.vision.match.views import CAMERA, goal, homography_of, picture_by, places
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import ROOMS, SPECS
-from vstestbed.vision.match.features import Akaze, Orb, Sift, extracted, grey, matched
-from vstestbed.vision.match.flow import Klt, followed
-from vstestbed.vision.match.mutual import mutual_matches
-from vstestbed.vision.match.patches import refined, smooth
-from vstestbed.vision.match.planar_map import planar_map, spread_out
-from vstestbed.vision.match.slots import Slots
+from vstestbed.vision.keypoints import Klt, Slots, followed, planar_map, refined, smooth, spread_out
+from vstestbed.vision.local_features import Akaze, Orb, Sift, extracted, grey, matched, mutual_matches
 
 TURNED = homography_of((0.05, -0.04, -0.65), (6, -10, 120))
 ROUGH = {"sift": 0.25, "orb": 1.3}

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective
-from vstestbed.core.assets import folder
-from vstestbed.core.geometry import Array
-from vstestbed.core.rpy import rotation_from_rpy
+from vstestbed.core.geometry import Array, rotation_from_rpy
+from vstestbed.core.named_files import folder
 
 WIDTH, HEIGHT, FINER = 320, 240, 3
 FOVY_DEG = 51.1

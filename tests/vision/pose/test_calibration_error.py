@@ -10,7 +10,7 @@ import pytest
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose, rigid_error, transform
 from vstestbed.targets import Points
-from vstestbed.vision.pose.calibration_error import pose_by_depth, shown_goal
+from vstestbed.vision.observe import pose_by_depth, shown_goal
 
 SQUARE = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 T = Pose(xyz=(0.1, -0.05, 1.2), rpy_deg=(10, 20, 30)).T

@@ -7,7 +7,7 @@ import pytest
 
 from vstestbed.core.geometry import Pose
 from vstestbed.core.planar import pose_on_ground
-from vstestbed.vision.pose.dead_reckoning import corrections, fused_place
+from vstestbed.vision.floor_pose import corrections, fused_place
 
 MOUNT = Pose(xyz=(0.4, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T
 GAINS = np.array([0.25, 0.5])

@@ -5,7 +5,7 @@ import pytest
 
 from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.geometry import Pose, exp
-from vstestbed.vision.pose.derotate import NO_TRIM, level_from_tilt, level_rays, level_twist, trimmed
+from vstestbed.vision.derotate import NO_TRIM, level_from_tilt, level_rays, level_twist, trimmed
 
 DOWN = Pose(xyz=(0.0, 0.0, 0.0), rpy_deg=(180, 0, 0))
 ROUND = SphericalCamera(width=640, height=640, mount=DOWN)

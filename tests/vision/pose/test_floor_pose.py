@@ -7,8 +7,8 @@ import pytest
 
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.planar import pose_on_ground
-from vstestbed.vision.pose import floor_pose
-from vstestbed.vision.pose.floor_pose import solve_place
+from vstestbed.vision import floor_pose
+from vstestbed.vision.floor_pose import solve_place
 
 AT_THE_MIDDLE = Pose(xyz=(0, 0, 0.5)).T
 FORWARD = Pose(xyz=(0.2, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vstestbed.features.depth import Estimate
-from vstestbed.vision.pose.flow_depth import FlowMemory, init_flow, update_flow
+from vstestbed.vision.observe import FlowMemory, init_flow, update_flow
 
 SETTINGS = Estimate(initial_m=2.0, forget_s=0.4)
 

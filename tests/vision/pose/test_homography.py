@@ -7,7 +7,7 @@ import pytest
 
 from vstestbed.core.geometry import Array, Pose, exp, rotation_angle, transform
 from vstestbed.targets.points import Square
-from vstestbed.vision.pose.homography import homography, left_open, relative_view
+from vstestbed.vision.homography import homography, left_open, relative_view
 
 POINTS = Square(side=0.5, pose=Pose()).points
 GOAL = Pose(xyz=(0.05, 0.02, 1), rpy_deg=(5, -10, 3)).T

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
-from vstestbed.vision.pose.planar import planar_poses
+from vstestbed.vision.pnp import planar_poses
 
 SQUARE = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 FIVE = np.array([[0.3, 0, 0], [0.1, 0.25, 0], [-0.2, 0.15, 0], [-0.25, -0.1, 0], [0.05, -0.3, 0]])

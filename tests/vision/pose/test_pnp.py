@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
-from vstestbed.vision import solve_pose, solve_pose_from_rays
-from vstestbed.vision.pose import pnp
+from vstestbed.vision import pnp, solve_pose, solve_pose_from_rays
 
 SQUARE = np.array([[-0.25, -0.25, 0], [0.25, -0.25, 0], [0.25, 0.25, 0], [-0.25, 0.25, 0]])
 HOUSE = np.vstack([SQUARE, [[0.0, 0.0, 0.2], [0.1, 0.0, 0.3]]])

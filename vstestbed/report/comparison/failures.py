@@ -13,7 +13,7 @@ from typing import Final
 
 from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.summary_text import runs
-from vstestbed.report.html.parts import data_url
+from vstestbed.report.html.template import data_url
 
 PICTURES: Final = 24
 PICTURE_BYTES: Final = 4_000_000

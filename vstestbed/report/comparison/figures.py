@@ -8,21 +8,111 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import ComparisonResults
-from vstestbed.report.comparison.pairs import Pair
-from vstestbed.report.comparison.series import Series
+from vstestbed.loop.log_file import open_log
+from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
+from vstestbed.report.comparison.pairs import TIME, Pair
+from vstestbed.report.comparison.statistics import LEAST, spread, wilson
 from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, printable
 from vstestbed.report.run.tracks import MeasuredError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+# The error in the image of many runs over time, resampled to one time grid.
+#
+# Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
+
+
+INSTANTS = 240
+"""Points of the time grid: more than can be resolved in one panel of a figure."""
+SAMPLED, LEAST_SAMPLED = 2000, 20
+"""Logs that are read in all, shared among the controllers, and fewest of each: to read one takes a millisecond."""
+_FAR = 1e30
+"""Error that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """RMS image error of every run over time.
+
+    Attributes:
+        t: the common time grid, shape (G,) [s].
+        errors: of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for runs without a log.
+        sampled: of so many first runs of each controller; None: of all.
+        measured: which error it is of each controller, with the threshold.
+    """
+
+    t: Array
+    errors: tuple[NDArray[np.float32], ...]
+    sampled: int | None = None
+    measured: tuple[MeasuredError, ...] = ()
+
+    def units(self) -> dict[MeasuredError, list[int]]:
+        """The controllers that are measured in the same, by number."""
+        found: dict[MeasuredError, list[int]] = {}
+        for i, error in enumerate(self.measured):
+            found.setdefault(error, []).append(i)
+        return found
+
+    def quartiles(self, controller: int) -> Array:
+        """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs have lost the target.
+
+        A run without target ranks behind every run that sees it. If such runs were left out, a controller that loses its worst
+        runs would look better than one that keeps them in view.
+        """
+        errors = self.errors[controller].astype(float)
+        if not len(errors):
+            return np.full((3, len(self.t)), np.inf)
+        quartiles = np.quantile(np.where(np.isfinite(errors), errors, _FAR), [0.25, 0.5, 0.75], axis=0)
+        return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)  # also where _FAR was only a part of the interpolation
+
+
+def read_series(folder: Path, comparison: ComparisonResults, measured: Sequence[MeasuredError] = ()) -> Series:
+    """Read the errors of the runs of a comparison, of very many the first of each controller; after its end a run holds its last value.
+
+    Args:
+        folder: the comparison's folder; the table's column `folder` is relative to it.
+        comparison: the comparison. measured: which error of each controller; by default that of markers.
+
+    Raises:
+        RunFolderError: a log is damaged.
+    """
+    # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
+    longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
+    t = np.linspace(0, longest if isinstance(longest, float) and longest > 0 else 1.0, INSTANTS)
+    most = max(SAMPLED // max(len(comparison.controllers), 1), LEAST_SAMPLED)
+    measured = tuple(measured) or (MeasuredError(),) * len(comparison.controllers)
+    of_controllers = []
+    for controller, error in zip(comparison.controllers, measured, strict=True):
+        places = controller.runs["folder"].head(most).to_list()  # the first, not a random choice: the same page from the same table
+        errors = np.full((len(places), len(t)), np.nan, dtype=np.float32)  # single precision halves the memory of large comparisons
+        for i, place in enumerate(places):
+            errors[i] = _resampled(folder / str(place) / "log.parquet", error.column, t)
+        of_controllers.append(errors)
+    sampled = most if any(len(c.runs) > most for c in comparison.controllers) else None
+    return Series(t, tuple(of_controllers), sampled, measured)
+
+
+def _resampled(path: Path, column: str, t: Array) -> Array:
+    """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere where there is no log."""
+    if not path.is_file():  # of a run that crashed
+        return np.full(len(t), np.nan)
+    blocks = list(open_log(path.parent).blocks(("t", column)))
+    # 1e-9 s: a grid point that rounding has put just before its frame belongs to that frame
+    times, error = (np.concatenate([np.empty(0), *(block[name] for block in blocks)]) for name in ("t", column))
+    frame = np.searchsorted(times, t + 1e-9, side="right") - 1
+    return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)
+
 
 THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
@@ -246,3 +336,207 @@ def _size() -> float:
     import matplotlib
 
     return float(matplotlib.rcParams["axes.labelsize"])
+
+
+# Strip plots of a comparison's metrics: the runs of each controller as points, with median and quartiles, failures below.
+
+
+POINTS = 1500
+"""Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG."""
+LOG_RATIO = 30.0
+"""Ratio of the largest to the smallest value above which a panel is logarithmic."""
+
+
+def distributions(data: Data, width_in: float) -> Figure:
+    """One panel per metric, one row per controller; failed runs as red crosses below the row, arrows at the edge if outside the limits."""
+    names = [wrapped(label) for label in data.labels]
+    height = 0.27 * sum(name.count("\n") + 1 for name in names) + 0.15 * len(names) + 0.95
+    grid, figure = metric_panels(data, width_in, height, 5, names)
+    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+        limits = _set_limits(axes, data, metric)
+        for i, controller in enumerate(data.comparison.controllers):
+            _draw_strip(axes, i, controller, metric, limits, POINTS // len(names))
+    return figure
+
+
+def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
+    """Set scale and limits from the runs that reached the goal (from all where few did): failures may lie far outside."""
+    known, used = _values_for_limits(data, metric)
+    if not len(used):
+        axes.set_xlim(0, 1)
+        axes.set_xticks([])
+        return 0.0, 1.0
+    if used.min() > 0 and used.max() > LOG_RATIO * used.min():
+        axes.set_xscale("log")
+        # no labels at minor ticks: the panels are narrow
+        axes.xaxis.set_minor_formatter("")
+        low, high = _log_limits(used, known)
+    else:
+        low, high = _linear_limits(used, known)
+    axes.set_xlim(low, high)
+    return float(low), float(high)
+
+
+def _values_for_limits(data: Data, metric: Metric) -> tuple[Array, Array]:
+    """All finite values of a metric, and those of them that set the limits."""
+    values = [c.values(metric) for c in data.comparison.controllers]
+    reached = np.concatenate([v[c.success] for v, c in zip(values, data.comparison.controllers, strict=True)])
+    known = np.concatenate(values)
+    known, reached = known[np.isfinite(known)], reached[np.isfinite(reached)]
+    return known, reached if len(reached) >= max(5, len(known) // 3) else known
+
+
+def _log_limits(used: Array, known: Array) -> tuple[float, float]:
+    """Limits with a margin of 6 % of the decades that `used` spans; 36 % above where larger values need room for their arrows."""
+    margin = (used.max() / used.min()) ** 0.06
+    return used.min() / margin, used.max() * (margin**6 if known.max() > used.max() else margin)
+
+
+def _linear_limits(used: Array, known: Array) -> tuple[float, float]:
+    """Limits with a margin of 6 % of the span of `used`; 40 % on a side where values outside need room for their arrows."""
+    span = float(np.ptp(used)) or abs(float(used[0])) or 1.0  # all equal: the value itself is the scale
+    low, high = used.min() - 0.06 * span, used.max() + (0.4 if known.max() > used.max() else 0.06) * span
+    return min(low, used.min() - 0.4 * span) if known.min() < used.min() else low, high
+
+
+def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Metric, limits: tuple[float, float], most: int) -> None:
+    """The runs of a controller as points in its row, the quartiles as a bar, and right of the panel the number of runs without a value."""
+    values = controller.values(metric)
+    known = np.isfinite(values)
+    # the first runs, not a random choice: the same page from the same table
+    shown = known & (np.cumsum(known) <= most)
+    # vertical jitter separates equal values; seeded, so that the page is reproducible
+    jitter = np.random.default_rng(row).uniform(-0.16, 0.16, len(values))
+    color = look(row)["color"]
+    reached = shown & controller.success
+    axes.plot(values[reached], row - 0.08 + jitter[reached], ".", color=color, markersize=3.5, alpha=0.6, markeredgewidth=0)
+    _draw_failures(axes, values[shown & ~controller.success], row + 0.27, limits)
+    summary = spread(controller.counted(metric))
+    if summary.n:
+        axes.plot([summary.q1, summary.q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
+        axes.plot(summary.median, row - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
+    missing = int((~known).sum())
+    if missing:
+        axes.text(1.01, row + 0.27, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
+
+
+def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, float]) -> None:
+    """Failed runs in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies."""
+    low, high = limits
+    edge = 0.03  # of the panel's width
+    places: tuple[tuple[NDArray[np.bool_], str, float | None], ...] = (
+        ((values >= low) & (values <= high), "x", None),
+        (values > high, ">", 1 - edge),
+        (values < low, "<", edge),
+    )
+    for which, mark, at in places:
+        if at is None:
+            axes.plot(values[which], [y] * which.sum(), mark, color=LOST, markersize=3.5, markeredgewidth=0.9)
+        elif which.any():
+            axes.plot(at, y, mark, color=LOST, markersize=3.5, transform=axes.get_yaxis_transform())
+
+
+# Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
+
+
+STEPS: Final = 300
+"""Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG."""
+COLUMNS: Final = 5
+"""Most panels side by side."""
+LOG_PERCENTILES: Final = 30.0
+"""Ratio of the 98th to the 2nd percentile of the values above which an axis is logarithmic."""
+
+
+def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:
+    """Values tau in ascending order of badness and the share of runs that are as good or better, both shape (M,), and the number of runs.
+
+        share(tau) = #{runs with x <= tau} / n        (x >= tau for a metric of which more is better)
+
+    Failed runs never are (`ControllerResults.ranked`), so that the last share is that of the runs that did not fail. Of many values
+    STEPS are kept.
+
+    Reference: Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal et al. 2021, arXiv:2108.13264.
+    """
+    ranked = controller.ranked(metric)
+    ranked = ranked[~np.isnan(ranked)]
+    n = len(ranked)
+    ordered = np.sort(ranked[np.isfinite(ranked)])
+    last = np.flatnonzero(np.diff(ordered, append=np.inf) > 0)  # of equal values the last: its share is that of all of them
+    kept = last if len(last) <= STEPS else last[np.linspace(0, len(last) - 1, STEPS).round().astype(int)]
+    return (-ordered if metric.higher else ordered)[kept], (kept + 1) / max(n, 1), n
+
+
+def success(data: Data, width_in: float) -> Figure:
+    """Performance profile of the time to converge: the share of runs that have converged, over time, with its band."""
+    figure = new_figure(0.58 * width_in + legend_height_in(data), width_in)
+    axes = figure.add_subplot()
+    end = float(data.series.t[-1])
+    _draw(axes, data, TIME, (0.0, end))
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("converged [%]")
+    legend(figure, data)
+    return figure
+
+
+def profiles(data: Data, width_in: float) -> Figure | None:
+    """Performance profile of each other metric that any run has, one panel each; None without one, or where its values are all equal."""
+    shown = [m for m in data.comparison.shown if m.name != TIME.name and _differs(data, m)]
+    if not shown:
+        return None
+    rows = -(-len(shown) // COLUMNS)
+    columns = -(-len(shown) // rows)  # rows of equal length: 6 panels are 3 + 3, not 5 + 1
+    figure = new_figure((0.9 * width_in / max(columns, 3) + 0.25) * rows + legend_height_in(data) + 0.1, width_in)
+    grid = list(np.ravel(figure.subplots(rows, columns, sharey=True, squeeze=False)))
+    for axes in grid[len(shown) :]:
+        axes.set_visible(False)
+    for axes, metric in zip(grid, shown, strict=False):
+        _draw(axes, data, metric, _limits(axes, data, metric))
+        axes.set_xlabel(wrapped(metric.label, 18))
+        if axes.get_xscale() == "linear":
+            axes.locator_params(axis="x", nbins=3)
+            axes.xaxis.set_major_formatter("{x:g}")
+    figure.supylabel("runs [%]", fontsize=grid[0].xaxis.label.get_size())
+    legend(figure, data)
+    return figure
+
+
+def _differs(data: Data, metric: Metric) -> bool:
+    """Whether the runs have different values of a metric: one value alone says no more than the success rate."""
+    found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
+    return len(found) > 0 and bool(np.ptp(found) > LEAST)
+
+
+def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
+    """Ends of the axis from the best to the worst value, in that order; logarithmic where the values span decades."""
+    found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
+    low, high = float(found.min()), float(found.max())
+    common, rare = np.quantile(found, [0.02, 0.98])
+    if low > 0 and rare > LOG_PERCENTILES * common:
+        axes.set_xscale("log")
+        axes.xaxis.set_minor_formatter("")
+        margin = (high / low) ** 0.04
+        low, high = low / margin, high * margin
+    else:
+        margin = 0.04 * (high - low or abs(high) or 1.0)
+        low, high = low - margin, high + margin
+    return (high, low) if metric.higher else (low, high)
+
+
+def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> None:
+    """Each controller's profile as steps between the ends of the axis, with its pointwise 95 % band (Wilson) for up to BANDS of them.
+
+    The band begins at the first value. The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no
+    width where all runs are as good.
+    """
+    controllers = data.comparison.controllers
+    for i, controller in enumerate(controllers):
+        tau, share, n = profile(controller, metric)
+        if not n:
+            continue
+        x, y = np.concatenate([ends[:1], tau, ends[1:]]), np.concatenate([[0.0], share, share[-1:] if len(share) else [0.0]])
+        if len(tau) and len(controllers) <= BANDS:
+            low, high = wilson(y[1:], n)
+            axes.fill_between(x[1:], 100 * low, 100 * high, step="post", color=look(i)["color"], alpha=0.15, linewidth=0)
+        axes.step(x, 100 * y, where="post", **look(i))
+    axes.set_xlim(*ends)
+    axes.set_ylim(0, 104)

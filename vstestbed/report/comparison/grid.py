@@ -10,10 +10,9 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric, value_text
-from vstestbed.report.comparison.differences import FEWEST, Difference, paired_difference
 from vstestbed.report.comparison.figures import Data, wrapped
 from vstestbed.report.comparison.pairs import CHANCE, TIME
-from vstestbed.report.comparison.statistics import holm
+from vstestbed.report.comparison.statistics import FEWEST_PAIRS, Difference, holm, paired_difference
 from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ def real(changes: Mapping[Place, Difference]) -> set[Place]:
 
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
     """
-    adjusted = holm([d.p if d.n >= FEWEST else np.nan for d in changes.values()])
+    adjusted = holm([d.p if d.n >= FEWEST_PAIRS else np.nan for d in changes.values()])
     return {at for at, p in zip(changes, adjusted, strict=True) if p <= CHANCE}
 
 

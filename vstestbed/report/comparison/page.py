@@ -2,39 +2,112 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import polars as pl
 
+from vstestbed.core.errors import ScenarioError
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.comparison import baseline_section, profiles, robust_tables, strip_plots, summary_text
+from vstestbed.report.comparison import baseline, summary_text, tables
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import figures as comparison_figures
+from vstestbed.report.comparison import figures as profiles
+from vstestbed.report.comparison import figures as strip_plots
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison import tables as comparison_tables
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
-from vstestbed.report.comparison.figures import PANELS, Data
-from vstestbed.report.comparison.interquartile import Interquartile, interquartiles
-from vstestbed.report.comparison.pairs import Pair, pairs
-from vstestbed.report.comparison.records import write_records
-from vstestbed.report.comparison.series import Series, read_series
-from vstestbed.report.comparison.settings import gains_alone
+from vstestbed.report.comparison.figures import PANELS, Data, Series, read_series
+from vstestbed.report.comparison.pairs import Pair, pairs, write_records
+from vstestbed.report.comparison.statistics import Interquartile, interquartiles
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
-from vstestbed.report.html.notebook import cell
-from vstestbed.report.html.parts import figure, film
-from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.html.template import PAGE, STYLE, cell, figure, film
 from vstestbed.report.run import numbers
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.load import load
+from vstestbed.scenario.yaml_marks import plain_mapping
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+# In which fields of their scenarios the controllers of a comparison differ.
+
+
+UNCOMPARED = ("name", "description", "seed", "plugins")
+"""Fields that change nothing of an experiment, or differ between seeds."""
+MISSING = object()
+"""Stands for a field that a scenario does not have."""
+
+
+def differing(scenarios: Sequence[Path]) -> tuple[str, ...]:
+    """Dotted names of the fields in which scenario files differ, sorted; empty where one of them cannot be read."""
+    try:
+        return tuple(sorted(set[str]().union(*_from_first(scenarios))))
+    except (OSError, UnicodeError, ScenarioError):
+        return ()
+
+
+def _from_first(scenarios: Iterable[Path]) -> Iterator[set[str]]:
+    """The fields in which each scenario file differs from the first."""
+    first: dict[str, object] | None = None
+    for path in scenarios:
+        fields = {name: value for name, value in _flat(_scenario(path)) if name.split(".")[0] not in UNCOMPARED}
+        first = fields if first is None else first
+        yield {name for name in first.keys() | fields.keys() if fields.get(name, MISSING) != first.get(name, MISSING)}
+
+
+def only_gains(fields: Iterable[str]) -> bool:
+    """Whether all these fields are gains of the law: `law.gain`, `law.gain.at_zero`, `law.gain_z`, `law.k_rho`."""
+    names = list(fields)
+    return bool(names) and all(
+        name.startswith("law.") and any("gain" in part or part.startswith("k_") for part in name.split(".")) for name in names
+    )
+
+
+def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
+    """The gains in which controllers differ that differ in nothing else, in words; "" for others, or where a scenario cannot be read.
+
+    The first run of each controller stands for all of its seeds. Reading ends at the first difference that is no gain: to read a scenario
+    takes 50 ms.
+
+    Args:
+        folder: the comparison's folder. comparison: its results.
+    """
+    found: set[str] = set()
+    try:
+        for fields in _from_first(folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers):
+            if fields and not only_gains(fields):
+                return ""
+            found |= fields
+    except (OSError, UnicodeError, ScenarioError):
+        return ""
+    return in_words(found)
+
+
+def in_words(gains: Iterable[str]) -> str:
+    """Names of gains in a sentence: `law.gain and law.k_rho`."""
+    names = list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains)))  # a constant gain may be written as a number
+    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _scenario(path: Path) -> Any:
+    return plain_mapping(path.read_text(encoding="utf-8"), str(path), "")[0]
+
+
+def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
+    """Every scalar of nested mappings and lists with its dotted name."""
+    if isinstance(value, dict | list) and value:
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _flat(inner, f"{name}.{key}" if name else str(key))
+    else:
+        yield name, value
+
 
 FILM_BYTES: Final = 8_000_000
 """A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB."""
@@ -95,7 +168,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "profiles",
         "Performance profiles",
         "Share of all runs that are as good as the value on the axis, or better; the good end is on the left. "
-        f"{robust_tables.FAILED}: a curve ends at the share of those that did. Bands as above.",
+        f"{tables.FAILED}: a curve ends at the share of those that did. Bands as above.",
         2,
         profiles.profiles,
     ),
@@ -143,7 +216,7 @@ def write_comparison_report(
     figures = _all_figures(folder, comparison, all_pairs, plugins, call)
     body = [
         summary_text.headline(comparison, all_pairs, gains_alone(folder, comparison)),
-        baseline_section.section(folder),
+        baseline.section(folder),
         *_tables(comparison, means, all_pairs),
         f"<section><h2>Figures</h2>{figures}</section>",
         _film(result_of(film) if isinstance(film, Future) else film),
@@ -183,9 +256,9 @@ def _tables(comparison: ComparisonResults, means: Sequence[Mapping[str, Interqua
     """The controllers' numbers and how they differ."""
     return (
         comparison_tables.controllers(comparison),
-        robust_tables.interquartile_means(comparison, means),
+        tables.interquartile_means(comparison, means),
         comparison_tables.differences(comparison, all_pairs),
-        robust_tables.improvements(comparison, all_pairs),
+        tables.improvements(comparison, all_pairs),
     )
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+import polars as pl
 
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import MOST_CONTROLLERS, SUCCESS, Pair, against, tests
-from vstestbed.report.comparison.statistics import spread, success_rate
+from vstestbed.report.comparison.pairs import CONTROLLERS, MOST_CONTROLLERS, PAIRS, SUCCESS, Pair, against, tests
+from vstestbed.report.comparison.statistics import Interquartile, spread, success_rate
 from vstestbed.report.comparison.summary_text import p_text, signed
-from vstestbed.report.run.numbers import number
+from vstestbed.report.run.numbers import number, plain
 
 Cell = tuple[float | str | None, str]
 """Sort key of a table cell (None sorts last), and its HTML."""
@@ -200,3 +204,146 @@ if (reference) {
   show();
 }
 </script>"""
+
+
+# HTML tables of what counts every run, also failed ones: interquartile means, and how probably one controller is better than another.
+
+
+FAILED = "A run that did not reach the goal counts as worse than any that did"
+NEVER = "fails"
+"""Stands for an infinite mean or end of an interval: so many runs failed."""
+
+
+def interquartile_means(comparison: ComparisonResults, means: Sequence[Mapping[str, Interquartile]]) -> str:
+    """One row per controller: the interquartile mean of each metric over all its runs, with its interval; means: `interquartiles`."""
+    heads = ["Controller", *(f"{m.label} {_arrow(m)}" for m in comparison.shown)]
+    every = zip(comparison.controllers, means, strict=True)
+    lines = [[(c.label, escape(c.label)), *(_iqm(found[m.name], len(c.runs)) for m in comparison.shown)] for c, found in every]
+    strata = ", resampled within each task" if any(any(c.tasks) for c in comparison.controllers) else ""
+    note = (
+        f"Mean of the middle half of all runs, with its 95 % bootstrap interval{strata}; ↓: less is better, ↑: more is better. "
+        f"{FAILED}{_but(comparison)}: where more than a quarter of the runs failed, the mean “{NEVER}”, and where so many could have, "
+        "an end of its interval does. A run that reached the goal without having the number is left out."
+    )
+    return f'<section><h2>Interquartile means</h2>{table(heads, lines)}<p class="soft">{note}</p></section>'
+
+
+def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
+    """Tables of the probability of improvement, one for each reference controller; empty for a single controller."""
+    labels = labels_of(comparison)
+    if len(labels) < 2:
+        return ""
+    parts = [_improvements(comparison, against(all_pairs, i), labels, i) for i in references(labels)]
+    note = (
+        "How probably the controller of the line is better than the other from the same start: the share of the common seeds on which it "
+        f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal. "
+        "Bold with a dot: p, of the sign test and corrected as above, is at most 0.05. This test is exact however skewed the numbers are."
+    )
+    return f'<section><h2>Probability of improvement</h2>{"".join(parts)}<p class="soft">{note}</p></section>'
+
+
+def _but(comparison: ComparisonResults) -> str:
+    """The metrics for which a failed run counts with its own number."""
+    names = [m.title for m in comparison.shown if m.every_pair]
+    return f" (but with its own number for {', '.join(names)})" if names else ""
+
+
+def _arrow(metric: Metric) -> str:
+    return "↑" if metric.higher else "↓"
+
+
+def _iqm(found: Interquartile, runs: int) -> Cell:
+    if not found.n:
+        return None, "–"
+    interval = "no interval" if math.isnan(found.low) else f"[{_bound(found.low)}, {_bound(found.high)}]"
+    count = below(f"n = {found.n}") if found.n < runs else ""
+    return found.mean if math.isfinite(found.mean) else None, f"{_bound(found.mean)} {below(interval)}{count}"
+
+
+def _bound(value: float) -> str:
+    return number(value) if math.isfinite(value) else NEVER
+
+
+def _improvements(comparison: ComparisonResults, these: list[Pair], labels: list[str], reference: int) -> str:
+    heads = [f"Better than {labels[reference]}", *(f"{m.label} {_arrow(m)}" for m in comparison.shown)]
+    lines = [[(labels[p.b], escape(labels[p.b])), *(_improvement(p, m) for m in comparison.shown)] for p in these]
+    return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
+
+
+def _improvement(pair: Pair, metric: Metric) -> Cell:
+    found = pair.improvements[metric.name]
+    if not found.n:
+        return None, "–"
+    count = below(f"n = {found.n}") if found.n < pair.seeds else ""
+    text, interval = f"{100 * found.share:.0f} %", below(f"[{100 * found.low:.0f}, {100 * found.high:.0f}]")
+    p = below(corrected(pair.adjusted[metric.name, "improvement"]))
+    return found.share, f"{real(text) if pair.is_real(metric.name, 'improvement') else text} {interval}{p}{count}"
+
+
+# The statistics of a comparison in a few lines for the terminal: success, interquartile mean, difference from the first controller.
+
+
+MOST: Final = 12
+"""Most controllers that are listed."""
+
+
+def statistics_text(folder: Path) -> str:
+    """A line for each controller, of the first metric that is shown; "" for a single controller, or without a report.
+
+    A star: significant after Holm's correction for all tests of the report.
+    """
+    if not (folder / f"{CONTROLLERS}.parquet").is_file():
+        return ""
+    every, pairs = (pl.read_parquet(folder / f"{name}.parquet") for name in (CONTROLLERS, PAIRS))
+    if not len(pairs):
+        return ""
+    lines = _lines(every, pairs)
+    widths = [max(map(len, column)) for column in zip(*lines[: MOST + 1], strict=True)]
+    text = ["  " + "  ".join(map(str.ljust, line, widths)).rstrip() for line in lines[: MOST + 1]]
+    if (more := len(lines) - 1 - MOST) > 0:
+        text.append(f"  and {more} more in report.html")
+    if any(line.endswith("*") or "* " in line for line in text):
+        text.append("  *: differs from the first, p <= 0.05 after Holm's correction")
+    return "\n".join(text)
+
+
+def _lines(every: pl.DataFrame, pairs: pl.DataFrame) -> list[tuple[str, str, str, str]]:
+    """Head and a line for each controller."""
+    first = every.row(0, named=True)
+    rows = every.filter(pl.col("metric") == first["metric"]).rows(named=True)
+    of = {(row["controller"], row["metric"]): row for row in pairs.filter(pl.col("against") == first["controller"]).rows(named=True)}
+    head = ("", "reached", _title(first), f"against {first['controller']}")
+    return [head, *(_line(row, of.get((row["controller"], first["metric"])), of.get((row["controller"], SUCCESS))) for row in rows)]
+
+
+def _line(row: dict[str, Any], difference: dict[str, Any] | None, success: dict[str, Any] | None) -> tuple[str, str, str, str]:
+    """Label, successes, interquartile mean, difference from the first controller."""
+    return row["controller"], f"{row['succeeded']} of {row['runs']}{_star(success)}", _mean(row), _plain_difference(difference)
+
+
+def _title(row: dict[str, Any]) -> str:
+    unit = f" [{row['unit']}]" if row["unit"] else ""
+    return f"{row['title'].lower()}{unit}, IQM"
+
+
+def _star(row: dict[str, Any] | None) -> str:
+    return "*" if row and row["significant"] else ""
+
+
+def _mean(row: dict[str, Any]) -> str:
+    if row["iqm"] is None:
+        return "-"
+    interval = "" if row["iqm_low"] is None else f" [{_plain_bound(row['iqm_low'])}, {_plain_bound(row['iqm_high'])}]"
+    return _plain_bound(row["iqm"]) + interval
+
+
+def _plain_bound(value: float) -> str:
+    return plain(value) if math.isfinite(value) else NEVER
+
+
+def _plain_difference(row: dict[str, Any] | None) -> str:
+    if row is None or row["difference"] is None:
+        return ""
+    interval = "" if row["low"] is None else f" [{signed(row['low'])}, {signed(row['high'])}]"
+    # a hyphen: not every terminal has the minus sign
+    return (signed(row["difference"]) + interval + _star(row)).replace("\N{MINUS SIGN}", "-")

@@ -18,17 +18,15 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.comparison import baseline_section, robust_tables
+from vstestbed.report.comparison import baseline
 from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import tables as comparison_tables
+from vstestbed.report.comparison import tables as robust_tables
 from vstestbed.report.comparison.columns import TASK, ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.interquartile import interquartiles
-from vstestbed.report.comparison.pairs import pairs
-from vstestbed.report.comparison.records import write_records
-from vstestbed.report.comparison.statistics import success_rate
+from vstestbed.report.comparison.pairs import pairs, write_records
+from vstestbed.report.comparison.statistics import interquartiles, success_rate
 from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
-from vstestbed.report.html.parts import figure
-from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.html.template import PAGE, STYLE, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -249,7 +247,7 @@ def write_task_report(
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
         _html(found, _td),
-        baseline_section.section(folder),
+        baseline.section(folder),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", result_of(drawn[0]), caption)}</div></section>',
         _spreads(found, metrics),
         *_statistics(folder, over_all_tasks(table, axes, metrics)),

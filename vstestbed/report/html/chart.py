@@ -10,14 +10,62 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from html import escape
-from math import log10
+from math import ceil, floor, log10
 from typing import Any
 
 import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.report.html.canvas import INK, RULE, WIDTH_IN
-from vstestbed.report.html.ticks import log_ticks, numerals, ticks
+
+# Numbers along an axis: where they stand, and as text.
+
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def ticks(low: float, high: float, most: int) -> Array:
+    """At most so many intervals of 1, 2, 2.5 or 5 times a power of ten: their ends from `low` to `high`."""
+    raw = (high - low) / max(most, 1)
+    step = next(s for s in (f * 10.0 ** floor(log10(raw)) for f in (1, 2, 2.5, 5, 10)) if s >= raw * (1 - 1e-9))
+    return step * np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1, dtype=float)
+
+
+def log_ticks(low: float, high: float, most: int) -> Array:
+    """Powers of ten; of less than two of them also twice and five times, and of less than two of these as on a linear axis."""
+    powers = range(floor(log10(low)), ceil(log10(high)) + 1)
+    for factors in ((1.0,), (1.0, 2.0, 5.0)):
+        at = np.array([f * 10.0**k for k in powers for f in factors])
+        at = at[(at >= low * (1 - 1e-9)) & (at <= high * (1 + 1e-9))]
+        if len(at) > 1:
+            return at[:: -(-len(at) // (most + 1))]
+    return ticks(low, high, most)
+
+
+def numerals(at: Array, powers: bool = False) -> list[str]:
+    """The numbers of ticks, with the same number of decimals, or with powers of ten where these are shorter (or asked for)."""
+    if powers or (decimals := _decimals(at)) is None:
+        return [_power(float(v)) for v in at]
+    return [f"{v + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for v in at]
+
+
+def _decimals(at: Array) -> int | None:
+    """Decimals of the number that needs most of them, to a thousandth of the distance of two; None for more than four or huge numbers."""
+    step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
+    if np.abs(at).max(initial=0) >= 1e5:
+        return None
+    return next((d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all()), None)
+
+
+def _power(value: float) -> str:
+    """`2×10⁻³`, `10²`, `1.25×10⁶`."""
+    if value == 0:
+        return "0"
+    digits, exponent = f"{value:.6e}".split("e")
+    digits = digits.rstrip("0").rstrip(".").replace("-", "\N{MINUS SIGN}")
+    ten = "10" + str(int(exponent)).translate(RAISED)
+    return ten if digits == "1" else f"{digits}×{ten}"
+
 
 Pair = tuple[float, float]
 POINT = 10
@@ -274,3 +322,60 @@ class Chart:
     def _key(self) -> str:
         entries = [f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items()]
         return f'<ul class="key">{"".join(entries)}</ul>' if entries else ""
+
+
+# Views of space for charts: points (x, y, z) in parallel projection, and a box with the axes' numbers.
+
+
+class Space:
+    """A panel that shows space from a direction, z up and equal scale. Its methods have the names of matplotlib's 3-D axes."""
+
+    def __init__(self, panel: ChartPanel, elev: float, azim: float):
+        """`elev`, `azim`: elevation and azimuth of the viewer from the origin [deg]."""
+        panel.equal = panel.bare = True
+        self.panel, self.elev, self.azim = panel, elev, azim
+        (se, sa), (ce, ca) = np.sin(np.radians([elev, azim])), np.cos(np.radians([elev, azim]))
+        self.across = np.array([[-sa, ca, 0.0], [-se * ca, -se * sa, ce]])
+        """The directions right and up of the picture in space, shape (2, 3)."""
+
+    def plot(self, x: Any, y: Any, z: Any, **look: Any) -> None:
+        """Add a line (see `chart.Curve`)."""
+        self.panel.plot(*(self.across @ np.stack([x, y, z])), **look)
+
+    def text(self, x: float, y: float, z: float, s: str, color: str = INK, ha: str = "center", va: str = "center") -> None:
+        """Add words, vertically centred (`va` is there for matplotlib's axes); `ha`: left, center or right."""
+        assert va == "center"
+        u, v = self.across @ (x, y, z)
+        self.panel.words.append((u, v, s, {"left": "start", "center": "middle", "right": "end"}[ha], color))
+
+    def box(self, low: Array, high: Array, most: int = 5) -> None:
+        """The three far sides of a box from `low` to `high` (3,) [m] with a grid, and its numbers; for a viewer at +x, -y and +z."""
+        far = np.array([low[0], high[1], low[2]])  # the corner farthest from the viewer
+        # per axis the corner of its numbered edge, the direction out of the box there, and the numbers' alignment
+        right = np.array([*self.across[0, :2], 0.0])
+        edges = (
+            (low, np.array([0, -1.0, 0]), "right"),
+            (np.array([high[0], low[1], low[2]]), np.array([1.0, 0, 0]), "left"),
+            (low, -right, "right"),
+        )
+        size = float((high - low).max())
+        for axis, (corner, out, side) in enumerate(edges):
+            at = ticks(low[axis], high[axis], max(2, round(most * (high - low)[axis] / size)))
+            for value in (low[axis], *at, high[axis]):
+                for other in {0, 1, 2} - {axis}:
+                    ends = np.array([far, far])
+                    ends[:, axis], ends[:, other] = value, (low[other], high[other])
+                    self.plot(*ends.T, color=RULE, linewidth=0.6, alpha=0.45, zorder=0)
+            for value, words in zip(at, numerals(at), strict=True):
+                self._beside(corner, axis, value, 0.025 * size * out, words, side)
+            edge = np.array([corner, corner])
+            edge[:, axis] = low[axis], high[axis]
+            self.plot(*edge.T, color=RULE, linewidth=0.8, zorder=0)
+            self._beside(corner, axis, (low + high)[axis] / 2, (0.17 if axis < 2 else 0.15) * size * out, f"{'xyz'[axis]} [m]", side)
+
+    def _beside(self, corner: Array, axis: int, value: float, shift: Array, words: str, side: str) -> None:
+        """Words beside a point of an edge."""
+        at = corner + shift
+        at[axis] += value - corner[axis]
+        x, y, z = at.tolist()
+        self.text(x, y, z, words, ha=side)

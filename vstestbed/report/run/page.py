@@ -13,14 +13,12 @@ import polars as pl
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
-from vstestbed.loop.summary_file import read_summary
+from vstestbed.loop.recording import read_summary
 from vstestbed.report.html.chart import Chart
-from vstestbed.report.html.notebook import cell
-from vstestbed.report.html.parts import figure, film, folded, picture
-from vstestbed.report.html.template import PAGE, STYLE
-from vstestbed.report.run import figures, flight, numbers, path3d, vehicle
-from vstestbed.report.run import floor_plan as plane
-from vstestbed.report.run import polar_angles as angles
+from vstestbed.report.html.template import PAGE, STYLE, cell, figure, film, folded, picture
+from vstestbed.report.run import figures, numbers, robots, space
+from vstestbed.report.run import robots as plane
+from vstestbed.report.run import space as angles
 from vstestbed.report.run.tracks import Setting, Tracks
 
 if TYPE_CHECKING:
@@ -70,7 +68,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "[grey levels].",
         figures.error,
     ),
-    ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", path3d.camera_path),
+    ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", space.camera_path),
     (
         "plane",
         "Path on the floor",
@@ -81,37 +79,37 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "off",
         "Error of the task",
         "True error: distance of the camera from its goal or path, gap minus the desired gap, or lateral offset to the left of the line.",
-        vehicle.task_error,
+        robots.task_error,
     ),
     ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
     (
         "velocity",
         "Velocity of the craft",
         "In its level frame: commanded (thin line) and its own estimate of the velocity flown (pale band).",
-        flight.velocity,
+        robots.velocity,
     ),
     (
         "tilt",
         "Tilt",
         "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted).",
-        flight.tilt,
+        robots.tilt,
     ),
-    ("rates", "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band).", flight.rates),
-    ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", flight.rotors),
+    ("rates", "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band).", robots.rates),
+    ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", robots.rotors),
     ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
     ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
     (
         "place",
         "Localisation error",
         "Estimated minus true position (distance) and heading (counter-clockwise).",
-        vehicle.localisation_error,
+        robots.localisation_error,
     ),
-    ("wheels", "Wheels and steering", "Commanded (thin line) and measured (pale band).", vehicle.wheels),
+    ("wheels", "Wheels and steering", "Commanded (thin line) and measured (pale band).", robots.wheels),
     (
         "slip",
         "Slip",
         "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames.",
-        vehicle.slip,
+        robots.slip,
     ),
     (
         "joints",

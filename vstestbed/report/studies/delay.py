@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.core.files import write_whole
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
-from vstestbed.report.html.parts import data_url, figure
-from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.html.template import PAGE, STYLE, data_url, figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,7 +18,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
-from vstestbed.report.run import sphere
+from vstestbed.report.run import space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ PLANES: dict[str, Plane] = {
         np.linspace(0.1, 0.9, 9) * PI,
         (1, 0),
         (r"$\phi$ [rad]", r"$\theta$ [rad]"),
-        lambda tails: sphere.ray_at(tails[:, 1], tails[:, 0]),
+        lambda tails: space.ray_at(tails[:, 1], tails[:, 0]),
     ),
 }
 
@@ -97,9 +97,9 @@ def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
     rings = [(theta, round(24 * math.sin(theta))) for theta in (np.arange(12) + 0.5) * PI / 12]
     theta = np.concatenate([np.full(n, t) for t, n in rings])
     phi = np.concatenate([2 * PI * np.arange(n) / n for _, n in rings])
-    ray = sphere.ray_at(theta, phi)
+    ray = space.ray_at(theta, phi)
     rates = np.moveaxis(Spherical().interaction(ray, np.full(len(ray), depth)).reshape(-1, 2, 6), -1, 0)
-    e_theta = sphere.ray_at(theta + PI / 2, phi)
+    e_theta = space.ray_at(theta + PI / 2, phi)
     e_phi = np.stack([-np.sin(phi), np.cos(phi), 0 * phi], axis=-1)
     return ray, rates[..., :1] * e_theta + rates[..., 1:] * np.sin(theta)[:, None] * e_phi
 
@@ -170,14 +170,14 @@ def draw_sphere(depth: float = 1.0) -> Figure:
 
 def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
     """Sphere, camera axes, and the arrows of one motion: tails (N, 3) and velocities (N, 3)."""
-    sphere.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
-    sphere.draw_net(axes, PI, PI / 6, hide_back=True)
-    sphere.draw_curve(axes, sphere.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
-    near = ray @ sphere.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline
+    space.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
+    space.draw_net(axes, PI, PI / 6, hide_back=True)
+    space.draw_curve(axes, space.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
+    near = ray @ space.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline
     arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
-    axes.quiver(*sphere.drawn(ray[near]), *sphere.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
-    sphere.draw_axes(axes, 0.4, start=1.0)
-    sphere.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
+    axes.quiver(*space.drawn(ray[near]), *space.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
+    space.draw_axes(axes, 0.4, start=1.0)
+    space.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
     for artist in (*axes.lines, *axes.collections):
         artist.set_clip_on(False)
 

@@ -16,8 +16,7 @@ from vstestbed.report.comparison.columns import Metric
 from vstestbed.report.comparison.tables import SCRIPT, Cell, table
 from vstestbed.report.comparison.tables import STYLE as TABLES
 from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, WIDTH_IN, new_figure, save, style, to_svg
-from vstestbed.report.html.parts import figure
-from vstestbed.report.html.template import PAGE, STYLE
+from vstestbed.report.html.template import PAGE, STYLE, figure
 from vstestbed.report.run.numbers import number
 
 if TYPE_CHECKING:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import queue
+import threading
 import time
 from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,18 +18,14 @@ import numpy as np
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.loop.recording import Rows
-from vstestbed.loop.summary_file import read_summary
-from vstestbed.report.video.encoded import png_of
-from vstestbed.report.video.film_frame import FilmFrame
-from vstestbed.report.video.matches import overlay_of
+from vstestbed.loop.recording import Rows, read_summary
 from vstestbed.report.video.outside import Outside, inset_share
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, draw_caption, draw_ending
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, draw_caption, draw_ending, overlay_of
 from vstestbed.report.video.quality import FINE, Pace, Quality
-from vstestbed.report.video.residual import Residual
-from vstestbed.report.video.writer import Image, VideoWriter
+from vstestbed.report.video.writer import Image, VideoWriter, png_of
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
+from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
 
@@ -244,3 +243,94 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
     finally:
         replay.close()
     write_whole(path, png_of(image))
+
+
+# Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its own.
+
+
+WAITING = 32
+"""Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480."""
+
+
+class FilmThread:
+    """Films a run beside it (a Watcher).
+
+    The state of each frame that the films show goes into a bounded queue, from which a thread takes it. The run waits while the
+    queue is full, and computes the same numbers as without films. As all pictures by OpenGL are drawn in turn by the process's one
+    rendering thread, the run's own pictures wait for at most one of a film.
+
+    Args:
+        opened: opens the films; left, it finishes them, or discards them on an exception.
+        pace: which frames are shown.
+    """
+
+    def __init__(self, opened: Callable[[], AbstractContextManager[Sequence[Film]]], pace: Pace):
+        self._opened, self._pace = opened, pace
+        self._queue: queue.Queue[FilmFrame | None] = queue.Queue(WAITING)
+        self._unshown: Frame | None = None
+        self._error: BaseException | None = None
+        self._aborted = False
+        self._ending: Verdict | None = None
+        self.spent_s = 0.0
+        self._thread = threading.Thread(target=self._work, name="vstestbed films", daemon=True)
+        self._thread.start()
+
+    def frame(self, frame: Frame) -> None:
+        """Hand over a frame of a running loop, if the films show it.
+
+        Raises:
+            EnvironmentLackError, OutputError: the films cannot be made.
+        """
+        if self._error is not None:
+            raise self._error
+        if self._pace.due(frame.t):
+            self._hand_over(frame)
+        else:
+            self._unshown = frame
+
+    def close(self, ending: Verdict | None) -> None:
+        """Finish the films, which end with the run's last frame; `ending`: its outcome, which they show.
+
+        Raises:
+            EnvironmentLackError, OutputError: the films cannot be made.
+        """
+        if self._unshown is not None:
+            self._hand_over(self._unshown)
+        self._ending = ending
+        self._queue.put(None)
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def abort(self) -> None:
+        """Discard the films. Harmless after `close`."""
+        self._aborted = True
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
+
+    def _hand_over(self, frame: Frame) -> None:
+        self._unshown, state = None, FilmFrame.of_frame(frame)
+        # a copy: the next frame's image may overwrite it, and the overlay is drawn into it
+        self._queue.put(state if state.image is None else replace(state, image=np.array(state.image)))
+
+    def _work(self) -> None:
+        frames = iter(self._queue.get, None)
+        try:
+            self._film(frames)
+        except BaseException as error:  # belongs to the thread of the loop
+            self._error = error
+            for _ in frames:  # to the end, or the loop would wait for room in the queue
+                pass
+
+    def _film(self, frames: Iterator[FilmFrame]) -> None:
+        with self._opened() as films:
+            for frame in frames:
+                for film in films if not self._aborted else ():
+                    film.show(frame)
+            for film in films:
+                if self._aborted:
+                    film.abort()
+                elif self._ending is not None:
+                    film.end(*self._ending)
+        self.spent_s = sum(film.spent_s for film in films)

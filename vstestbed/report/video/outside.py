@@ -14,14 +14,13 @@ import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.core.geometry import Array, inverse, transform
-from vstestbed.report.video.matches import overlay_of
-from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color
+from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color, overlay_of
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import FREE, Replay
 
 if TYPE_CHECKING:
-    from vstestbed.report.video.film_frame import FilmFrame
+    from vstestbed.report.video.overlay import FilmFrame
 
 GOAL: Final[Color] = (110, 255, 170)
 OWN: Final[Color] = (255, 196, 64)

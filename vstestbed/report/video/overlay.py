@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import closing
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -15,8 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, inverse, pose_from
+from vstestbed.loop.columns import POSE
 from vstestbed.report.video.writer import Image
+from vstestbed.scenario.randomise import GOAL_STREAM
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.replay import Replay
+from vstestbed.tasks.frame import Frame
 
 Color = tuple[int, int, int]
 
@@ -272,3 +279,165 @@ def text_width(words: str, size: int, weight: int = 400) -> int:
 def _font() -> cv2.FontFace:
     """OpenCV's built-in proportional font: no system font is used, so that films are the same bytes everywhere."""
     return cv2.FontFace("sans")
+
+
+# The state of one frame as a film shows it, from a running loop or from a log.
+
+
+@dataclass(frozen=True, slots=True)
+class FilmFrame:
+    """State of one frame as a film shows it.
+
+    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already;
+    `goal_image`: the picture taken at the goal, if law or detector compare with one.
+    """
+
+    t: float
+    T_world_target: Array
+    T_world_camera: Array
+    q: Array
+    uv: Array
+    error_px: float
+    lost: bool
+    goal_uv: Array
+    own: Array
+    image: Image | None = None
+    goal_image: Image | None = None
+
+    @classmethod
+    def of_frame(cls, frame: Frame) -> FilmFrame:
+        """A frame of a running loop."""
+        truth, error = frame.truth, frame.error
+        shown = None if frame.goal.image is None else frame.goal.image.image
+        scene = (truth.T_world_target, truth.T_world_camera, truth.q)
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image, shown)
+
+    @classmethod
+    def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
+        """The frame of one row of a log."""
+        joints, markers = scenario.robot.joints, scenario.rows
+        camera, target = (np.array([row[f"{who}_{name}"] for name in POSE]) for who in ("cam", "tgt"))
+        return cls(
+            t=row["t"],
+            T_world_target=pose_from(target[:3], target[3:]),
+            T_world_camera=pose_from(camera[:3], camera[3:]),
+            q=np.array([row[f"q_{name}"] for name in joints]),
+            uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]).reshape(markers, 2),
+            error_px=row["error_px"],
+            lost=bool(row["lost"]),
+            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]).reshape(markers, 2),
+            own=np.array([row[name] for name in scenario.own_columns]),
+        )
+
+
+# The difference of picture and goal picture, which a law of grey levels sees, as an inset of the camera's film.
+
+
+SHARE: Final = 1 / 3
+"""Width of the inset over that of the film."""
+WORDS: Final = "picture \u2212 goal"
+"""What the inset is called."""
+EDGE: Final = 2
+"""Width of its edge [px]."""
+ZERO: Final = 128
+"""Grey of a pixel without a difference; a difference of d grey levels is ZERO + d/2."""
+
+
+class Residual:
+    """Draws I - I* into the upper right corner, under its name: mid-grey is no difference, lighter is lighter than the goal's picture.
+
+    Args:
+        scenario: the experiment. replay: takes the goal's picture of a recorded run again.
+    """
+
+    def __init__(self, scenario: Scenario, replay: Replay):
+        self._scenario, self._replay = scenario, replay
+        self._goal: dict[int, Image] = {}
+
+    def put(self, film: Image, seen: Image, frame: FilmFrame, view: int) -> None:
+        """Draw the inset on a film's picture, in place; seen: the camera's image of the frame."""
+        goal = self._goal_image(frame, view)
+        difference = cv2.subtract(_grey(seen), _grey(goal), dtype=cv2.CV_16S)
+        shown = cv2.convertScaleAbs(difference.astype(np.float32) / 2 + ZERO)
+        width = round(SHARE * film.shape[1])
+        height = round(width * seen.shape[0] / seen.shape[1])
+        small = np.asarray(cv2.cvtColor(cv2.resize(shown, (width, height), interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2RGB), np.uint8)
+        _label(small, text_size(film.shape[0]))
+        film[: height + EDGE, -(width + EDGE) :] = PAPER
+        film[:height, -width:] = small
+
+    def _goal_image(self, frame: FilmFrame, view: int) -> Image:
+        """The goal's picture: of a running loop its own, of a log taken again."""
+        if frame.goal_image is not None:
+            return frame.goal_image
+        if view not in self._goal:
+            self._goal[view] = self._taken_again(frame, view)
+        return self._goal[view]
+
+    def _taken_again(self, frame: FilmFrame, view: int) -> Image:
+        s = self._scenario
+        said = s.goal.pictures[view] if s.goal.pictures else None
+        if said is not None and said.source is not None:
+            return said.read(s.camera)
+        T_world_goal = frame.T_world_target @ inverse(s.goal_poses[view])
+        # Of a scene of its own: the target as it was before `noise.target`, and no picture that others take for one of the run.
+        with closing(self._replay.of_target(s.target)) as taught:
+            image = taught.picture("eye", s.camera.width, s.camera.height, frame.t, frame.T_world_target, frame.q, T_world_goal).copy()
+        return image if said is None else said.under_its_light(image, s.rng(GOAL_STREAM))
+
+
+def _label(image: Image, size: int) -> None:
+    """Write what the inset shows on a darkened strip along its top, since what is below may be light or dark; size: of the text [px]."""
+    words, pad = shortened(WORDS, size, image.shape[1] - size), size // 2
+    strip = image[: round(1.5 * size)]
+    cv2.convertScaleAbs(strip, strip, 0.35)
+    draw_text(image, words, (pad, round(1.15 * size)), PAPER, size)
+
+
+def _grey(image: Image) -> Image:
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+# Overlay of matches: lines from natural features to where the goal's picture has them.
+
+
+MEASURED: Final[Color] = (255, 214, 64)
+
+
+class MatchOverlay(Overlay):
+    """Draws each matched point, a ring where the goal's picture has it, and a line between them; no trails: the points come and go.
+
+    Args:
+        width, height: image size [px]. rows: number of points. title: text in the lower right corner.
+    """
+
+    def __init__(self, width: int, height: int, rows: int, title: str = ""):
+        super().__init__(width, height, np.ones((rows, 3)), title)
+        self._point, self._ring = max(1.6, height / 140), max(4.0, height / 75)
+
+    def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
+        """Draw the matches alone."""
+        uv = self._drawable(uv)
+        seen = np.isfinite(uv).all(axis=1)
+        if goal_uv is not None:
+            goal = self._drawable(goal_uv)
+            both = seen & np.isfinite(goal).all(axis=1)
+            self._ways(image, uv[both], goal[both])
+            self._rings(image, goal[both], GOAL, self._stroke)
+        self._rings(image, uv[seen], MEASURED, -1)
+
+    def _rings(self, image: Image, uv: Array, color: Color, width: int) -> None:
+        """A circle at each pixel, filled where the width is negative, with a dark border."""
+        size = self._ring if width > 0 else self._point
+        for u, v in np.rint(uv * UNIT).astype(int).tolist():
+            border = width + 2 * self._stroke if width > 0 else -1
+            cv2.circle(image, (u, v), round((size + (self._stroke if width < 0 else 0)) * UNIT), INK, border, cv2.LINE_AA, SHIFT)
+            cv2.circle(image, (u, v), round(size * UNIT), color, width, cv2.LINE_AA, SHIFT)
+
+
+def overlay_of(scenario: Scenario, size: tuple[int, int], title: str = "") -> Overlay:
+    """The overlay for what a scenario's detector reports; size: (width, height) of the image [px]."""
+    if scenario.detector.changing:
+        return MatchOverlay(*size, scenario.rows, title)
+    colors, outlined = scenario.target.colors[: scenario.rows], scenario.target.outlined
+    return Overlay(*size, colors, title, outlined, joined=scenario.detector.needs_sheet)

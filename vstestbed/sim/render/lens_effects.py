@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Perspective
 from vstestbed.camera.optics import Optics
-from vstestbed.sim.lens.pinhole import pixel_grid
+from vstestbed.sim.render.cube_map import pixel_grid
 
 Floats = NDArray[np.float32]
 FINE_PX, COARSE = 0.5, 0.1

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Look, Panel, Window
 from vstestbed.core.geometry import Array
 from vstestbed.sim.row_weights import Rows, RowWeight
-from vstestbed.vision.detect.colour_blobs import noise_rows
+from vstestbed.vision.colour import noise_rows
 from vstestbed.vision.perturb import Images
 
 Sum = Array | NDArray[np.float32]

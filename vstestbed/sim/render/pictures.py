@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
+from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.base import Renderer
-from vstestbed.sim.render import gl_probe as gl
 
 if TYPE_CHECKING:
     from vstestbed.sim.scene.stage import Stage
@@ -74,7 +74,7 @@ def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camer
         return SceneCamera(stage, name, width, height, shadows, style="outside")
 
     def by_rays() -> OutsideView:
-        from vstestbed.sim.render.ray_view import RaySceneCamera
+        from vstestbed.sim.render.rays import RaySceneCamera
 
         return RaySceneCamera(stage, name, width, height, FILM_RAYS)
 
@@ -89,7 +89,7 @@ def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
     """
 
     def by_gl() -> Callable[[Array], object]:
-        from vstestbed.sim.lens.cube import drawn_for
+        from vstestbed.sim.render.cube_map import drawn_for
         from vstestbed.sim.render.opengl import SceneCamera
 
         drawn = drawn_for(camera)

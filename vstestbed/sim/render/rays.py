@@ -5,23 +5,78 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Window
+from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import Array
-from vstestbed.sim.render import gl_probe as gl
-from vstestbed.sim.render.cones import angles_to_next, cone_of, meets
-from vstestbed.sim.render.ray_depth import ray_depth
+from vstestbed.core.geometry import FLIP, Array, lengths
+from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
+from vstestbed.sim.render.still import Lamp
 from vstestbed.sim.row_weights import Rows
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
-from vstestbed.vision.detect.colour_blobs import noise_rows
+from vstestbed.vision.colour import noise_rows
+
+# Bundles of rays: the cones round them, and which spheres these meet, so that only those geoms are cast at; how dense they are.
+
+
+def cone_of(rays: Array) -> tuple[Array, float]:
+    """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
+    axis = rays.sum(axis=0)
+    size = math.sqrt(float(axis @ axis))
+    if size < 1e-6 * len(rays):
+        return np.array([0, 0, 1.0]), math.pi
+    axis /= size
+    return axis, math.acos(max(-1.0, min(1.0, float((rays @ axis).min()))))
+
+
+def meets(centres: Array, radii: Array, axis: Array, half_angle: float) -> NDArray[np.bool_]:
+    """Which spheres, of centres (N, 3) relative to a cone's apex and radii (N,) [m], intersect the cone."""
+    far = np.maximum(np.sqrt((centres * centres).sum(axis=1)), 1e-12)
+    angle = np.arccos(np.clip(centres @ axis / far, -1, 1))
+    return (far <= radii) | (angle <= half_angle + np.arcsin(np.minimum(radii / far, 1)) + 1e-6)
+
+
+def angles_to_next(rays: Array) -> Array:
+    """Angle [rad] from each ray (H, W, 3) to the farther of the next ones across and down, shape (H, W); 0 where there is none."""
+    out = np.zeros(rays.shape[:2])
+    for axis in (0, 1):
+        if rays.shape[axis] > 1:
+            steps = lengths(np.diff(rays, axis=axis))[..., 0]
+            last = steps[-1:] if axis == 0 else steps[:, -1:]
+            np.fmax(out, np.concatenate([steps, last], axis=axis), out=out)
+    return out
+
+
+# Depth pictures by ray casting.
+
+
+ROWS = 32
+"""Rows of an image that are cast at a time: of a narrow bundle most geoms are culled."""
+
+
+def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
+    """Depth (H, W) [m] along the optical axis of what the unit rays (H, W, 3) in the camera's frame hit; inf for nothing.
+
+    hits: `Caster.hits`.
+    """
+    return np.concatenate([_of(rays[top : top + ROWS], T_world_camera, hits) for top in range(0, len(rays), ROWS)])
+
+
+def _of(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
+    """The depths (h, w) of unit rays (h, w, 3) in the camera's frame."""
+    along, n = rays[..., 2], rays[..., 2].size
+    geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+    in_world = rays.reshape(-1, 3) @ np.ascontiguousarray(T_world_camera[:3, :3].T)
+    hits(np.ascontiguousarray(T_world_camera[:3, 3]), in_world, geoms, distance, normal)
+    return np.where(geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf).astype(np.float32)
+
 
 RENDERER = "rays (mj_multiRay)"
 BLANK = 128
@@ -255,3 +310,56 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
         raise ParameterError("camera.renderer", f"must be gl or auto: {what}", camera.renderer)
     if what:
         raise EnvironmentLackError(what, gl.remedy())
+
+
+# The outside views of a scene without OpenGL.
+
+
+class RaySceneCamera:
+    """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
+
+    Args:
+        stage: the scene.
+        camera: name in the scene.
+        width, height: size of the image [px].
+        samples: antialiasing, see `Raster`.
+    """
+
+    def __init__(self, stage: Stage, camera: str, width: int, height: int, samples: int = 0):
+        self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
+        lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
+        self._raster = Raster(lens, np.eye(3), samples)
+        self._tiles = [(tile, cone_of(self._raster.rays(tile).reshape(-1, 3))) for tile in tiles_of((0, 0, width, height))]
+        self._pixel = 2 / lens.f if samples else 0.0
+        """Angle by which antialiasing looks beyond a tile [rad]."""
+        self._image = np.empty((height, width, 3), np.uint8)
+        self._before: tuple[Array, Array, Array] | None = None
+        self._lamp = Lamp(stage.model, stage.data)
+
+    def full_image(self) -> Image:
+        """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
+        data = self._stage.data
+        seen_from, T = data.camera(self._camera), np.eye(4)
+        T[:3, :3], T[:3, 3] = seen_from.xmat.reshape(3, 3) @ FLIP[:3, :3], seen_from.xpos
+        if self._lamp.has_moved():
+            self._before = None
+        stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))
+        self._raster.draw(self._image, stale, self._caster, T)
+        self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()
+        return self._image.copy()
+
+    def part(self, window: Window) -> Image | None:
+        """None: the whole image is drawn where it has changed alone."""
+        return None
+
+    def _changed(self, T: Array, cone: tuple[Array, float]) -> bool:
+        """Whether a geom within a cone of the camera (axis in its frame) has moved since the last image."""
+        if self._before is None or not np.array_equal(self._before[0], T):
+            return True
+        data, bound = self._stage.data, self._stage.model.geom_rbound
+        _, position, attitude = self._before
+        moved = (data.geom_xpos != position).any(axis=1) | (data.geom_xmat != attitude).any(axis=1)
+        # Where it was and where it is now: both tiles change.
+        spheres = np.concatenate([position[moved], data.geom_xpos[moved]]) - T[:3, 3]
+        radii = np.tile(np.where(bound > 0, bound, np.inf)[moved], 2)
+        return bool(meets(spheres, radii, T[:3, :3] @ cone[0], cone[1] + self._pixel).any())

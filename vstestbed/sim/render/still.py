@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.geometry import Array, lengths
-from vstestbed.sim.scene.lighting import LAMP
+from vstestbed.sim.scene.world import LAMP
 
 UNSEEN_PX = 0.5
 """Motion in the image below which the last image is shown again [px]."""

@@ -3,22 +3,205 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import model_path
 from vstestbed.robots import Robot
-from vstestbed.robots.body import Change
+from vstestbed.robots.allocation import Servo
+from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
+from vstestbed.sim.scene.gears import add_rotors
 from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.links import add_payload, displace_links
-from vstestbed.sim.scene.model_files import carry_files
-from vstestbed.sim.scene.reshape import reshape
-from vstestbed.sim.scene.servos import choose_servos, compensated
-from vstestbed.sim.scene.urdf import read_model
+from vstestbed.sim.scene.model_files import carry_files, read_model
+
+# Puts a robot's actuators into its model: a profile of its file, or servos made for it.
+
+
+UNBOUNDED = 1e6
+"""Range of the integrated position of a joint that turns without end [rad]."""
+
+
+def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
+    """Keep the actuators of the chosen profile, or add the servos, and apply gravity compensation and friction."""
+    chosen = robot.actuator_set
+    if chosen is None:
+        return
+    if chosen.prefix is not None:
+        _keep(model, chosen.prefix)
+    for servo in chosen.servos:
+        _add(model, servo)
+    if carried := compensated(robot):
+        for body in model.bodies:
+            body.gravcomp = carried
+    for joint in model.joints:
+        if not chosen.friction:
+            joint.frictionloss, joint.damping = 0.0, np.zeros(3)
+    if robot.mechanics is not None:
+        if robot.mechanics.drives is not None:
+            idle(model, robot)
+        add_rotors(model, robot.mechanics)
+
+
+def compensated(robot: Robot) -> float:
+    """The share of a body's weight that the drives' gravity compensation carries; 0 for drives without one."""
+    chosen, mechanics = robot.actuator_set, robot.mechanics
+    if mechanics is not None and mechanics.gravity is not None:
+        return mechanics.gravity
+    return 1.0 if chosen is not None and chosen.gravity_compensated else 0.0
+
+
+def idle(model: mujoco.MjSpec, robot: Robot) -> None:
+    """Leave a robot's servos without force, for `sim/motor_torques.py`; integrals of commands and gains stay where they are."""
+    for actuator in model.actuators:
+        if actuator.name in robot.actuators:
+            actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+            actuator.gainprm[0] = 0.0
+
+
+def _keep(model: mujoco.MjSpec, prefix: str) -> None:
+    """Keep the actuators `<prefix>_<joint>`, each named as its joint."""
+    for actuator in list(model.actuators):
+        profile, _, name = actuator.name.partition("_")
+        if profile == prefix:
+            actuator.name = name
+        else:
+            model.delete(actuator)
+
+
+def _add(model: mujoco.MjSpec, servo: Servo) -> None:
+    """A servo for a joint, named as the joint."""
+    there = [a for a in model.actuators if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
+    if servo.torque is None:
+        _feed(there[0], servo)
+        return
+    for actuator in there:
+        model.delete(actuator)
+    made = model.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    if servo.kp:
+        made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
+        made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]
+    else:
+        made.set_to_velocity(kv=servo.kv)
+    made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
+    if np.isfinite(servo.torque):
+        made.forcelimited, made.forcerange = True, [-servo.torque, servo.torque]
+
+
+def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
+    """The file's own servo, told speeds: one of position is fed with the integrated speed."""
+    own.name = servo.joint
+    if own.biasprm[1] != 0 and own.dyntype == mujoco.mjtDyn.mjDYN_NONE:
+        own.dyntype, own.actlimited = mujoco.mjtDyn.mjDYN_INTEGRATOR, True
+        own.actrange = own.ctrlrange if own.ctrlrange[0] < own.ctrlrange[1] else [-UNBOUNDED, UNBOUNDED]
+    own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
+
+
+# Gives a robot's model the physical parameters of the scenario.
+
+
+PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
+"""solref and solimp of the ends of a play: as stiff as the steering's couplings."""
+OUTPUT_ARMATURE, OUTPUT_DAMPING, OUTPUT_FRICTION = 0.003, 0.5, 1.5
+"""Inertia [kg m^2], damping [Nm s/rad] and Coulomb friction [Nm] of what is behind a play: a crank of the car's steering, as the file has
+it, the damping of its column, and king pins (chosen). Without friction, wheels that were turned would swing on to the play's other end."""
+OUTPUT_KG, OUTPUT_M = 1e-3, 0.01
+"""Mass and radius of its body, since MuJoCo demands some [kg, m]."""
+
+
+def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
+    """Apply the changes of a robot (`Robot.body_changes`) to the model of its file.
+
+    Raises:
+        LookupError: the file has no such element.
+    """
+    for change in changes:
+        match change:
+            case Set():
+                _set(_named(model, change.kind, change.name), change.field, change.value)
+            case Scale():
+                for element in _all(model, change.kind, change.of):
+                    _scale(element, change.field, change.factor)
+            case Stretch():
+                for geom in _named(model, "body", change.body).geoms:
+                    _stretch(model, geom, np.array(change.factors), np.array(change.shift))
+            case Couple():
+                _couple(model, change)
+            case Loosen():
+                _loosen(model, change.joint, change.width)
+
+
+def _couple(model: mujoco.MjSpec, change: Couple) -> None:
+    (pair,) = [e for e in model.equalities if e.name1 == change.joint]
+    pair.data[:5] = change.coefficients
+
+
+def _loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
+    """Put a joint `<joint>_output` between a joint and its followers, within a play of the width [rad]."""
+    servo, output = _named(model, "joint", joint), f"{joint}_output"
+    holder = servo.parent.parent.add_body(name=output, pos=servo.parent.pos)
+    holder.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[OUTPUT_M, 0, 0], mass=OUTPUT_KG, contype=0, conaffinity=0, group=2)
+    made = holder.add_joint(name=output, type=servo.type, axis=servo.axis, armature=OUTPUT_ARMATURE, frictionloss=OUTPUT_FRICTION)
+    made.damping[0] = OUTPUT_DAMPING
+    for pair in model.equalities:
+        if pair.name2 == joint:
+            pair.name2 = output
+    # The difference of the two angles as a tendon with limits: each end of the play is a stop.
+    play = model.add_tendon(name=f"{joint}_play", limited=True, range=[-width / 2, width / 2])
+    play.solref_limit[:2], play.solimp_limit[:3] = PLAY_STOP
+    play.wrap_joint(output, 1.0)
+    play.wrap_joint(joint, -1.0)
+
+
+def _named(model: mujoco.MjSpec, kind: str, name: str) -> Any:
+    element = getattr(model, kind)(name)
+    if element is None:
+        raise LookupError(f"the model {model.modelname} has no {kind} {name}")
+    return element
+
+
+def _all(model: mujoco.MjSpec, kind: str, of: str) -> Iterable[Any]:
+    """All elements of a kind, or those that `Scale.of` names."""
+    if of and kind in ("body", "actuator"):
+        return [_named(model, kind, of)]
+    return getattr(_named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s"))
+
+
+def _set(element: Any, field: str, value: float | tuple[float, ...]) -> None:
+    if isinstance(value, tuple):
+        getattr(element, field)[: len(value)] = value
+    else:
+        setattr(element, field, value)
+
+
+def _scale(element: Any, field: str, factor: float | tuple[float, ...]) -> None:
+    before = getattr(element, field)
+    if isinstance(factor, tuple):
+        before[: len(factor)] *= factor
+    elif isinstance(before, np.ndarray):
+        before *= factor
+    else:
+        setattr(element, field, before * factor)
+
+
+def _stretch(model: mujoco.MjSpec, geom: mujoco.MjsGeom, factors: np.ndarray, shift: np.ndarray) -> None:
+    if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.mesh(geom.meshname)
+        mesh.uservert = (np.array(mesh.uservert).reshape(-1, 3) * factors + shift).ravel()
+        return
+    if np.isfinite(geom.fromto[0]):  # NaN where the file has none
+        geom.fromto = geom.fromto * np.tile(factors, 2) + np.tile(shift, 2)
+    else:
+        geom.pos = geom.pos * factors + shift
+    if geom.type == mujoco.mjtGeom.mjGEOM_BOX:
+        geom.size = geom.size * factors
+
 
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
 

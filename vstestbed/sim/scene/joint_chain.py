@@ -7,12 +7,10 @@ import functools
 import mujoco
 import numpy as np
 
-from vstestbed.core.assets import model_path
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.named_files import place_of_file
+from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.robots.chain import JointChain
-from vstestbed.sim.scene.model_errors import cannot_compile
-from vstestbed.sim.scene.urdf import read_model
+from vstestbed.sim.scene.model_files import cannot_compile, read_model
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}

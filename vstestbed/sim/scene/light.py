@@ -6,12 +6,10 @@ import mujoco
 import numpy as np
 
 from vstestbed.core.geometry import quaternion_wxyz
-from vstestbed.sim.scene.floor import Floor
 from vstestbed.sim.scene.groups import GLOW
-from vstestbed.sim.scene.lighting import LAMP, Light, WindowPane
 from vstestbed.sim.scene.model_files import ASSETS
-from vstestbed.sim.scene.world import World
-from vstestbed.targets.picture_file import place_of_picture, read_tile
+from vstestbed.sim.scene.world import LAMP, Floor, Light, WindowPane, World
+from vstestbed.targets.picture import place_of_picture, read_tile
 
 SUN_M = 6.0
 """Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from there."""

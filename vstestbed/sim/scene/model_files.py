@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 
-from vstestbed.core.assets import model_path
-from vstestbed.targets.picture_file import as_png
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import model_path
+from vstestbed.targets.picture import as_png
 
 JPEG = ".jpg", ".jpeg"
 ASSETS = "assets"
@@ -56,3 +59,138 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
     new = f"{prefix.strip('/')}_{len(taken)}_{own[-60:]}"  # its end: file systems take 255 bytes, of which its own name may have all
     taken[f"{ASSETS}/{new}"] = as_png(path) if path.suffix.lower() in JPEG else path.read_bytes()
     return new
+
+
+# MuJoCo's errors about a model's file, for people: the place in the file, what is wrong there, and what would work.
+
+
+PARSING = re.compile(r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line number=(\d+)(?:.*?XMLElement name=(\w+))?", re.DOTALL)
+LINE = re.compile(r",?\s*line (\d+)\s*$")
+ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
+BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
+FOREIGN = "could not find decoder", "Unrecognized XML model type"
+"""How MuJoCo says that a file is of another format, such as SDF."""
+MISSING = re.compile(r"Error opening file '([^']*)'")
+
+
+def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
+    """The error for a file that MuJoCo does not compile.
+
+    Args:
+        error: MuJoCo's. path: of the file. works: what would work, such as `an MJCF file`.
+
+    Returns a ParameterError of `file`: FILE:LINE, where MuJoCo knows it, what is wrong, what would work.
+    """
+    text = " ".join(str(error).split()).rstrip(".")
+    if parsed := PARSING.search(text):
+        what, line, element = parsed.groups()
+        near = f", near the element {element}" if element else ""
+        words = f"it is not well-formed XML ({what.replace('_', ' ').lower()}{near})"
+        return _told(_place(path, _ends_at(path) if what == "PARSING" else int(line)), words, f"works: {works}")
+    text = BEGINS.sub("", text)
+    line = int(found[1]) if (found := LINE.search(text)) else 0
+    text = LINE.sub("", text)
+    element = next(filter(None, found.groups()), "") if (found := ELEMENT.search(text)) else ""
+    words = (f"{element}: " if element else "") + ELEMENT.sub("", text).replace("attribute: '", "attribute '")
+    if named := MISSING.search(text):
+        line = line or _line_with(path, named[1])
+        return _told(_place(path, line), f"it names the file {named[1]}, which is not there", "correct its name, or the folder it is in")
+    return _told(_place(path, line), words, f"works: {works}" if words.startswith(FOREIGN) else "correct it there")
+
+
+def _ends_at(path: Path) -> int:
+    """The line where a file stops being XML, such as its last one where an element is not closed; MuJoCo tells the element's first."""
+    try:
+        ElementTree.parse(path)
+    except ElementTree.ParseError as error:
+        return error.position[0]
+    return 1
+
+
+def _told(place: str, words: str, remedy: str) -> ParameterError:
+    return ParameterError("file", f"cannot be compiled by MuJoCo ({place}: {words}); {remedy}")
+
+
+def _place(path: Path, line: int) -> str:
+    """FILE:LINE; 0 for a line that is not known. A line may be that of an included file, which MuJoCo does not name."""
+    if line and "<include" in path.read_text(errors="replace"):
+        return f"{path}, line {line} there or in a file that it includes"
+    return f"{path}:{line}" if line else str(path)
+
+
+def _line_with(path: Path, word: str) -> int:
+    """The first line of a file with a word; 0 where it is in none."""
+    lines = path.read_text(errors="replace").splitlines()
+    return next((number for number, text in enumerate(lines, start=1) if word in text), 0)
+
+
+# Reads a model's file into MuJoCo's spec; of a URDF with the shapes to look at, the links that do not move, and `package://`.
+
+
+ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
+"""The beginning of a URDF: an MJCF file may have the word in a comment."""
+XACRO = re.compile(r"<xacro:")
+MESH = re.compile(r'(<mesh\b[^>]*\bfilename=")(package|file)://([^"]*)')
+UNREADABLE = re.compile(
+    r'<visual\b(?:(?!</visual>).)*\bfilename="[^"]*\.(?!stl"|obj")\w+"(?:(?!</visual>).)*</visual>', re.DOTALL | re.IGNORECASE
+)
+"""What is to be seen by a mesh in a format that MuJoCo does not read (dae, glb)."""
+KEEP = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
+"""MuJoCo by default throws away a URDF's `visual` shapes, and the names of links on fixed joints, such as `tool0`."""
+CONTACT_GROUP = 3
+
+
+def read_model(path: Path) -> mujoco.MjSpec:
+    """The spec of an MJCF or URDF file, as the file has it.
+
+    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others.
+    A `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out.
+
+    Raises:
+        ValueError: MuJoCo's, for a file that it cannot read.
+        ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
+    """
+    text = path.read_text(errors="replace")
+    if (root := ROOT.search(text)) is None:
+        return mujoco.MjSpec.from_file(str(path))
+    if XACRO.search(text):
+        raise ParameterError("file", f"is a xacro, and no URDF yet; `xacro {path.name} > arm.urdf` writes one", str(path))
+    if "<mujoco" not in text:
+        text = text[: root.end()] + KEEP + text[root.end() :]  # in the same line: MuJoCo's errors tell lines
+    text = UNREADABLE.sub(lambda visual: "\n" * visual[0].count("\n"), text)
+    spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
+    spec.meshdir = str(path.parent.resolve() / spec.meshdir)
+    for body in spec.bodies:
+        _hide_contacts(body)
+    return spec
+
+
+def _hide_contacts(body: mujoco.MjsBody) -> None:
+    """Leave a link's shapes for contacts out of pictures where it has others to be seen."""
+    touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
+    if not all(touch):
+        for geom, touches in zip(body.geoms, touch, strict=True):
+            geom.group = CONTACT_GROUP if touches else geom.group
+
+
+def speeds_in(path: Path) -> dict[str, float]:
+    """The `velocity` limits of a URDF's joints by their names [rad/s, m/s], which MuJoCo does not read; {} for an MJCF file."""
+    text = path.read_text(errors="replace")
+    if ROOT.search(text) is None:
+        return {}
+    limits = {joint.get("name", ""): joint.find("limit") for joint in ElementTree.fromstring(text).iter("joint")}
+    found = {name: float(limit.get("velocity", 0)) for name, limit in limits.items() if limit is not None}
+    return {name: speed for name, speed in found.items() if speed > 0}
+
+
+def _found(path: Path, scheme: str, name: str) -> str:
+    """The place of a mesh: of `package://NAME/rest` in the folder NAME beside the URDF or above it."""
+    if scheme == "file":
+        return name
+    for folder in path.resolve().parents:
+        for place in (folder / name, folder.parent / name):
+            if place.is_file():
+                return str(place)
+    package = name.partition("/")[0]
+    words = f"names the mesh package://{name}, and no folder {package} with it is beside the file or above it"
+    raise ParameterError("file", f"{words}; put the package's folder there, or write the mesh's path from the URDF's folder", str(path))

@@ -2,20 +2,194 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.named_files import place_of_file
+from vstestbed.robots.arm import INNER, unit_scale
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
-from vstestbed.sim.scene.first_scenario import TRIED, first_posture, first_scenario, touching
 from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain, own_gains
+from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
+
+# A scenario to begin with for an arm of which only the file is known: a posture from which it can move, and a target in view.
+
+
+DRAWS, TRIED = 400, 100
+"""Postures that are drawn, and how many of them, the best first, are looked at more closely."""
+DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
+"""Distances of the target from the camera at the goal, and of the camera from the flange; the first with a good posture are taken [m]."""
+APART_DEG, APART_M = 4.0, 0.02
+"""How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that slides [m]."""
+CLEAR_M = 0.1
+"""Height over the floor under which no joint, camera or marker shall be [m]."""
+SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
+"""Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to reach them [s]."""
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Where a scenario begins.
+
+    Attributes:
+        flange: what carries the camera. q: joint positions (n,) [rad, m].
+        mount, distance: of the camera from the flange, and of the target from the camera at the goal [m]. T_world_target: (4, 4).
+        floor_z: height of a floor under all of it [m].
+    """
+
+    flange: str
+    q: Array
+    mount: float
+    distance: float
+    T_world_target: Array
+    floor_z: float
+
+
+def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
+    """A scenario as YAML that runs as it is: guessed limits of speed and torque, the camera at the flange, a square before it."""
+    target = Pose.of(start.T_world_target)
+    own = speeds_in(place_of_file(file))
+    speeds = [own.get(name, SLIDE_SPEED if slides else SPEED) for name, slides in zip(chain.names, chain.slides, strict=True)]
+    random = "{q_deg: 5, slide_m: 0.02}" if chain.slides.any() else "{q_deg: 5}"
+    q = np.where(chain.slides, start.q, np.degrees(start.q))
+    side, radius = start.distance / 3, start.distance / 50
+    pose = f"{{xyz: {_listed(target.xyz, 4)}, rpy_deg: {_listed(target.rpy_deg, 3)}}}"
+    lines = ["# limits of speed and torque that the file lacks are guessed: the maker's data sheet has them", "robot:"]
+    lines += ["  kind: mjcf", f"  file: {_quoted(file)}", f"  flange: {_quoted(start.flange)}"]
+    lines += ["  actuation: velocity", f"  speed_limits: {_listed(speeds, 3)}"]
+    if not np.isfinite(chain.torque).all():
+        lines += [f"  torque_limits: {_listed(torques(file, chain), 6)}"]
+    lines += [f"  start: {{nominal: {{q_deg: {_listed(q, 3)}}}, random: {random}}}"]
+    lines += [f"camera: {{kind: perspective, fovy_deg: 60, mount: {{xyz: [0, 0, {start.mount:g}]}}}}"]
+    lines += [f"target: {{kind: square, side: {side:.3g}, pose: {pose}, marker: {{kind: disc, radius: {radius:.2g}}}}}"]
+    lines += ["law: {kind: ibvs, gain: 0.8}", f"goal: {{T_camera_target: {{xyz: [0, 0, {start.distance:g}]}}}}"]
+    lines += ["stop: {duration_s: 30, converged: {error_px: 0.3, hold_s: 0.5}}"]
+    return "\n".join([*lines, f"world: {{floor_z: {start.floor_z:g}}}"] if start.floor_z else lines)
+
+
+def _quoted(text: str) -> str:
+    """A text in YAML, in quotes where it needs them."""
+    return text if re.fullmatch(r"[A-Za-z_/][\w./:+-]*", text) else json.dumps(text, ensure_ascii=False)
+
+
+def _listed(numbers: Iterable[float], digits: int) -> str:
+    """Numbers as a list in YAML, rounded to so many places."""
+    return f"[{', '.join(f'{round(float(x), digits) + 0.0:.10g}' for x in numbers)}]"
+
+
+def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
+    """The posture with the largest manipulability in which nothing touches, nothing is under the floor, and the camera's view is free.
+
+    The measure is the smallest singular value of the Jacobian, lengths in the arm's own unit, which the damping of `resolved_rate`
+    needs large. Of DRAWS random postures, the same ones at each call, all joints in the central INNER part of their ranges, the first
+    joint in its middle. Where none is so, the floor is put under the best one.
+
+    Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
+    """
+    ranked = _ranked(chain)[:TRIED]
+    apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
+    seen = (posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture))
+    return next(seen, _placed(file, flange, chain, apart[0], MOUNTS_M[0], DISTANCES_M[0]))
+
+
+def _views(file: str, flange: str, chain: JointChain, apart: list[Array]) -> Iterator[Posture]:
+    """Views from postures (n,), the best first: those over a floor at z = 0, then with the floor put lower."""
+    for distance, mount, q in itertools.product(DISTANCES_M, MOUNTS_M, apart):
+        posture = _placed(file, flange, chain, q, mount, distance)
+        if posture.floor_z == 0:
+            yield posture
+    yield from (_placed(file, flange, chain, q, MOUNTS_M[0], DISTANCES_M[0]) for q in apart)
+
+
+def torques(file: str, chain: JointChain) -> list[float]:
+    """Largest torques (n,) [Nm, N]: the file's, and where it has none twice what weight, friction and a start within SPEED_UP_S ask for.
+
+    Weight and inertia are the largest ones of TRIED postures.
+    """
+    model = compiled(file)
+    data, places, dofs = mujoco.MjData(model), *_addresses(model, chain)
+    M = np.zeros((model.nv, model.nv))
+    weight, inertia = np.zeros(len(dofs)), np.zeros(len(dofs))
+    for q in _drawn(chain)[:TRIED]:
+        data.qpos[places] = q
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, M)
+        weight = np.maximum(weight, np.abs(data.qfrc_bias[dofs]))
+        inertia = np.maximum(inertia, M.diagonal()[dofs])
+    guess = 2 * (weight + chain.friction + inertia * np.where(chain.slides, SLIDE_SPEED, SPEED) / SPEED_UP_S)
+    return [float(f"{most:.2g}" if np.isinf(given) else f"{given:g}") for most, given in zip(guess, chain.torque, strict=True)]
+
+
+def _addresses(model: mujoco.MjModel, chain: JointChain) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Places of the joints in qpos, and in qvel."""
+    joints = [model.joint(name) for name in chain.names]
+    return np.array([j.qposadr[0] for j in joints], dtype=np.intp), np.array([j.dofadr[0] for j in joints], dtype=np.intp)
+
+
+def _drawn(chain: JointChain) -> Array:
+    """Random postures (DRAWS, n) in the central part of each range, 150 degrees to both sides for a joint that turns without end."""
+    endless = np.radians([-150.0, 150.0])
+    limits = np.where(np.isfinite(chain.limits), chain.limits, endless)
+    middle, half = limits.mean(axis=1), INNER / 2 * np.ptp(limits, axis=1)
+    return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (np.arange(len(middle)) > 0)
+
+
+def _ranked(chain: JointChain) -> Array:
+    """The drawn postures (DRAWS, n), that of the largest manipulability first, rounded as the scenario will have them."""
+    drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
+    least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
+    best = drawn[np.argsort(least)[::-1]]
+    return np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))
+
+
+def _placed(file: str, flange: str, chain: JointChain, q: Array, mount: float, distance: float) -> Posture:
+    """A target before the camera at a neighbouring posture, the goal's, which the arm so reaches also with few joints."""
+    apart = np.where(chain.slides, APART_M, np.radians(APART_DEG)) * np.where(np.arange(len(q)) % 2, -1, 1)
+    goal = np.clip(q + apart, *chain.limits.T)
+    T_world_target = chain.kinematics(goal)[0] @ Pose(xyz=(0, 0, mount + distance)).T
+    model, data = _at(file, chain, q)
+    moving = [model.joint(name).bodyid[0] for name in chain.names[1:]]  # the first one may be in the foot
+    heights = [*data.xpos[moving, 2], chain.kinematics(q)[0][2, 3], T_world_target[2, 3] - distance / 4]
+    lowest = float(min(heights))
+    return Posture(flange, q, mount, distance, T_world_target, 0.0 if lowest > CLEAR_M else float(np.floor(lowest * 10) / 10 - 0.5))
+
+
+def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The file's model at a posture."""
+    model = compiled(file)
+    data = mujoco.MjData(model)
+    data.qpos[_addresses(model, chain)[0]] = q
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def touching(file: str, chain: JointChain, q: Array) -> str:
+    """The bodies that touch at a posture (n,): `base and link`; "" for none."""
+    model, data = _at(file, chain, q)
+    return " and ".join(model.body(model.geom_bodyid[g]).name or "a body without a name" for g in data.contact.geom[0]) if data.ncon else ""
+
+
+def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
+    """Whether nothing is between the camera and the target's middle and corners."""
+    model, data = _at(file, chain, posture.q)
+    eye = (chain.kinematics(posture.q)[0] @ Pose(xyz=(0, 0, posture.mount)).T)[:3, 3]
+    size, nearest = posture.distance / 6, np.zeros((1, 1), dtype=np.int32)
+    for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size)):
+        way = posture.T_world_target[:3] @ [x, y, 0, 1] - eye
+        if 0 <= mujoco.mj_ray(model, data, eye, way, None, 1, -1, nearest) < 1:  # in lengths of the way
+            return False
+    return True
+
 
 FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE)
 """Words by which files name the end of an arm."""

@@ -24,9 +24,7 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
-from vstestbed.sim.scene.model_errors import cannot_compile
-from vstestbed.sim.scene.model_files import carry_files, take_jpeg
-from vstestbed.sim.scene.urdf import read_model
+from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_model, take_jpeg
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3

@@ -1,0 +1,308 @@
+"""Wide lenses: fisheye, catadioptric and spherical cameras, and the faces of the cube on which their pictures are drawn."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Le, Len, Lt
+
+from vstestbed.camera.base import Camera, Panel
+from vstestbed.camera.perspective import Perspective
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, angles, direction, joined
+from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositivePixels
+from vstestbed.core.spec import spec
+
+# The six directions in which a camera that sees all around is drawn: how the faces of a cube stand in the camera.
+
+
+def _face(x: tuple[int, int, int], y: tuple[int, int, int]) -> Array:
+    """R_camera_face (3, 3) from the face's right and down, in camera axes; it looks along right x down."""
+    return np.stack([x, y, np.cross(x, y)], axis=1).astype(float)
+
+
+CUBE: dict[str, Array] = {
+    "front": _face((1, 0, 0), (0, 1, 0)),
+    "right": _face((0, 0, -1), (0, 1, 0)),
+    "back": _face((-1, 0, 0), (0, 1, 0)),
+    "left": _face((0, 0, 1), (0, 1, 0)),
+    "up": _face((1, 0, 0), (0, 0, 1)),
+    "down": _face((1, 0, 0), (0, 0, -1)),
+}
+"""R_camera_face (3, 3) by name, in the order of panels: axes x right, y down, z forward as a camera's. Going right from
+the front one comes to right, back, left; `up` and `down` stand at the front's upper and lower border as one looks there."""
+
+
+# Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees.
+
+
+RIM = 1e-9
+"""Relative tolerance for rounding at the border of the image circle."""
+
+
+@spec
+class Radial(Camera):
+    """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
+
+    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it. A lens defines m
+    (`radius`), its inverse (`angle`) and the range of theta that it sees (`reach`).
+
+    Args:
+        focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the
+            picture's shorter side, as seen from its middle: f = min(W, H) / 2 / m(theta_max); e.g. `150`.
+    """
+
+    focal_length_px: PositivePixels | None = None
+
+    @property
+    @abstractmethod
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle from the axis that the lens sees [rad]."""
+
+    @abstractmethod
+    def radius(self, theta: Array) -> Array:
+        """Distance m from the principal point in focal lengths [1] of angles theta (...) within the lens's reach [rad]."""
+
+    @abstractmethod
+    def angle(self, radius: Array) -> Array:
+        """Angles theta (...) [rad] of distances m (...) from the principal point: the inverse of `radius`."""
+
+    @cached_property
+    def ring(self) -> tuple[float, float]:
+        """Inner and outer radius of the image circle, in focal lengths [1]."""
+        inner, outer = self.radius(np.array(self.reach)).tolist()
+        return inner, outer
+
+    @cached_property
+    def f(self) -> float:
+        """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
+        return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
+
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
+        if ignores_distortion:
+            raise ParameterError("calibration.ignores_distortion", "is for the lenses perspective and fisheye, which have one")
+        return replace(self, focal_length_px=self.f * (1 + focal_error), principal_px=principal_px)
+
+    def project(self, p_camera: Array) -> Array:
+        """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens itself."""
+        theta_phi = angles(p_camera)
+        r = self.f * self.radius(_within(theta_phi[..., 0], self.reach))
+        phi = theta_phi[..., 1]
+        return joined(r * np.cos(phi), r * np.sin(phi)) + self.centre
+
+    def ray(self, uv: Array) -> Array:
+        """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its blind middle."""
+        m = (uv - self.centre) / self.f
+        theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
+        return direction(joined(theta, np.arctan2(m[..., 1], m[..., 0])))
+
+    def borders(self, uv: Array) -> tuple[Array, Array]:
+        """As of any camera, and of the image circle; of the blind middle too, where the lens has one."""
+        distance, inwards = super().borders(uv)
+        d = uv - self.centre
+        r = np.linalg.norm(d, axis=1, keepdims=True)
+        out, (inner, outer) = d / np.maximum(r, 1e-9), (self.f * m for m in self.ring)
+        distance, inwards = np.hstack([distance, outer - r]), np.hstack([inwards, -out[:, None]])
+        return (distance, inwards) if inner == 0 else (np.hstack([distance, r - inner]), np.hstack([inwards, out[:, None]]))
+
+
+def _within(value: Array, limits: tuple[float, float]) -> Array:
+    """`value` clipped to limits that it exceeds by rounding, NaN where it exceeds them by more."""
+    low, high = limits
+    slack = RIM * high
+    return np.where((value >= low - slack) & (value <= high + slack), np.minimum(np.maximum(value, low), high), np.nan)
+
+
+# The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye model).
+
+
+KNOTS, ROUNDS = 257, 8
+"""Size of the inverse's table, and Newton iterations: 3 reach rounding, 8 next to an angle where the polynomial has its maximum."""
+
+
+@spec
+class Fisheye(Radial):
+    """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
+
+    With k = 0 it is the equidistant lens m = theta. The numbers of OpenCV's `fisheye` calibration fit as they are
+    (f = fx = fy; no skew), and here they go on beyond 90 degrees.
+
+    Args:
+        fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
+        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1].
+
+    Raises (from the constructor): ParameterError for coefficients that fold the picture over itself within fov_deg.
+
+    Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f, doi:10.1109/TPAMI.2006.153.
+    """
+
+    kind: Literal["fisheye"] = "fisheye"
+    fov_deg: Annotated[PositiveAngle, Narrower(le=360)] = 185.0
+    coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse a polynomial that turns back within the field of view."""
+        super().__post_init__()
+        if self.reach[1] >= self.turn:
+            words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
+            raise ParameterError("coefficients", f"{words} {math.degrees(2 * self.turn):.4g}", self.coefficients)
+
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """As `Camera.miscalibrated`; without its distortion it is the equidistant lens."""
+        lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
+        return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle from the axis that the lens sees [rad]."""
+        return 0.0, math.radians(self.fov_deg) / 2
+
+    @cached_property
+    def turn(self) -> float:
+        """Angle up to which m rises [rad]: the first positive root of dm/dtheta = 1 + 3 k1 theta^2 + ... + 9 k4 theta^8."""
+        k1, k2, k3, k4 = self.coefficients
+        roots = np.roots(np.trim_zeros([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], "f"))
+        real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
+        return math.sqrt(real.min()) if len(real) else math.inf
+
+    def radius(self, theta: Array) -> Array:
+        """Distance m from the principal point in focal lengths [1] of angles theta (...) [rad]."""
+        k1, k2, k3, k4 = self.coefficients
+        t2 = theta * theta
+        return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+
+    def angle(self, radius: Array) -> Array:
+        """Angles theta (...) [rad] of distances m (...): Newton's method, kept between two knots of a table."""
+        if not any(self.coefficients):
+            return radius
+        k1, k2, k3, k4 = self.coefficients
+        knots, radii = self._table
+        after = np.clip(np.searchsorted(radii, radius), 1, KNOTS - 1)
+        theta = np.interp(radius, radii, knots)
+        for _ in range(ROUNDS):
+            t2 = theta * theta
+            slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
+            theta = np.clip(theta - (self.radius(theta) - radius) / slope, knots[after - 1], knots[after])
+        return theta
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        knots = np.linspace(*self.reach, KNOTS)
+        return knots, self.radius(knots)
+
+
+# The catadioptric camera: a lens facing a curved mirror, both modelled by one unit sphere (unified central model).
+
+
+@spec
+class Catadioptric(Radial):
+    """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
+
+    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by
+    theta = atan(m) + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens together).
+    xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an orthographic lens, m = tan(theta/2);
+    xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs > -1/xi, where m has its maximum).
+    The z axis points from the mirror to the lens; the mirror's reversal of the image is taken as undone (u rises with X).
+
+    Args:
+        xi: the mirror's parameter [1].
+        fov_deg: full field of view [deg], within the model's validity; without focal_length_px it also sets the scale.
+        blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself: NaN.
+
+    Raises (from the constructor): ParameterError for a field of view that the mirror cannot have, or none that is left.
+
+    References: Geyer & Daniilidis 2000, doi:10.1007/3-540-45053-X_29; Mei & Rives 2007, doi:10.1109/ROBOT.2007.364084.
+    """
+
+    kind: Literal["catadioptric"] = "catadioptric"
+    xi: Annotated[float, Ge(0), Le(100)] = 1.0
+    fov_deg: Annotated[PositiveAngle, Narrower(lt=360)] = 200.0
+    blind_deg: Annotated[float, Ge(0), Lt(180)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a field of view beyond the model's validity, and a blind spot as large as the field of view."""
+        super().__post_init__()
+        end = 2 * math.degrees(math.acos(-self.xi if self.xi <= 1 else -1 / self.xi))
+        if self.fov_deg >= end:
+            raise ParameterError("fov_deg", f"must be below {end:.4g} with xi = {self.xi:g}", self.fov_deg)
+        if self.blind_deg >= self.fov_deg / 2:
+            words = f"hides the whole field of view; it must be below fov_deg / 2 = {self.fov_deg / 2:g}"
+            raise ParameterError("blind_deg", words, self.blind_deg)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle from the axis that the camera sees [rad]."""
+        return math.radians(self.blind_deg), math.radians(self.fov_deg) / 2
+
+    def radius(self, theta: Array) -> Array:
+        """Distance m from the principal point in focal lengths [1] of angles theta (...) [rad]."""
+        return np.sin(theta) / (np.cos(theta) + self.xi)
+
+    def angle(self, radius: Array) -> Array:
+        """Angles theta (...) [rad] of distances m (...) from the principal point."""
+        # sin(theta_m) of the closed form; rounding may take it above 1 at the edge of the field of view.
+        sine = self.xi * radius / np.hypot(1.0, radius)
+        return np.arctan(radius) + np.arcsin(np.minimum(sine, 1.0))
+
+
+# The spherical camera: every direction at once.
+
+
+FACE_DEG = 100.0
+"""Field of view of each of the six pictures [deg]: 10 more than a cube's face, so that a marker at a seam, up to 5 degrees
+in radius, is whole in one of the two. More would cost pixels in the middle: a face has face_px / 2 / tan(FACE_DEG / 2) to
+the radian there."""
+
+
+@spec
+class SphericalCamera(Radial):
+    """The full sphere; its own picture is the azimuthal equidistant map about the optical axis, m(theta) = theta.
+
+    What lies ahead is nearly undistorted, what lies behind is a ring; the direction straight back, theta = pi, is that
+    ring's whole border, and is projected to its point at phi = 0. By default f = min(W, H) / 2 / pi.
+
+    Args:
+        face_px: side of the six square pictures [px], the panels, in which markers are found and from which films are made.
+
+    Reference: Snyder 1987, Map Projections: a Working Manual, section 25, doi:10.3133/pp1395.
+    """
+
+    kind: Literal["spherical"] = "spherical"
+    face_px: Annotated[int, Ge(8), Le(4096)] = 256
+
+    @cached_property
+    def panels(self) -> tuple[Panel, ...]:
+        """The six pictures in which markers are looked for, FACE_DEG wide each, in the order of `CUBE`."""
+        lens = Perspective(
+            width=self.face_px,
+            height=self.face_px,
+            fovy_deg=FACE_DEG,
+            rate_hz=self.rate_hz,
+            multisampling=self.multisampling,
+            anisotropy=self.anisotropy,
+            shadows=self.shadows,
+        )
+        return tuple(Panel(lens, R) for R in CUBE.values())
+
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> SphericalCamera:
+        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
+        raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Smallest and largest angle from the axis: all of them [rad]."""
+        return 0.0, math.pi
+
+    def radius(self, theta: Array) -> Array:
+        """Distance from the principal point in focal lengths [1], theta (...) [rad] itself."""
+        return theta
+
+    def angle(self, radius: Array) -> Array:
+        """Angles theta (...) [rad], the distances (...) themselves."""
+        return radius

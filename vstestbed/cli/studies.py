@@ -1,0 +1,410 @@
+"""The commands of studies: `basin`, `sweep`, `gain-limit`, `tune`, `bench`. Heavy imports are inside the functions."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import typer
+
+from vstestbed.cli import complete
+from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED
+from vstestbed.cli.tools import Experiments, Force, Json, Plugins, Settings, SettingsOfAll, load_scenario, renamed, settings_of
+from vstestbed.core.errors import ParameterError
+
+if TYPE_CHECKING:
+    from vstestbed.studies.basin import Axis, Basin
+    from vstestbed.studies.bench import Suite
+    from vstestbed.studies.comparison import Job
+    from vstestbed.studies.convergence import Ended, RunEnding, Study
+    from vstestbed.studies.delay import Limit
+    from vstestbed.studies.tuning import Search
+    from vstestbed.studies.tuning.result import TuningResult
+
+
+# The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
+
+
+basins = typer.Typer()
+
+
+class FieldOfView(str, Enum):
+    """Field of view of the camera of a map."""
+
+    limited = "limited"
+    unlimited = "unlimited"
+
+
+@basins.command()
+def basin(
+    scenarios: Experiments,
+    x: Annotated[str, typer.Option("--x", metavar="NAME=LOW:HIGH", help="First coordinate: x y z [m], roll pitch yaw [deg].")],
+    y: Annotated[str, typer.Option("--y", metavar="NAME=LOW:HIGH", help="Second coordinate; both in the frame of the goal camera.")],
+    at: Annotated[list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="Another coordinate. [default: the start's]")] = None,
+    n: Annotated[int, typer.Option("--n", min=2, max=2000, help="Places along each axis; 316 make 100 000 starts.")] = 316,
+    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
+    set_: SettingsOfAll = None,
+    field_of_view: Annotated[
+        FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
+    ] = None,
+    check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
+    from vstestbed.cli.compare import vary_of
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.core.files import study_folder
+    from vstestbed.studies.basin import basins_of, laws, write
+    from vstestbed.studies.batch import must_be_few_starts
+    from vstestbed.studies.comparison import chosen
+
+    # mistakes on the command line are reported before the scenarios are loaded
+    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
+    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
+    must_be_few_starts(comparison, n, force)
+    show_notes(not quiet)
+    found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
+    shown = not (quiet or as_json)
+    with study_folder("basin", out) as folder:
+        mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
+        page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    if as_json:
+        sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
+    elif not quiet:
+        typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+
+
+def _axis(option: str, text: str, n: int) -> Axis:
+    from vstestbed.studies.basin import Axis
+
+    name, _, ends = text.partition("=")
+    low, _, high = ends.partition(":")
+    try:
+        return Axis(name.strip(), float(low), float(high), n)
+    # the same problem under the name of the option
+    except ParameterError as error:
+        raise ParameterError(option, f"{error.field} {error.problem}" if error.field != "axis" else error.problem, error.found) from None
+    except ValueError:
+        raise ParameterError(option, "needs the form NAME=LOW:HIGH, such as yaw=-180:180", text) from None
+
+
+def _coordinate(option: str, text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise ParameterError(option, "needs the form NAME=VALUE, such as z=-1", text) from None
+
+
+def _coordinates(option: str, texts: list[str]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in (_coordinate(option, text) for text in texts):
+        if name in found:
+            raise ParameterError(option, "must give each coordinate once", name)
+        found[name] = value
+    return found
+
+
+def _summary_text(mapped: Basin) -> str:
+    summary = mapped.summary()
+    shares = ", ".join(f"{ending.replace('_', ' ')} {100 * share:.1f} %" for ending, share in summary["shares"].items())
+    lines = [f"{mapped.label}: {shares}; {summary['starts']} starts in {mapped.processor_s:.1f} s of one core"]
+    if mapped.checked:
+        lines.append(f"  the time loop agrees on {summary['agreeing']} of {mapped.checked}")
+    lines += [f"    not at {d.words(mapped.x.name, mapped.y.name)}" for d in mapped.disagreements]
+    return "\n".join(lines)
+
+
+# The command `sweep`: share of converged runs over two varied fields. Heavy imports are inside the function.
+
+
+convergences = typer.Typer()
+
+
+@convergences.command("sweep")
+def sweep(
+    scenarios: Experiments,
+    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map's axis: first x, then y.")] = None,
+    set_: SettingsOfAll = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts in each cell.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/sweep/NUMBER]")] = None,
+    force: Force = False,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
+    from vstestbed.cli.compare import vary_of
+    from vstestbed.core.files import study_folder
+    from vstestbed.studies.comparison import chosen
+    from vstestbed.studies.convergence import Study, summaries
+
+    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
+    shown, command = not (quiet or as_json), shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
+    with study_folder("sweep", out) as folder:
+        ended = _carried_out(study, folder, jobs, shown, command)
+    if as_json:
+        sys.stdout.write(study.table(ended).write_json() + "\n")
+    elif not quiet:
+        for one in summaries(study.maps(ended)):
+            typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
+        typer.echo(f"  results   {folder} (open report.html)", err=True)
+
+
+def _carried_out(study: Study, folder: Path, jobs: int | None, shown: bool, command: str) -> Ended:
+    """Do all runs and write the folder; an interrupted sweep has the map of the runs that are done."""
+    from vstestbed.studies.convergence import write
+
+    found: dict[int, tuple[Job, RunEnding]] = {}
+    total = len(study.runs)
+
+    def done(place: int, job: Job, ending: RunEnding) -> None:
+        found[place] = job, ending
+        # a line every 100 runs: a run takes some 50 ms
+        if shown and (len(found) == total or len(found) % 100 == 0):
+            typer.echo(f"{len(found)} of {total} runs", err=True)
+
+    ended: Ended = ()
+    try:
+        study.run_all(folder, jobs, done)
+    except KeyboardInterrupt:
+        words = f"; their map is in {folder} (open report.html)" if found else ""
+        typer.echo(f"interrupted: {len(found)} of {total} runs are done{words}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    finally:
+        if found:
+            ended = [found[place] for place in sorted(found)]
+            write(folder, study, ended, command)
+    return ended
+
+
+renamed(convergences, "convergence", "sweep", sweep)
+
+
+# The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function.
+
+
+delays = typer.Typer()
+LAGGING = 0.95
+"""A limit below this share of the theory for the delay alone shows the lag of the servos."""
+EXPLAINED = 0.9
+"""A limit below this share of the nearest model is told as not explained by it."""
+
+
+@delays.command("gain-limit")
+def gain_limit(
+    scenario: Annotated[
+        str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
+    ],
+    frames: Annotated[
+        str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera, beside the scenario's own latency.")
+    ] = "0,1,2,3,4,5",
+    set_: Settings = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/gain-limit/NUMBER]")] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says.
+
+    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
+    scenario (`--set camera.latency_s=0.06`) comes first.
+    """
+    from vstestbed.core.files import study_folder
+    from vstestbed.studies.delay import find_limits, write
+
+    chosen, delays = load_scenario(scenario, set_, plugin), _numbers(frames)
+    shown = not (quiet or as_json)
+    with study_folder("gain-limit", out) as folder:
+        limits = find_limits(chosen, delays, lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
+        page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    if as_json:
+        sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
+    elif not quiet:
+        typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+
+
+def _numbers(text: str) -> list[int]:
+    try:
+        return sorted({int(part) for part in text.split(",")})  # in order, and no delay twice
+    except ValueError:
+        raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", text) from None
+
+
+def _summary_line(limit: Limit) -> str:
+    """The limit, how far it is from the theory of the delay alone, and what of that the servos explain, with the figure that shows it."""
+    row = limit.row()
+    delay = f"{limit.latency_s:g} s ({limit.delay_frames:g} frame{'' if limit.delay_frames == 1 else 's'})"
+    if limit.unlimited:
+        return f"{delay}: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
+    line = f"{delay}: unstable from {limit.gain:.4g} 1/s, {row['measured_to_theory']:.3f} of theory for the delay alone"
+    with_servos = []
+    if limit.g_lag is not None:
+        lag = f"{limit.joint} by {1e3 * limit.lag_of_first:.1f} ms"
+        with_servos.append(f"{row['measured_to_lag']:.3f} of theory with their lag ({lag})")
+    if limit.g_linear is not None:
+        with_servos.append(f"{row['measured_to_linear']:.3f} of a linear model of the whole arm")
+    if not with_servos:
+        return line
+    nearest = min((limit.g / g for g in (limit.g_lag, limit.g_linear) if g is not None), key=lambda ratio: abs(1 - ratio))
+    left = "; what is left is not explained" if nearest < EXPLAINED else ""
+    why = ", since its servos lag" if limit.g < LAGGING * limit.g_theory else ""
+    return f"{line}{why}; {', '.join(with_servos)}{left}"
+
+
+renamed(delays, "delay", "gain-limit", gain_limit)
+
+
+# The command `tune`: search for the settings with which a scenario does best. Heavy imports are inside the function.
+
+
+tunings = typer.Typer()
+RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
+
+
+@tunings.command()
+def tune(
+    scenario: Annotated[
+        str | None, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)
+    ] = None,
+    vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=LOW:HIGH", help=RANGES, autocompletion=complete.paths)] = None,
+    metric: Annotated[
+        str, typer.Option(metavar="NAME", help="Number of summary.json; less is better.", autocompletion=complete.figures)
+    ] = "time_to_converge_s",
+    maximise: Annotated[bool, typer.Option("--maximise", help="More of the metric is better. [default: as is known of it]")] = False,
+    trials: Annotated[int | None, typer.Option(min=1, max=1000, help="How many settings are tried. [default: 30]")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=1000, help="Random starts of each trial. [default: 10]")] = None,
+    batch: Annotated[int, typer.Option(min=1, max=1000, help="Trials that are chosen together; more use more cores.")] = 4,
+    check: Annotated[int, typer.Option(min=0, max=1000, help="Fresh starts on which the best is checked.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
+    set_: Settings = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
+    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/tune/NUMBER]")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the search in --out DIR; --trials may be more.")] = False,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """The settings with which a scenario does best: a search over ranges and choices, each trial from the same random starts."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.studies.comparison import must_be_known
+    from vstestbed.studies.tuning import begun, planned
+
+    must_be_known(executor)
+    plan, settings = None, settings_of(set_)
+    if not resume:
+        numbers = (trials or 30, seeds, batch, check, seed)
+        plan = planned(scenario, ranges_of(vary), metric, maximise or None, *numbers, settings, plugin or [])
+    elif any((scenario, vary, settings)):
+        raise ParameterError("--resume", "goes on with what the folder searches; leave the rest out, but for --trials")
+    with begun(plan, out, trials, plugin or []) as search:
+        show_notes(not quiet)
+        search.jobs, search.executor = jobs, executor
+        result = _finished(search, shown=not quiet and not as_json)
+    _tell(result, as_json, quiet)
+    if result.best is None:
+        raise typer.Exit(NOT_REACHED)
+
+
+def _tell(result: TuningResult, as_json: bool, quiet: bool) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(result.plain(), indent=1) + "\n")
+    elif not quiet:
+        typer.echo(_text(result), err=True)
+
+
+def ranges_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
+    """What is varied by `--vary`, by dotted path: values, or a range in one text."""
+    from vstestbed.cli.compare import vary_of
+
+    return vary_of(options)
+
+
+def _finished(search: Search, shown: bool) -> TuningResult:
+    """Do the search; an interrupt leaves with the command that goes on."""
+    from vstestbed.cli.progress import Counter
+    from vstestbed.studies.tuning import finished
+
+    try:
+        with Counter(search.total, 0, shown) as counter:
+            search.listener = counter
+            return finished(search)
+    except KeyboardInterrupt:
+        words = f"interrupted: {len(search.trials)} of {search.plan.trials} trials are done; go on with: "
+        typer.echo(f"{words}vstestbed tune --resume --out {shlex.quote(str(search.folder))}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _text(result: TuningResult) -> str:
+    lines = [result.headline, *(f"  {words}" for words in result.sentences())]
+    lines += [f"  take it   {result.command}"] if result.best else []
+    return "\n".join([*lines, f"  results   {result.folder} (open report.html)"])
+
+
+# The command `bench`: where the time goes, and what became slower. Heavy imports are inside the functions.
+
+
+benchmarks = typer.Typer()
+
+
+class _Result(Protocol):
+    def as_dict(self) -> dict[str, object]: ...
+    def as_text(self) -> str: ...
+
+
+@benchmarks.command()
+def bench(
+    scenario: Annotated[
+        str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]", autocompletion=complete.scenarios)
+    ] = None,
+    set_: Settings = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs, each beside its floor.")] = 5,
+    ideal: Annotated[bool, typer.Option("--ideal", help="The ideal camera on one core instead: one run, and 1000 at once.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Robots, films, folder, report, comparison, ideal loop, start.")] = False,
+    earlier: Annotated[
+        Path | None, typer.Option("--compare", metavar="OLD.json", help="What became slower since OLD.json, made by --all --json.")
+    ] = None,
+    as_json: Json = False,
+    plugin: Plugins = None,
+) -> None:
+    """Real-time factor and where the time goes, against the floor: the same physics steps and pictures, nothing else."""
+    whole = ideal + every + (earlier is not None)
+    if whole > 1 or (whole and (scenario or set_)):
+        raise ParameterError("--ideal, --all and --compare", "each measure fixed scenarios: give one of them, without SCENARIO and --set")
+    if earlier is not None:
+        result: _Result = _changes_since(earlier, repeats, quiet=as_json)
+    elif every:
+        result = _suite(repeats, (), quiet=as_json)
+    elif ideal:
+        from vstestbed.studies.bench import measure_ideal
+
+        result = measure_ideal(repeats)
+    else:
+        from vstestbed.studies.bench import measure
+
+        result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
+    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
+
+
+def _changes_since(earlier: Path, repeats: int, quiet: bool) -> _Result:
+    """The benchmarks of an earlier measurement, measured again."""
+    from vstestbed.studies.bench import SpeedChanges, read_saved
+
+    before = read_saved(earlier).timings  # read first: a wrong file should not cost minutes
+    return SpeedChanges.between(before, _suite(repeats, tuple(before), quiet).timings)
+
+
+def _suite(repeats: int, only: tuple[str, ...], quiet: bool) -> Suite:
+    from vstestbed.studies.bench import measure_all
+
+    return measure_all(repeats, only, lambda name: None if quiet else typer.echo(f"{name} ...", err=True))

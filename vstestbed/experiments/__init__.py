@@ -1,1 +1,0 @@
-"""Whole experiments: a run with its folder, comparisons, basins, gain limits under delay, sweeps, benchmarks."""

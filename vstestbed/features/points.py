@@ -1,0 +1,181 @@
+"""Image points in Cartesian, polar and spherical coordinates."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.core.geometry import Array, joined
+from vstestbed.core.spec import spec
+from vstestbed.features.base import bearing_error, bearing_weight, checked
+
+# Image points in normalised Cartesian coordinates.
+
+
+@spec
+class Point:
+    """The coordinates (x, y) = (X/Z, Y/Z) of each point; rows x1, y1, x2, y2, ...
+
+    x_dot = -vx/Z + x vz/Z + x y wx - (1 + x^2) wy + y wz
+    y_dot = -vy/Z + y vz/Z + (1 + y^2) wx - x y wy - x wz
+
+    Reference: Chaumette & Hutchinson 2006, eq. 11, doi:10.1109/MRA.2006.250573.
+    """
+
+    kind: Literal["point"] = "point"
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 2
+    least_markers: ClassVar[int] = 1
+
+    def measure(self, xy: Array) -> Array:
+        """The vector s (..., 2N) of xy (..., N, 2)."""
+        xy = np.asarray(xy, dtype=float)
+        return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs)
+        x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
+        L = np.zeros((*xy.shape, 6))
+        L[..., 0, 0] = L[..., 1, 1] = -inv_z
+        L[..., 0, 2], L[..., 1, 2] = x * inv_z, y * inv_z
+        L[..., 0, 3], L[..., 1, 3] = x * y, 1 + y * y
+        L[..., 0, 4], L[..., 1, 4] = -(1 + x * x), -x * y
+        L[..., 0, 5], L[..., 1, 5] = y, -x
+        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """The difference s - s*, shape (..., 2N)."""
+        return np.subtract(s, s_star, dtype=float)
+
+
+# Image points in polar coordinates.
+
+
+@spec
+class Polar:
+    """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
+
+    r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
+    phi_dot = (s vx - c vy)/(r Z) + (c wx + s wy)/r - wz,   c = cos phi, s = sin phi
+
+    At the principal point phi is undefined, and its row zero. (The row of r has no direction there, either. If the goal has a marker
+    at the centre, the matrix at the desired view lacks this information: with few other markers, use the current matrix or the mean.)
+
+    Args:
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
+            reference, and rounding decides the direction of each.
+        centre_weight: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with w(r) = min(1, r/0.01) (`bearing_weight`),
+            which is 1 beyond some 4 to 8 pixels: a marker at the centre of the goal's picture then gives no noise. Else w = 1, as in
+            the reference, and the row grows as 1/r.
+
+    Reference: Corke 2017, Robotics, Vision & Control, eq. 16.9, doi:10.1007/978-3-319-54413-7.
+    """
+
+    kind: Literal["polar"] = "polar"
+    together: bool = True
+    centre_weight: bool = True
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 2
+    least_markers: ClassVar[int] = 1
+
+    def measure(self, xy: Array) -> Array:
+        """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
+        xy = np.asarray(xy, dtype=float)
+        s = joined(np.hypot(xy[..., 0], xy[..., 1]), np.arctan2(xy[..., 1], xy[..., 0]))
+        return s.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs)
+        s = self.measure(xy).reshape(xy.shape)
+        r, cos, sin, inv_z = s[..., 0], np.cos(s[..., 1]), np.sin(s[..., 1]), 1 / depth
+        weight = bearing_weight(r, self.centre_weight) ** 2
+        inv_r = weight / np.where(r > 0, r, 1)  # at r = 0 the weight is 0, and so is the row
+        L = np.zeros((*xy.shape, 6))
+        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos * inv_z, -sin * inv_z, r * inv_z
+        L[..., 0, 3], L[..., 0, 4] = (1 + r * r) * sin, -(1 + r * r) * cos
+        L[..., 1, 0], L[..., 1, 1] = sin * inv_r * inv_z, -cos * inv_r * inv_z
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * inv_r, sin * inv_r, -weight
+        return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error s - s* (..., 2N); the angles wrapped and weighted (`bearing_error`)."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
+        w, w_star = (bearing_weight(r, self.centre_weight) for r in (s[..., 0::2], s_star[..., 0::2]))
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
+        return e
+
+
+# Points on the unit sphere around the camera's centre.
+
+
+@spec
+class Spherical:
+    """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...
+
+    theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
+    phi_dot   = (s vx - c vy)/(R sin theta) + (c wx + s wy) cos theta/sin theta - wz,   c = cos phi, s = sin phi
+
+    R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the equator to the front.
+    On the axis, ahead and behind, phi is undefined, and its row zero.
+
+    Args:
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
+            reference, and rounding decides the direction of each.
+        centre_weight: the row of phi has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*) in e, with
+            w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond 0.6 degrees. Else w = 1, as in the reference.
+
+    Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
+    """
+
+    kind: Literal["spherical"] = "spherical"
+    together: bool = True
+    centre_weight: bool = True
+    inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
+    rows_per_marker: ClassVar[int] = 2
+    least_markers: ClassVar[int] = 1
+
+    def measure(self, ray: Array) -> Array:
+        """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
+        ray = np.asarray(ray, dtype=float)
+        X, Y, Z = ray[..., 0], ray[..., 1], ray[..., 2]
+        s = joined(np.arctan2(np.hypot(X, Y), Z), np.arctan2(Y, X))
+        return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
+
+    def interaction(self, ray: Array, range_: Array) -> Array:
+        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, or a range is not positive.
+        """
+        ray, range_ = checked(ray, range_, self.inputs)
+        s = self.measure(ray).reshape(*ray.shape[:-1], 2)
+        cosines, sines = np.cos(s), np.sin(s)
+        cos_t, cos, sin_t, sin = cosines[..., 0], cosines[..., 1], sines[..., 0], sines[..., 1]
+        inv_r, weight = 1 / range_, bearing_weight(sin_t, self.centre_weight) ** 2
+        inv_sin = weight / np.where(sin_t > 0, sin_t, 1)  # on the axis the weight is 0, and so is the row
+        L = np.zeros((*s.shape, 6))
+        L[..., 0, 0], L[..., 0, 1], L[..., 0, 2] = -cos_t * cos * inv_r, -cos_t * sin * inv_r, sin_t * inv_r
+        L[..., 0, 3], L[..., 0, 4] = sin, -cos
+        L[..., 1, 0], L[..., 1, 1] = sin * inv_sin * inv_r, -cos * inv_sin * inv_r
+        L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -weight
+        return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error s - s* (..., 2N); theta unchanged, phi wrapped and weighted (`bearing_error`)."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
+        w, w_star = (bearing_weight(np.sin(theta), self.centre_weight) for theta in (s[..., 0::2], s_star[..., 0::2]))
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
+        return e

@@ -1,0 +1,159 @@
+"""Features of the relative pose: rotation, translation, and the depth of a point as a logarithm."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, quaternion_wxyz, skew
+from vstestbed.core.spec import spec
+from vstestbed.features.base import checked
+
+# The rotation between two camera frames as an angle times an axis.
+
+
+@spec
+class ThetaU:
+    """theta u of the rotation between the current camera frame and that at the goal: three rows, computed from a pose.
+
+    Args:
+        rotation: "cdRc" is R_goal_camera, "cRcd" its inverse R_camera_goal, with c for the camera and cd for the camera desired.
+
+    Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
+    """
+
+    kind: Literal["theta_u"] = "theta_u"
+    rotation: Literal["cdRc", "cRcd"] = "cdRc"
+    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
+    rows_per_marker: ClassVar[int] = 0
+
+    def measure(self, R: Array) -> Array:
+        """The vector s (..., 3) [rad] of the rotation R (..., 3, 3) that `rotation` names."""
+        return theta_u(R)
+
+    def interaction(self, R: Array) -> Array:
+        """L (..., 3, 6) of the rotation R (..., 3, 3) that `rotation` names: [0, L_w] for cdRc.
+
+        R_dot is R [w]x for cdRc and -[w]x R for cRcd, so that the second is minus the first at -theta u.
+        """
+        return self.interaction_at(theta_u(R))
+
+    def interaction_at(self, s: Array) -> Array:
+        """The same for s = theta u (..., 3) [rad], without computing it again."""
+        L = np.zeros((*s.shape, 6))
+        L[..., 3:] = rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
+        return L
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """The difference s - s* (..., 3) [rad]; at the goal s* = 0."""
+        return np.subtract(s, s_star, dtype=float)
+
+
+def theta_u(R: Array) -> Array:
+    """The vector theta u (..., 3) [rad], theta in [0, pi], of rotations R (..., 3, 3), exact near 0 and near a half turn.
+
+    From the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn, where u and -u are the same rotation,
+    the largest component of u is positive.
+    """
+    quaternion = quaternion_wxyz(np.asarray(R, dtype=float))
+    w, q = quaternion[..., :1], quaternion[..., 1:]
+    n = np.linalg.norm(q, axis=-1, keepdims=True)
+    some = n > 0
+    return q * np.where(some, 2 * np.arctan2(n, w) / np.where(some, n, 1), 2.0)  # 2: the limit of theta/|q| at 0
+
+
+def rotation_interaction(theta_u: Array) -> Array:
+    """L_w (..., 3, 3) with (theta u)_dot = L_w w for R_dot = R [w]x, of theta u (..., 3) [rad], theta <= pi.
+
+    L_w = I + S/2 + c S^2,  S = [theta u]x,  c = (1 - (theta/2) cot(theta/2))/theta^2; below 0.1 rad the series
+    1/12 + theta^2/720 + theta^4/30240, whose next term is under 1e-12.
+
+    Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
+    """
+    theta2 = np.sum(np.square(theta_u), axis=-1)
+    small = theta2 < 1e-2  # theta < 0.1 rad, where the closed form would lose digits to 1 - x cot(x)
+    half = 0.5 * np.sqrt(np.where(small, 1, theta2))
+    series = 1 / 12 + theta2 / 720 + theta2**2 / 30240
+    c = np.where(small, series, (1 - half * np.cos(half) / np.sin(half)) / (4 * half * half))
+    S = skew(theta_u)
+    return np.eye(3) + 0.5 * S + c[..., None, None] * (S @ S)
+
+
+# The translation between two frames.
+
+
+@spec
+class Translation:
+    """The translation t [m] of a pose: three rows, computed from the pose.
+
+    Args:
+        pose: "cdMc" is T_goal_camera, with t_dot = R v; "cMcd" T_camera_goal and "cMo" T_camera_target, with
+            t_dot = -v - w x t.
+
+    Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
+    """
+
+    kind: Literal["translation"] = "translation"
+    pose: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
+    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
+    rows_per_marker: ClassVar[int] = 0
+
+    def measure(self, T: Array) -> Array:
+        """The vector s (..., 3) [m] of the pose T (..., 4, 4) that `pose` names."""
+        return np.asarray(T, dtype=float)[..., :3, 3].copy()
+
+    def interaction(self, T: Array) -> Array:
+        """L (..., 3, 6) of the pose T (..., 4, 4) that `pose` names: [R, 0] for cdMc, [-I, [t]x] for the others."""
+        T = np.asarray(T, dtype=float)
+        L = np.zeros((*T.shape[:-2], 3, 6))
+        if self.pose == "cdMc":
+            L[..., :3] = T[..., :3, :3]
+        else:
+            L[..., :3] = -np.eye(3)
+            L[..., 3:] = skew(T[..., :3, 3])
+        return L
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """The difference s - s* (..., 3) [m]; at the goal s* = 0 for cdMc and cMcd."""
+        return np.subtract(s, s_star, dtype=float)
+
+
+# The depth of a point as a logarithm.
+
+
+@spec
+class LogDepth:
+    """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.
+
+    (log Z)_dot = -vz/Z - y wx + x wy
+
+    Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
+    """
+
+    kind: Literal["log_depth"] = "log_depth"
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 1
+    least_markers: ClassVar[int] = 1
+
+    def measure(self, depth: Array) -> Array:
+        """The vector s (..., N) of depth (..., N) [m]; ParameterError where one is not positive."""
+        if not (np.asarray(depth) > 0).all():
+            raise ParameterError("depth", "must be > 0 m for every point")
+        return np.log(depth)
+
+    def interaction(self, xy: Array, depth: Array) -> Array:
+        """L (..., N, 6) of xy (..., N, 2) and depth (..., N) [m].
+
+        Raises:
+            ParameterError: the shapes do not match, or a depth is not positive.
+        """
+        xy, depth = checked(xy, depth, self.inputs)
+        L = np.zeros((*depth.shape, 6))
+        L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]
+        return L
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """log(Z/Z*) (..., N) as the difference s - s*."""
+        return np.subtract(s, s_star, dtype=float)

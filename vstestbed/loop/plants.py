@@ -1,0 +1,182 @@
+"""What a scenario is in the simulator: its plant, and the pictures of its goal."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from vstestbed.camera import Picture
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.features.observation import Goal, Sight
+from vstestbed.scenario.noise import Noise, TargetNoise
+from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import Plant, flange_for, posture_at
+from vstestbed.sim.build import build_plant
+from vstestbed.tasks.base import GoalPicture
+
+# Effects on pictures or measured points in a run that has none: they are told, since a comparison would take them for harmless.
+
+
+OF_CAMERAS = "optics", "exposure", "sensor", "stream"
+"""Blocks of a camera that change the grey levels of a picture, and not where or when it is taken, as latency and readout do."""
+
+
+def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
+    """The dotted paths of what a scenario does to its pictures alone."""
+    given = (name for name in OF_CAMERAS if getattr(scenario.camera, name) is not None)
+    # With `blurs` the exposure is also a time, half of which each picture is older.
+    yield from (f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None)
+    noise, light = scenario.noise, scenario.world.light
+    told = {
+        "noise.image_sigma": noise.image_sigma > 0,
+        "noise.drift": noise.drift != Noise().drift,
+        "noise.target": not noise.target.none,
+        "world.light.flicker": light is not None and light.flicker.depth > 0,
+    }
+    yield from (name for name, acts in told.items() if acts)
+    yield from _perturbing(noise, "picture")
+
+
+def effects_on_points(scenario: Scenario) -> Iterator[str]:
+    """The dotted paths of what a scenario does to measured points alone."""
+    noise = scenario.noise
+    yield from (f"noise.{name}" for name in ("pixel_sigma_px", "dropout") if getattr(noise, name) > 0)
+    yield from _perturbing(noise, "pixels")
+
+
+def _perturbing(noise: Noise, what: str) -> Iterator[str]:
+    """The kinds of `noise.perturb` that change this alone."""
+    return (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == (what,))
+
+
+def warn_without_effect(scenario: Scenario) -> None:
+    """Warn once of effects on pictures where neither detector nor law looks at any, and of those on points that no detector measures."""
+    detector = scenario.detector
+    if not scenario.needs_image and (found := ", ".join(effects_on_pictures(scenario))):
+        why = f"it changes pictures and detector {detector.kind} looks at none; works: a detector of pictures, such as blobs"
+        _warn_once(found, why)
+    if detector.rows == 0 and (found := ", ".join(effects_on_points(scenario))):
+        why = f"it changes measured points and detector {detector.kind} measures none; works: noise of the picture, noise.image_sigma"
+        _warn_once(found, why)
+
+
+@functools.cache
+def _warn_once(found: str, why: str) -> None:
+    logging.getLogger("vstestbed").warning("%s: without effect, for %s", found, why)
+
+
+# The goal's pictures, taken by the simulated camera at each goal view before the run, as a robot is taught its goal by showing.
+
+
+def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
+    """The picture at each goal view; none where neither law nor detector needs them.
+
+    It is taken through the true lens, without noise and at rest, unless the scenario names a file, or other light (`GoalPicture`). The
+    plant is left in its state.
+    """
+    if not scenario.needs_goal_image:
+        return ()
+    said = scenario.goal.pictures or (GoalPicture(),) * len(scenario.goal_poses)
+    rng = scenario.rng(GOAL_STREAM)
+    return tuple(_pictured(scenario, plant, T, one, rng) for T, one in zip(scenario.goal_poses, said, strict=True))
+
+
+def _pictured(scenario: Scenario, plant: Plant, T_camera_target: Array, said: GoalPicture, rng: np.random.Generator) -> Sight:
+    """The file's picture, or the one from T_camera_target (4, 4) under the light of teaching."""
+    if said.source is not None:
+        return Sight(said.read(scenario.camera))
+    taken = _taken(scenario, plant, T_camera_target)
+    return replace(taken, image=said.under_its_light(taken.image, rng))
+
+
+def _taken(scenario: Scenario, plant: Plant, T_camera_target: Array) -> Sight:
+    """The picture from T_camera_target (4, 4), of the target where it is at the start; an arm stands as it will at the goal."""
+    T_world_flange = flange_for(scenario.camera, scenario.target, T_camera_target)
+    q = posture_at(scenario.robot, T_world_flange) if scenario.robot.base == "fixed" else None
+    return sight_of(plant.picture_from(T_world_flange, q))
+
+
+def sight_of(picture: Picture) -> Sight:
+    """A picture, completed where only a part of it was drawn, as laws and detectors are given it."""
+    whole = picture.completed()
+    if whole.image is None:
+        raise ParameterError("camera", "must have a single image, of which a law or a detector takes all; use a perspective camera")
+    # The renderer overwrites its picture, and a law may keep one to compare the next with.
+    return Sight(whole.image.copy(), whole.depth)
+
+
+def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
+    """The pictures of all goal views from their files; () where one has none."""
+    said = scenario.goal.pictures
+    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
+
+
+def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
+    """The goal views with their pictures.
+
+    Raises:
+        ParameterError: their number, or the size of one, is not that of the goal views and the camera.
+    """
+    views, camera = scenario.goal_views, scenario.camera
+    if not scenario.needs_goal_image:
+        return views
+    images = images or _from_files(scenario)
+    if len(images) != len(views):
+        words = (
+            f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it;"
+            " give them, or name their files in goal.picture"
+        )
+        raise ParameterError("goal_images", words, len(images))
+    for sight in images:
+        if sight.image.shape != (camera.height, camera.width, 3):
+            raise ParameterError("goal_images", f"must be of shape {(camera.height, camera.width, 3)}", sight.image.shape)
+    return tuple(replace(view, image=sight) for view, sight in zip(views, images, strict=True))
+
+
+def shown_clean(scenario: Scenario) -> tuple[Sight, ...] | None:
+    """Pictures of the goal before the target's picture was changed (`noise.target`); None where it is not changed."""
+    if scenario.noise.target.none or not scenario.needs_goal_image:
+        return None
+    clean = replace(scenario, noise=replace(scenario.noise, target=TargetNoise()))
+    plant, _ = plant_of(clean, pictures=True, plate_m=0.0)
+    with closing(plant):
+        return take_goal_images(clean, plant)
+
+
+def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant, str]:
+    """The plant of a scenario, and the name of its renderer; warns of scenery that the detector may take for markers, and of effects
+    that it does not see.
+    """
+    warn_without_effect(scenario)
+    scenery, chroma = scenario.world.scenery, getattr(scenario.detector, "chroma", None)
+    if scenery is not None and chroma is not None:
+        from vstestbed.sim.scene.scenery import warn_of_colours  # here: MuJoCo is imported where there is any
+
+        warn_of_colours(scenery.file, scenario.detector.kind, chroma)
+    return build_plant(
+        scenario.robot,
+        scenario.camera,
+        scenario.target_in_run,
+        scenario.world,
+        scenario.physics,
+        needs_image=scenario.needs_image or pictures,
+        needs_truth=scenario.detector.needs_truth,
+        image_sigma=scenario.noise.image_sigma,
+        rng=scenario.rng(IMAGE_STREAM),
+        depth_rng=scenario.rng(RGBD_STREAM),
+        sensor_rng=scenario.rng(SENSOR_STREAM),
+        motion_rng=scenario.rng(MOTION_STREAM),
+        imaging_rng=scenario.rng(IMAGING_STREAM),
+        drift=scenario.noise.drift,
+        perturbed=scenario.perturbed(),
+        order_s=scenario.timing.order_s(scenario.camera),
+        led=scenario.timing.interpolated(*scenario.clock),
+        plate_m=plate_m,
+    )

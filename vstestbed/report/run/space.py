@@ -1,0 +1,293 @@
+"""Figures in space: the camera's path, markers in polar and spherical coordinates, the unit sphere."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.features import Polar, Spherical
+from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, RULE, marker_colors
+from vstestbed.report.html.chart import Chart, ChartPanel, Space
+from vstestbed.report.run.figures import BAND, draw_trails, trail_keys, trail_marks
+from vstestbed.report.run.tracks import Tracks
+
+if TYPE_CHECKING:
+    from mpl_toolkits.mplot3d import Axes3D
+
+
+# Camera path in the world, 3-D: path, viewing pyramids, target, goal. Equal scale on all axes.
+
+
+PYRAMID = np.array([[0, 0, 0], [-0.4, -0.3, 0.7], [0.4, -0.3, 0.7], [0.4, 0.3, 0.7], [-0.4, 0.3, 0.7]])
+PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
+"""Corners of a viewing pyramid of length about 1, and the order that draws all its edges in one line."""
+
+
+def camera_path(tracks: Tracks) -> Chart | None:
+    """The camera's path in the world, its viewing pyramids along it, the markers, the goal view; None for a ground vehicle.
+
+    A ground vehicle's camera stays at its height: its path is drawn in the plane (`floor_plan`).
+    """
+    if tracks.setting.ground_task is not None:
+        return None
+    cameras = tracks.poses("cam")
+    cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
+    if len(cameras) == 0:
+        return None
+    targets = tracks.poses("tgt")
+    targets = targets[np.isfinite(targets).all(axis=(1, 2))]
+    goal = _goal_camera(tracks, targets)
+    shown = [cameras[:, :3, 3], targets[:, :3, 3]] + ([goal[None, :3, 3]] if goal is not None else [])
+    if len(targets) and tracks.setting.points is not None:
+        shown.append(transform(targets[-1], tracks.setting.points))
+    points = np.concatenate(shown)
+    chart = Chart()
+    space = Space(chart.panels[0], elev=22, azim=-62)
+    size = 0.13 * float(np.ptp(points, axis=0).max() or 1.0)  # [m] of a pyramid; 1 m where nothing moves and no target is known
+    low, high = points.min(axis=0) - size, points.max(axis=0) + size
+    span = np.maximum(high - low, 0.3 * (high - low).max())  # a flat scene gets some thickness
+    space.box((low + high - span) / 2, (low + high + span) / 2)
+    _draw_cameras(space, cameras, goal, size)
+    _draw_target(space, targets, tracks.setting.points, size)
+    chart.fit(1.9, 4.2)
+    return chart
+
+
+def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
+    """Goal pose T_world_camera (4, 4) for the target's last pose; None without a goal view."""
+    view = tracks.setting.T_camera_target
+    return targets[-1] @ inverse(view) if view is not None and len(targets) else None
+
+
+def _draw_cameras(space: Space, cameras: Array, goal: Array | None, size: float) -> None:
+    path = cameras[:, :3, 3]
+    space.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
+    # four views evenly over the frames, without start and end
+    for k in np.unique(np.linspace(0, len(cameras) - 1, 6).astype(int))[1:-1]:
+        space.plot(*_pyramid(cameras[k], 0.6 * size), color=LINE_COLORS[0], linewidth=0.7, alpha=0.45)
+    space.plot(*_pyramid(cameras[0], size), color=INK, linewidth=1.0, label="start")
+    space.plot(*_pyramid(cameras[-1], size), color=LINE_COLORS[0], linewidth=1.4)
+    if goal is not None:
+        space.plot(*_pyramid(goal, 1.25 * size), color=GOAL, linewidth=1.1, linestyle=(0, (4, 2)), label="goal")
+
+
+def _draw_target(space: Space, targets: Array, points: Array | None, size: float) -> None:
+    """Path of a moving target, and at its last pose the axes and the markers of the target."""
+    if len(targets) == 0:
+        return
+    if np.ptp(targets[:, :3, 3], axis=0).max() > 1e-6:
+        space.plot(*targets[:, :3, 3].T, color=INK, linewidth=1.0, linestyle=":", label="target")
+    T = targets[-1]
+    for axis, color in enumerate(AXIS_COLORS):
+        tip = T[:3, 3] + 0.7 * size * T[:3, axis]
+        space.plot(*np.stack([T[:3, 3], tip]).T, color=color, linewidth=1.2)
+    if points is None:
+        return
+    p = transform(T, points)
+    for place, color in zip(p, marker_colors(len(p)), strict=True):
+        space.plot(*place[:, None], color=color, fill=color, marker="o", markersize=5, linewidth=0, label="markers")
+
+
+def _pyramid(T: Array, size: float) -> Array:
+    """Edges of the viewing pyramid of a camera pose T_world_camera (4, 4) as one line, shape (3, 11)."""
+    return transform(T, size * PYRAMID)[PYRAMID_LINE].T
+
+
+# The unit sphere around the camera centre in 3-D: graticule, axes, viewpoint.
+#
+# Camera axes (x right, y down, z forward) are drawn as (x, z, -y), so that down is down.
+
+
+FAR = 0.4
+"""Factor of the opacity of lines on the far side."""
+
+
+def drawn(p: Array) -> Array:
+    """Camera coordinates (..., 3) as matplotlib's x, y, z, first axis first: shape (3, ...)."""
+    p = np.asarray(p, dtype=float)
+    return np.stack([p[..., 0], p[..., 2], -p[..., 1]])
+
+
+def ray_at(theta: ArrayLike, phi: ArrayLike) -> Array:
+    """Unit rays (..., 3) at colatitude theta and longitude phi [rad]."""
+    a, b = np.broadcast_arrays(np.asarray(theta, float), np.asarray(phi, float))
+    return np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], axis=-1)
+
+
+def towards_viewer(axes: Axes3D | Space) -> Array:
+    """Unit vector (3,) in camera coordinates from the centre towards the viewer."""
+    elevation, azimuth = np.radians(axes.elev), np.radians(axes.azim)
+    return np.array([np.cos(elevation) * np.cos(azimuth), -np.sin(elevation), np.cos(elevation) * np.sin(azimuth)])
+
+
+def draw_curve(axes: Axes3D | Space, p: Array, alpha: float = 1.0, hide_back: bool = False, **look: Any) -> None:
+    """A line through points of the sphere (T, 3); the far side is paler, or hidden."""
+    near = np.where((p @ towards_viewer(axes) >= 0)[:, None], p, np.nan)
+    if not hide_back:
+        axes.plot(*drawn(p), alpha=FAR * alpha, **look)
+    axes.plot(*drawn(near), alpha=alpha, **look)
+
+
+def draw_net(axes: Axes3D | Space, reach: float, step: float, hide_back: bool = False) -> None:
+    """Circles of equal theta every `step` [rad] up to `reach`, and meridians every 30 degrees; the far side paler or hidden."""
+    line = np.linspace(0, 2 * np.pi, 121)
+    lines = [ray_at(theta, line) for theta in np.arange(step, min(reach, np.pi - 1e-6) + 1e-6, step)]
+    lines += [ray_at(np.linspace(0, reach, 61), phi) for phi in np.arange(12) * np.pi / 6]
+    for p in lines:
+        draw_curve(axes, p, hide_back=hide_back, color=RULE, linewidth=0.6)
+
+
+def draw_axes(axes: Axes3D | Space, length: float, start: float = 0.0) -> None:
+    """The optical axis as a dashed line of this length from z = `start`, labelled."""
+    tip = np.array([0, 0, start + length])
+    axes.plot(*drawn(np.stack([[0, 0, start], tip])), color=INK, linewidth=1.3, linestyle=(0, (4, 2)))
+    _letter(axes, tip * 1.06, "z", INK)
+
+
+def draw_cross_axes(axes: Axes3D | Space, at: Array, length: float, start: float = 0.0) -> None:
+    """Lines of this length along x and y from `start` away from the point `at` (3,), in the axes' colours, labelled."""
+    for direction, name, color in zip(np.eye(3), "xy", AXIS_COLORS, strict=False):
+        axes.plot(*drawn(at + np.outer([start, start + length], direction)), color=color, linewidth=1.3)
+        _letter(axes, at + (start + 1.3 * length) * direction, name, color)
+
+
+def _letter(axes: Any, at: Array, letter: str, color: str) -> None:  # Any: matplotlib's stubs have only the 2-D signature of text
+    axes.text(*drawn(at).tolist(), letter, color=color, ha="center", va="center")
+
+
+def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom: float) -> None:
+    """Limit the axes to the box from `low` to `high` (3,) in camera coordinates, equal scale, without matplotlib's own axes."""
+    corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)  # sorted: the sign of y changes when drawn
+    limits: dict[str, Any] = {f"{name}lim": tuple(corners[:, i].tolist()) for i, name in enumerate("xyz")}
+    axes.set(**limits)
+    box: dict[str, Any] = {"zoom": zoom}  # zoom is a float, but the stubs say int
+    axes.set_box_aspect(np.ptp(corners, axis=0), **box)
+    axes.view_init(elev=elev, azim=azim)
+    axes.set_axis_off()
+
+
+# Marker trajectories in the coordinates of the features `polar` and `spherical`, for runs with these features.
+#
+# Lines and marks are those of the figure in the image.
+
+
+PI = math.pi
+SUFFIXES = ("", "_true", "_goal")
+RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
+"""Colatitude up to which the sphere is drawn, the smallest that holds all markers, and the spacing of its circles [deg]."""
+
+
+def polar(tracks: Tracks) -> Chart | None:
+    """Marker trajectories in (phi, r), for a run with the feature `polar`."""
+    feature = tracks.setting.feature
+    return _plane(tracks, feature, "r [1]") if isinstance(feature, Polar) else None
+
+
+def spherical(tracks: Tracks) -> Chart | None:
+    """Marker trajectories in (phi, theta), for a run with the feature `spherical`."""
+    feature = tracks.setting.feature
+    return _plane(tracks, feature, "θ [rad]") if isinstance(feature, Spherical) else None
+
+
+def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | None:
+    ways = [coordinates(tracks, feature, suffix) for suffix in SUFFIXES]
+    if not np.isfinite(ways[0]).any():
+        return None
+    turns_joined(*(way[..., 0] for way in ways))
+    # angles are drawn in multiples of pi, a radius as it is
+    in_pi = np.array([1 / PI, 1 / PI if isinstance(feature, Spherical) else 1.0])
+    chart = Chart(3.3)
+    (panel,) = chart.panels
+    measured, true, goal = (way * in_pi for way in ways)
+    draw_trails(panel, measured, true, goal, tracks.names)
+    panel.labels, panel.lowest = ("φ [rad]", label), 0  # from zero, so that what hardly varies does not fill the height
+    panel.in_words = _in_pi, _in_pi if isinstance(feature, Spherical) else None
+    return chart
+
+
+def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Array:
+    """The feature's two coordinates of each marker, phi first, shape (T, N, 2) [rad, and 1 or rad]; NaN where not seen.
+
+    Args:
+        tracks: the run.
+        feature: the feature that measures them.
+        suffix: "" for the measured markers, `_true` or `_goal`.
+    """
+    camera, uv = tracks.setting.camera, tracks.pixels(suffix)
+    if camera is None:
+        return np.full(uv.shape, np.nan)
+    seen = camera.normalise(uv) if isinstance(feature, Polar) else camera.ray(uv)
+    return feature.measure(seen).reshape(uv.shape)[..., ::-1]
+
+
+def turns_joined(measured: Array, true: Array, goal: Array) -> None:
+    """Unwrap angles about the axis, each (T, N) [rad], in place: multiples of 2 pi are added so that no line jumps.
+
+    The measured trajectory keeps its first angle. The true one is shifted next to it, and the goal next to its end.
+    """
+    for seen, real, target in zip(measured.T, true.T, goal.T, strict=True):  # views: they write into the arrays
+        # the true angle bridges gaps of the measurement, in which the marker may turn by more than half a turn
+        path = _unwrapped(np.where(np.isfinite(seen), seen, real))
+        seen[:] = np.where(np.isfinite(seen), path, np.nan)
+        real[:] = _unwrapped(real)
+        real += _whole_turns(path - real)
+        target += _whole_turns((path - target)[np.isfinite(path)][-1:])
+
+
+def _unwrapped(phi: Array) -> Array:
+    """Angles (T,) with steps of at most pi between consecutive known values; NaN stays."""
+    phi, known = phi.copy(), np.isfinite(phi)
+    phi[known] = np.unwrap(phi[known])
+    return phi
+
+
+def _whole_turns(difference: Array) -> float:
+    """The multiple of 2 pi nearest to the median of differences (T,) [rad]; 0 if none is known."""
+    known = difference[np.isfinite(difference)]
+    return float(2 * PI * np.round(np.median(known) / (2 * PI))) if len(known) else 0.0
+
+
+def _in_pi(value: float) -> str:
+    """A multiple of pi as text."""
+    text = f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
+    return text if float(value) == 0 else {"1": "π", "\N{MINUS SIGN}1": "\N{MINUS SIGN}π"}.get(text, f"{text}π")
+
+
+def on_sphere(tracks: Tracks) -> Chart | None:
+    """Marker trajectories on the unit sphere around the camera, for a run with the feature `spherical`."""
+    camera = tracks.setting.camera
+    if camera is None or not isinstance(tracks.setting.feature, Spherical):
+        return None
+    measured, true, goal = (camera.ray(tracks.pixels(suffix)) for suffix in SUFFIXES)
+    shown = np.concatenate([measured, true, goal]).reshape(-1, 3)
+    shown = shown[np.isfinite(shown).all(axis=1)]
+    if len(shown) == 0:
+        return None
+    chart = Chart()
+    space = _ball(chart.panels[0], shown)
+    for i, color in enumerate(marker_colors(tracks.markers)):
+        draw_curve(space, true[:, i], color=color, **BAND)
+        draw_curve(space, measured[:, i], color=color, linewidth=1.0)
+        for at, look in trail_marks(measured[:, i], goal[:, i], color):
+            draw_curve(space, at.T, **look)
+    trail_keys(space.panel)
+    chart.fit(1.9, 3.6)
+    return chart
+
+
+def _ball(panel: ChartPanel, shown: Array) -> Space:
+    """The part of the sphere that the rays shown (M, 3) need, seen from ahead and from the side on which they lie."""
+    farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
+    reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
+    reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))
+    elev, azim = (24, 52) if reach > PI / 2 else (16, 68)
+    space = Space(panel, elev, azim if shown[:, 0].mean() >= 0 else 180 - azim)
+    draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
+    draw_axes(space, 0.4 * side, start=1.0)
+    draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
+    panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
+    return space

@@ -1,0 +1,184 @@
+"""Which OpenGL backend works, found out before MuJoCo and dm_control are imported: they choose theirs at import."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import os
+import platform
+import sys
+import threading
+import time
+import weakref
+from typing import Any
+
+from vstestbed.core.errors import EnvironmentLackError
+
+INSTALL = {
+    "debian": "apt-get install libegl1 libgl1 libegl-mesa0 libgl1-mesa-dri",
+    "fedora": "dnf install mesa-libEGL mesa-libGL mesa-dri-drivers",
+    "rhel": "dnf install mesa-libEGL mesa-libGL mesa-dri-drivers",
+    "arch": "pacman -S libglvnd mesa",
+    "suse": "zypper install libglvnd Mesa-libEGL1 Mesa-libGL1 Mesa-dri",
+}
+"""The command that installs EGL, OpenGL and Mesa's drivers, by the word in /etc/os-release (ID or ID_LIKE)."""
+RAYS_INSTEAD = "rays draw the pictures instead, without shadows"
+UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
+LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
+"""Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
+DEVICE_PLATFORM = 0x313F
+"""EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device."""
+ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
+_lack: list[tuple[str, str]] = []
+"""Why OpenGL is switched off, as (lack, remedy); empty where it is not."""
+
+
+def remedy() -> str:
+    """The command that installs OpenGL on this distribution, as root; Debian's on an unknown one."""
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:  # not Linux, or a bare container
+        release = {}
+    words = f"{release.get('ID', '')} {release.get('ID_LIKE', '')}".replace("opensuse", "suse").replace("ubuntu", "debian").split()
+    known = [word for word in words if word in INSTALL]
+    command = INSTALL[known[0]] if known else f"(on Debian or Ubuntu) {INSTALL['debian']}"
+    return f"as root: {command}; then `vstestbed doctor` tells whether it works"
+
+
+def switch_off(lack: str, remedy: str) -> None:
+    """Refuse OpenGL from now on, in this process."""
+    _lack.insert(0, (lack, remedy))
+
+
+def missing_libraries(backend: str = "egl") -> list[str]:
+    """Shared libraries that a backend needs and the dynamic loader does not find."""
+    missing = []
+    for name in LIBRARIES[backend]:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            missing.append(name)
+    return missing
+
+
+def _egl_starts() -> bool:
+    """Whether some EGL device initialises a display; a first start takes 25 ms.
+
+    MuJoCo and dm_control make the same calls when they are imported. They are made here with ctypes alone, because importing
+    PyOpenGL would fix its platform.
+    """
+    egl = ctypes.CDLL("libEGL.so.1")
+    pointer, number = ctypes.c_void_p, ctypes.c_int
+    egl.eglGetProcAddress.restype, egl.eglGetProcAddress.argtypes = pointer, [ctypes.c_char_p]
+    egl.eglInitialize.argtypes = [pointer, pointer, pointer]
+    address = [egl.eglGetProcAddress(name) for name in (b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT")]
+    if not all(address):
+        return False
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, number, pointer, pointer)(address[0])
+    display_of = ctypes.CFUNCTYPE(pointer, ctypes.c_uint, pointer, pointer)(address[1])
+    devices, count = (pointer * 16)(), number()
+    if not query(16, devices, ctypes.byref(count)):
+        return False
+    displays = [display_of(DEVICE_PLATFORM, device, None) for device in devices[: count.value]]
+    return any(display and egl.eglInitialize(display, None, None) for display in displays)
+
+
+def choose_backend() -> None:
+    """Set MUJOCO_GL on Linux: `egl` where it is unset, `disable` where the backend that it names cannot work.
+
+    MuJoCo and dm_control load their backend at import and fail with an obscure error where it is missing.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    word = os.environ.get("MUJOCO_GL", "").strip().lower()
+    backend = "egl" if word in ON else "disable" if word in OFF else word
+    if backend != "disable" and (lack := _lack_of(backend, requested=word not in ON)):
+        _lack.append(lack)
+        backend = "disable"
+    os.environ["MUJOCO_GL"] = backend
+    if backend in ("egl", "osmesa"):
+        os.environ["PYOPENGL_PLATFORM"] = backend
+
+
+def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
+    """Why a backend cannot work, and the remedy; None where it can. `requested`: the user named it in MUJOCO_GL."""
+    if backend not in LIBRARIES:
+        return f"MUJOCO_GL={backend} is set, and there is no such backend", f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}"
+    if missing := missing_libraries(backend):
+        return _missing_words(backend, missing, requested)
+    if backend == "egl" and not _egl_starts():
+        return "libEGL starts no display", remedy()
+    if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
+    return None
+
+
+def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[str, str]:
+    """The sentence about missing libraries, and the remedy."""
+    lack = f"{' and '.join(missing)} not found"
+    if not requested:
+        return lack, remedy()
+    return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
+
+
+def require() -> None:
+    """Raise EnvironmentLackError, with the remedy, where OpenGL is switched off."""
+    word = os.environ.get("MUJOCO_GL", "")
+    if _lack:
+        lack, way = _lack[0]
+    elif word.lower() not in OFF:
+        return
+    elif missing := missing_libraries():  # the user switched it off, or a parent process did and MUJOCO_GL was inherited
+        lack, way = f"{' and '.join(missing)} not found", remedy()
+    else:
+        lack, way = f"MUJOCO_GL={word} is set", UNSET_REMEDY
+    raise EnvironmentLackError(f"no OpenGL: {lack}", way)
+
+
+def explain(error: ImportError) -> EnvironmentLackError | None:
+    """The error to show for a failed import of MuJoCo's or dm_control's renderer; None where EGL is not the cause."""
+    words = str(error).rstrip(".")
+    if "EGL" not in words:
+        return None
+    return EnvironmentLackError(f"no OpenGL: {words}", remedy())
+
+
+def renderer_string() -> str:
+    """GL_RENDERER of the current context, such as `llvmpipe (LLVM 15.0.6, 256 bits)`."""
+    from OpenGL.raw.GL.VERSION import GL_1_0  # comes with dm_control; not OpenGL.GL, which imports all extensions in .06 s
+
+    text: Any = GL_1_0.glGetString(GL_1_0.GL_RENDERER)
+    value = ctypes.cast(text, ctypes.c_char_p).value
+    return value.decode() if value else "unknown"
+
+
+# Where daemon threads that simulate or draw wait while the process ends.
+#
+# Python ends a daemon thread where it next takes the interpreter's lock. Within a step of the physics, or a cast of rays, whose C++ code
+# cannot be left like that, the process would crash.
+
+
+REST_S = 1.0
+"""Longest wait for daemon threads at the end of the process [s]."""
+_daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
+_ending = threading.Event()
+
+
+def may_end_here(ending: bool = False) -> None:
+    """A daemon thread waits here for ever once the process ends, or where `ending` says so; others go on."""
+    thread = threading.current_thread()
+    if not thread.daemon:
+        return
+    if ending or _ending.is_set():
+        _daemons.discard(thread)
+        threading.Event().wait()  # it ends with the process, without a word
+    _daemons.add(thread)
+
+
+@atexit.register
+def _let_daemons_rest() -> None:
+    """Give the threads that have called `may_end_here` the time to come there again."""
+    _ending.set()
+    until = time.monotonic() + REST_S
+    while time.monotonic() < until and any(thread.is_alive() for thread in tuple(_daemons)):
+        time.sleep(0.002)  # gives them the interpreter's lock

@@ -1,0 +1,347 @@
+"""Basins of attraction: outcome of a law over two coordinates of the start pose."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import logging
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import write_whole, writing
+from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
+from vstestbed.core.outcome import Outcome
+from vstestbed.loop.session import run, uninterrupted
+from vstestbed.robots import Robot
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
+from vstestbed.studies.comparison import Comparison, controllers
+from vstestbed.studies.comparison.plan import changed
+from vstestbed.vision import Oracle
+
+if TYPE_CHECKING:
+    import polars
+
+
+# What a map of ideal runs leaves out of a scenario: it is told, since the map is that of the law alone.
+
+
+OF_CAMERAS = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
+"""What the pictures of an ideal camera do not have."""
+THAT_HIDE = "plates", "scenery"
+"""What of the world may stand before a target; the rest of it changes how pictures look."""
+
+
+def left_out(scenario: Scenario) -> list[str]:
+    """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
+    found = [] if scenario.robot.model is None else [*_of_robot(scenario.robot)]
+    if scenario.detector.rows is not None:
+        found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
+    found += [f"camera.{name}" for name in OF_CAMERAS if getattr(scenario.camera, name) not in (0.0, None)]
+    for block in ("noise", "timing"):
+        found += [f"{block}.{name}" for name in _changed(getattr(scenario, block))]
+    return found + [f"world.{name}" for name in THAT_HIDE if getattr(scenario.world, name)]
+
+
+def tell_left_out(scenarios: Iterable[Scenario]) -> None:
+    """Warn of all that is left out of scenarios, in one sentence."""
+    if found := dict.fromkeys(name for scenario in scenarios for name in left_out(scenario)):
+        words = "the maps are of the law behind an ideal camera, and leave out %s; vstestbed compare runs it all, start by start"
+        logging.getLogger("vstestbed").warning(words, ", ".join(found))
+
+
+def _of_robot(robot: Robot) -> Iterator[str]:
+    """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by default."""
+    yield f"the dynamics and limits of robot {robot.kind}"
+    names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
+    names.pop("filled", None)  # by which preset, here none
+    if getattr(robot, "realism", "none") != "none":
+        yield "robot.realism"
+        return  # it fills the others
+    yield from (f"robot.{name}" for name, default in names.items() if default is None and getattr(robot, name) is not None)
+
+
+def _changed(block: object) -> Iterator[str]:
+    """The names of a block's fields that are not as by default."""
+    plain = type(block)()
+    for field in dataclasses.fields(block):  # pyright: ignore[reportArgumentType] - a spec
+        if getattr(block, field.name) != getattr(plain, field.name):
+            yield field.name
+
+
+COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Start pose of the camera in the frame of the goal camera: x right, y down, z ahead [m] (z = -1 is a metre back), and rotations
+about these axes [deg], R = Rz(yaw) Ry(pitch) Rx(roll)."""
+ON_AXIS_DEG = (12.0, 30.0, 72.0, 113.0)
+"""Turns about the optical axis of the frontal, centred starts that every check includes: no random start is in that degenerate view."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One coordinate of the start with its range, sampled at `n` values, both ends included."""
+
+    name: str
+    low: float
+    high: float
+    n: int
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown coordinate, and an empty range."""
+        if self.name not in COORDINATES:
+            raise ParameterError("axis", f"must be one of {', '.join(COORDINATES)}", self.name)
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ParameterError(self.name, "must have a range low:high with low < high", f"{self.low:g}:{self.high:g}")
+        if self.n < 2:
+            raise ParameterError("n", "must be 2 or more places along an axis", self.n)
+
+    @property
+    def values(self) -> Array:
+        """Its values (n,) [m or deg]."""
+        return np.linspace(self.low, self.high, self.n)
+
+    @property
+    def unit(self) -> str:
+        """Metres or degrees."""
+        return unit_of(self.name)
+
+
+def unit_of(coordinate: str) -> str:
+    """Metres or degrees."""
+    return "m" if COORDINATES.index(coordinate) < 3 else "deg"
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A start that `loop.run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
+
+    x: float | None
+    y: float | None
+    batch: str
+    full: str
+    on_axis_deg: float | None = None
+
+    def words(self, x: str, y: str) -> str:
+        """In words, on a map with axes of these names."""
+        place = f"{x} {self.x:g}, {y} {self.y:g}" if self.on_axis_deg is None else f"frontal, centred, turned by {self.on_axis_deg:g} deg"
+        return f"{place}: {self.batch} here, {self.full} there"
+
+
+@dataclass(frozen=True)
+class Basin:
+    """The map of one law.
+
+    Attributes:
+        label: name of the law. scenario: the ideal scenario that was run.
+        x, y: the axes. fixed: the other coordinates of every start [m or deg].
+        batch: result of each start, x fastest. processor_s: processor time [s].
+        checked: number of starts that were also run singly, in `loop.run`; disagreements: those that ended otherwise.
+    """
+
+    label: str
+    scenario: Scenario
+    x: Axis
+    y: Axis
+    fixed: Mapping[str, float]
+    batch: Batch
+    processor_s: float
+    checked: int = 0
+    disagreements: tuple[Disagreement, ...] = ()
+
+    @property
+    def endings(self) -> Array:
+        """Outcomes by name (M,); `target_lost` is split: out of the field of view, or `plane_crossed`."""
+        names = np.array([outcome.name for outcome in self.batch.outcome], dtype=object)
+        return np.where(self.batch.crossed, "plane_crossed", names)
+
+    @property
+    def time_to_converge_s(self) -> Array:
+        """Time from which the error stayed below the threshold (M,) [s]; NaN for starts that did not converge."""
+        return np.where(self.batch.near >= 0, self.batch.near / self.scenario.camera.rate_hz, np.nan)
+
+    def summary(self) -> dict[str, Any]:
+        """The map in numbers, as `basin.json` has it."""
+        names, counts = np.unique(self.endings.astype(str), return_counts=True)
+        shares = dict(zip(names.tolist(), (counts / counts.sum()).tolist(), strict=True))
+        detector = self.scenario.detector
+        return {
+            "label": self.label,
+            "x": vars(self.x) | {"unit": self.x.unit},
+            "y": vars(self.y) | {"unit": self.y.unit},
+            "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
+            "field_of_view": detector.field_of_view if isinstance(detector, Oracle) else None,
+            "starts": int(counts.sum()),
+            "shares": dict(sorted(shares.items(), key=lambda item: -item[1])),
+            "run_steps": self.batch.run_steps,
+            "processor_s": self.processor_s,
+            "gain_step": _gain_step(self.scenario),
+            "checked": self.checked,
+            "agreeing": self.checked - len(self.disagreements),
+            "disagreements": [vars(d) | {"words": d.words(self.x.name, self.y.name)} for d in self.disagreements],
+        }
+
+
+def _gain_step(scenario: Scenario) -> float | None:
+    """Gain times period, the step of the discrete loop; None for a law without a constant gain."""
+    gain = getattr(scenario.law, "gain", None)
+    value = gain if isinstance(gain, float) else getattr(gain, "value", None)
+    return None if value is None else value * scenario.camera.period
+
+
+def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
+    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start.
+
+    Raises:
+        ParameterError: both axes are the same, or `at` names one of them, an unknown coordinate, or a value that is not finite.
+    """
+    if x.name == y.name:
+        raise ParameterError("--y", "must be another coordinate than --x", y.name)
+    others = [name for name in COORDINATES if name not in (x.name, y.name)]
+    for name in at:
+        if name not in others:
+            raise ParameterError("--at", f"must be one of {', '.join(COORDINATES)} that is not on the map", name)
+    for name, value in at.items():
+        if not math.isfinite(value):
+            raise ParameterError("--at", f"{name} must be a finite number", value)
+    own = Pose.of(scenario.goal_view.T_camera_target @ inverse(start_of(scenario)))
+    values = dict(zip(COORDINATES, (*own.xyz, *own.rpy_deg), strict=True)) | dict(at)
+    return {name: values[name] for name in others}
+
+
+def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Array:
+    """Start poses T_camera_target (n_y n_x, 4, 4), x fastest; other coordinates as by `fixed`."""
+    place = np.empty((y.n, x.n, 6))
+    for name, value in fixed(scenario, x, y, at).items():
+        place[..., COORDINATES.index(name)] = value
+    place[..., COORDINATES.index(x.name)] = x.values
+    place[..., COORDINATES.index(y.name)] = y.values[:, None]
+    place = place.reshape(-1, 6)
+    T_goal_camera = np.zeros((len(place), 4, 4))
+    T_goal_camera[:, :3, :3], T_goal_camera[:, :3, 3], T_goal_camera[:, 3, 3] = rotation_from_rpy(np.radians(place[:, 3:])), place[:, :3], 1
+    return inverse(T_goal_camera) @ scenario.goal_view.T_camera_target
+
+
+def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:
+    """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
+
+    Raises:
+        ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
+    """
+    found: list[tuple[str, Scenario]] = []
+    for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):
+        parts = [str(v) if name in comparison.cases else f"{name.split('.')[-1]}={v}" for name, v in c.values.items()]
+        label = ", ".join(([c.scenario.name] if len(comparison.base) > 1 or not parts else []) + parts)
+        scenario = ideal(c.scenario, field_of_view)
+        BatchSetup(scenario)  # raises if the law cannot run in a batch
+        if same := [other for other, s in found if s == scenario]:
+            problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
+            raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
+        found.append((label, scenario))
+    tell_left_out(c.scenario for c in chosen)
+    return found
+
+
+def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.run`.
+
+    Raises:
+        ParameterError: invalid axes, or the law cannot run in a batch.
+    """
+    poses = starts(scenario, x, y, at or {})
+    began = time.process_time()
+    batch = fly(scenario, poses)
+    mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
+    if not check:
+        return mapped
+    # a seed of its own: the same starts are checked every time
+    spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)
+    different = (*_on_map(mapped, poses, spots), *_on_axis(scenario))
+    return replace(mapped, checked=len(spots) + len(ON_AXIS_DEG), disagreements=different)
+
+
+def _on_map(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
+    """Those of the starts (M, 4, 4) at `spots` whose single runs end otherwise."""
+    for i, batch, full in _different(mapped.scenario, poses[spots], mapped.batch.outcome[spots].tolist()):
+        j, k = divmod(int(spots[i]), mapped.x.n)  # x fastest
+        yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), batch, full)
+
+
+def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
+    """The frontal, centred starts at the goal's distance whose single runs end otherwise."""
+    middle = scenario.target.points.mean(axis=0)
+    distance = float(np.linalg.norm(transform(scenario.goal_view.T_camera_target, middle[None])))
+    turns = rotation_from_rpy(np.radians([[0.0, 0.0, turn] for turn in ON_AXIS_DEG]))
+    poses = np.tile(np.eye(4), (len(turns), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = turns, [0.0, 0.0, distance] - turns @ middle
+    for i, batch, full in _different(scenario, poses, fly(scenario, poses).outcome.tolist()):
+        yield Disagreement(None, None, batch, full, ON_AXIS_DEG[i])
+
+
+def _different(scenario: Scenario, poses: Array, expected: list[Outcome]) -> Iterator[tuple[int, str, str]]:
+    """Indices of the starts (M, 4, 4) whose single runs end otherwise than expected, and both outcomes."""
+    for i, outcome in enumerate(expected):
+        found = uninterrupted(run(started_at(scenario, poses[i]))).outcome
+        if found is not outcome:
+            yield i, outcome.name, found.name
+
+
+def table(basins: Sequence[Basin]) -> polars.DataFrame:
+    """One row per start: law, its two coordinates, outcome, steps, times, largest distance, final error."""
+    import polars as pl
+
+    frames = []
+    for b in basins:
+        columns = {
+            "law": np.full(b.x.n * b.y.n, b.label, dtype=object),
+            b.x.name: np.tile(b.x.values, b.y.n),
+            b.y.name: np.repeat(b.y.values, b.x.n),
+            "outcome": [outcome.name for outcome in b.batch.outcome],
+            "plane_crossed": b.batch.crossed,
+            "steps": b.batch.steps,
+            "time_to_converge_s": b.time_to_converge_s,
+            "farthest_m": b.batch.farthest_m,
+            "final_error_px": b.batch.error_px,
+        }
+        frames.append(
+            pl.DataFrame({name: np.asarray(v).tolist() for name, v in columns.items()}).with_columns(pl.col("law").cast(pl.String))
+        )
+    return pl.concat(frames).fill_nan(None)
+
+
+def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
+    """Write `basin.parquet`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
+
+    Raises:
+        OutputError, EnvironmentLackError: a file cannot be written.
+    """
+    from vstestbed.report.studies.maps import BasinMap, write_maps
+
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    parquet = io.BytesIO()
+    table(basins).write_parquet(parquet)
+    write_whole(folder / "basin.parquet", parquet.getvalue())
+    summaries = [b.summary() for b in basins]
+    write_whole(folder / "basin.json", json.dumps(summaries, indent=1) + "\n")
+    maps = [BasinMap(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
+    x, y = basins[0].x, basins[0].y
+    return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
+
+
+def basins_of(
+    found: Sequence[tuple[str, Scenario]], x: Axis, y: Axis, at: Mapping[str, float], check: int, on_basin: Callable[[Basin], None]
+) -> list[Basin]:
+    """The map of each law; `on_basin` is called with each as it is finished."""
+    basins = []
+    for label, scenario in found:
+        basins.append(basin(label, scenario, x, y, at, check))
+        on_basin(basins[-1])
+    return basins

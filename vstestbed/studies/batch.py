@@ -1,0 +1,576 @@
+"""Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error
+from vstestbed.core.outcome import Outcome
+from vstestbed.features.depth import Estimate, PnP
+from vstestbed.features.observation import Goal, Observation, Relative
+from vstestbed.laws import Law
+from vstestbed.laws.base import TwistLimits
+from vstestbed.laws.views import BatchLaw, Views, has_batch
+from vstestbed.loop.controller import GuardedLaw
+from vstestbed.loop.judge import FAR_M
+from vstestbed.loop.recording import BLOCK
+from vstestbed.loop.stability import LastPart, sentence, window
+from vstestbed.robots import Free, Mount
+from vstestbed.robots.base import RobotLog
+from vstestbed.robots.free import FreeStart
+from vstestbed.robots.own_model import OwnModel
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.scene.world import World
+from vstestbed.sim.timing import Timing
+from vstestbed.tasks.base import PLANE_INPUTS
+from vstestbed.tasks.monitor import REST
+from vstestbed.vision import Oracle
+from vstestbed.vision.homography import left_open, relative_view
+
+if TYPE_CHECKING:
+    from vstestbed.studies.comparison.plan import Comparison
+
+
+# A law without equations for many runs in a batch: its `step` is asked run by run.
+
+
+SIX = np.eye(6)
+"""The motions of the ideal camera."""
+LEAST_POSE = 3
+"""Markers that leave finitely many poses."""
+
+
+class OneByOne:
+    """Keeps the memory of each run; the batch holds its number.
+
+    Args:
+        law: any. camera: the lens, for pixel coordinates.
+    """
+
+    state_size = 1
+
+    def __init__(self, law: Law[Any], camera: Camera):
+        self._law, self._camera, self._memories = law, camera, []
+        self._moved: list[Array] = []
+        self._guarded: list[GuardedLaw] = []
+
+    def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
+        """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
+
+        Args:
+            memory: numbers of the runs' memories (m, 1); NaN before the first frame.
+            views: of all markers (m, N, 3). seen: which of them the law is shown (m, N).
+            goal: the goal view.
+        """
+        memory, twist = memory.copy(), np.full((len(memory), 6), np.nan)
+        uv = np.where(seen[..., None], self._camera.project(views.p), np.nan)
+        for i in range(len(memory)):
+            if np.isnan(memory[i, 0]):
+                memory[i, 0] = len(self._memories)
+                self._memories.append(self._law.init(goal))
+                self._moved.append(np.zeros(6))
+                self._guarded.append(GuardedLaw(self._law))
+            k = int(memory[i, 0])
+            observation = self._observation(views, i, seen[i], uv[i], goal, self._moved[k])
+            self._memories[k], command = self._guarded[k].step(self._memories[k], observation, goal, SIX)
+            if not command.rest_reason:
+                twist[i] = command.twist
+                self._moved[k] = command.twist * self._camera.period
+        return memory, twist
+
+    def failed(self, memory: Array) -> NDArray[np.bool_]:
+        """In which runs, by the numbers of their memories (m, 1), the law has failed (m,)."""
+        return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
+
+    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
+        """What the law is shown of run i."""
+        inputs = self._law.inputs
+        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in _of(views, i))
+        T = views.T_camera_target[i] if np.count_nonzero(seen) >= LEAST_POSE else None
+        relative: Relative | None = relative_view(goal.xy, xy, goal.normal) if "relative" in inputs else None
+        if self._law.depth.needs_pose and T is None:
+            depth = np.full_like(depth, np.nan)
+        radius = views.radius_px[i] if "radius_px" in inputs else None
+        robot = OwnModel.of_ideal_camera(self._camera.period, moved) if "robot" in inputs else None
+        return Observation(views.t, uv, xy, depth, T, ray, reach, relative, radius_px=radius, robot=robot)
+
+
+def _of(views: Views, i: int) -> tuple[Array, Array, Array, Array]:
+    """Normalised coordinates, depths, rays and ranges of run i."""
+    return views.xy[i], views.depth[i], views.ray[i], views.range[i]
+
+
+# What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
+
+
+SLACK_S = 1e-9
+"""The judge of one run allows this much when it compares times [s]."""
+
+MOST_STARTS = 4_000_000
+"""Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
+
+
+def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
+    """The same task with the ideal camera of a batch: oracle detector, no noise, no latency, no obstacles.
+
+    The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
+
+    Args:
+        scenario: of a robot that moves its camera with six degrees of freedom.
+        field_of_view: `limited` or `unlimited`; None: that of the scenario's oracle, else limited.
+
+    Raises:
+        ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the target moves.
+    """
+    if "image" in scenario.law.inputs:
+        words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
+        raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
+    robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    field_of_view = field_of_view or (detector.field_of_view if isinstance(detector, Oracle) else "limited")
+    if scenario.target.moves:
+        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
+    if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
+        words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
+        raise ParameterError("robot.kind", words, robot.kind)
+    if detector.rows is not None and field_of_view == "limited" and not _shows_markers(scenario):
+        words = (
+            f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their place:"
+        )
+        words = f"{words} the goal's view does not show them all; sweep and compare --vary run it start by start"
+        raise ParameterError("detector.kind", words)
+    start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
+    return replace(
+        scenario,
+        robot=robot if robot.model is None else Free(start=start),
+        camera=replace(camera, latency_s=0.0, readout_s=0.0),
+        timing=Timing(),
+        detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]
+        noise=Noise(),
+        world=World(),
+    )
+
+
+def _shows_markers(scenario: Scenario) -> bool:
+    """Whether the goal's view has all points of the target within the picture."""
+    camera, p = scenario.camera, scenario.target.points_at(scenario.goal_view.T_camera_target)
+    return bool(camera.inside(camera.project(p)).all())
+
+
+@dataclass(frozen=True)
+class BatchSetup:
+    """What all runs of a batch share: the scenario, checked, and values derived from it."""
+
+    scenario: Scenario
+
+    def __post_init__(self) -> None:
+        """Refuse what a batch cannot simulate."""
+        self._check_law()
+        self._check_task()
+        self._check_target()
+        self._check_ideal()
+
+    def _check_law(self) -> None:
+        s = self.scenario
+        foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(s.law.inputs))
+        if foreign:
+            raise ParameterError("law.kind", f"{s.law.kind} reads {foreign[0]}, which the ideal cameras of a batch do not measure")
+        if s.law.visibility.margin_px > 0:
+            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
+        if s.law.feedforward.kind != "none":
+            raise ParameterError("law.feedforward", "must be none in a batch")
+        if isinstance(s.law.depth, Estimate) or s.law.depth.measured:
+            raise ParameterError("law.depth", f"may not be {s.law.depth.kind} in a batch; valid: pnp, constant, goal, oracle")
+
+    def _check_task(self) -> None:
+        s = self.scenario
+        if s.randomise:
+            raise ParameterError("randomise", "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run")
+        if len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands:
+            raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
+        if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
+            raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
+
+    def _check_target(self) -> None:
+        s = self.scenario
+        if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+            words = (
+                "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
+            )
+            raise ParameterError("target", words)
+
+    def _check_ideal(self) -> None:
+        s = self.scenario
+        disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
+        if not (s.calibration.camera_exact and s.calibration.depth_exact):
+            raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
+        if s.monitors:
+            raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
+        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
+            words = (
+                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch;"
+            )
+            words = f"{words} `basin.setup.ideal` makes it so"
+            raise ParameterError("scenario", words)
+
+    @cached_property
+    def law(self) -> BatchLaw | OneByOne:
+        """The law, by its equations for many runs where it has such."""
+        law = self.scenario.law
+        return law if has_batch(law) else OneByOne(law, self.scenario.camera)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether a run in which the law sees all markers in all frames has the log that a single run would have, but for rounding.
+
+        The law has equations for many runs and does not shorten its commands, all markers count, robot and task add no columns, and the
+        log fits a block.
+        """
+        s = self.scenario
+        plain = s.law.limits == TwistLimits() and s.goal_view.counted is None and s.own_columns == RobotLog.columns
+        return plain and not s.law.modes and has_batch(s.law) and self.frames(s.stop.duration_s) < BLOCK
+
+    @cached_property
+    def error_px(self) -> float:
+        """RMS error that counts as converged [px]."""
+        return s if (s := self.scenario.stop.converged.error_px) is not None else math.nan
+
+    @cached_property
+    def needed(self) -> int:
+        """Fewest visible markers with which the law gives a command."""
+        return self.scenario.law.markers_needed(np.eye(6))
+
+    @cached_property
+    def posed(self) -> bool:
+        """Whether the law uses a pose solved from the pixels, or depths from it."""
+        law = self.scenario.law
+        return isinstance(law.depth, PnP) and law.inputs != ("relative",)
+
+    def frames(self, duration_s: float) -> int:
+        """Number of frames after which a time [s] has passed, by the rule of the `Judge`; of inf more than any run has."""
+        if math.isinf(duration_s):
+            return sys.maxsize // 2
+        return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
+
+    def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:
+        """The goal view with only some of the markers."""
+        g = self.scenario.goal_view
+        return replace(g, uv=g.uv[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
+
+
+def start_of(scenario: Scenario) -> Array:
+    """The scenario's own start T_camera_target (4, 4)."""
+    T_world_camera = scenario.robot.flange_pose(scenario.robot.configuration()) @ scenario.camera.mount.T
+    return inverse(T_world_camera) @ scenario.target.pose.T
+
+
+def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
+    """The scenario of an ideal camera, started at a pose T_camera_target (4, 4)."""
+    T_world_flange = scenario.target.pose.T @ inverse(T_camera_target) @ inverse(scenario.camera.mount.T)
+    return replace(scenario, robot=Free(start=FreeStart(nominal=Pose.of(T_world_flange))))
+
+
+def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> None:
+    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force.
+
+    Raises:
+        ParameterError: with the product of which the starts come.
+    """
+    maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
+    if maps * n * n > MOST_STARTS and not force:
+        words = f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all need --force"
+        raise ParameterError("basin", words)
+
+
+# Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs.
+#
+# A single run with robot dynamics, images and delays is in `loop.run`. `_frame` repeats the rules of its `Judge`, vectorised; the tests
+# and `basin --check` compare the outcomes of the two.
+
+
+AT_ONCE = 2000
+"""Runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time."""
+FLAT2 = 0.15**2
+"""Squared ratio of width to length of the marker pattern below which it is tested whether the homography is undetermined; those that
+are have a ratio below 0.03."""
+FIRST_POSE = 4
+"""Markers for a first pose: with three the pose is ambiguous, and can only be continued from a known one."""
+GOING = 0
+"""Code of a run that has not ended; other codes are positions in CODES."""
+CODES: tuple[Outcome | None, ...] = (None, *Outcome)
+_CODE = {outcome: code for code, outcome in enumerate(CODES)}
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Results of M runs.
+
+    Attributes:
+        outcome: an `Outcome` of each run, shape (M,).
+        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,);
+            -1 for runs that did not converge.
+        T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's origin (M,) [m].
+        error_px: RMS error at the end over the visible markers (M,) [px].
+        crossed: whether a run with lost target crossed the target's plane (M,); the others lost it out of the field of view.
+        unstable: how a run's loop is unstable, in words (M,); "" of the others.
+        run_steps: steps of all runs together.
+    """
+
+    outcome: NDArray[np.object_]
+    steps: NDArray[np.int_]
+    near: NDArray[np.int_]
+    T_camera_target: Array
+    farthest_m: Array
+    error_px: Array
+    crossed: NDArray[np.bool_]
+    unstable: NDArray[np.object_]
+    run_steps: int
+
+
+@dataclass(frozen=True)
+class Instant:
+    """One frame of the m runs that go on.
+
+    Attributes:
+        step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target (m, 4, 4).
+        twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in CODES (m,). ended: frames at which the
+            runs end, where they do (m,).
+        whole: runs whose law has measured all markers and has given a command (m,).
+    """
+
+    step: int
+    index: NDArray[np.int_]
+    T: Array
+    twist: Array
+    error: Array
+    code: NDArray[np.int_]
+    ended: NDArray[np.int_]
+    whole: NDArray[np.bool_]
+
+
+Watch = Callable[[Instant], None]
+"""Called with every frame of a batch."""
+
+
+def fly(scenario: Scenario, start: Array, watch: Watch = lambda _: None) -> Batch:
+    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
+
+    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
+    that a run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the
+    pixels are exact; `constant` and `goal` depths are as in a single run.
+
+    Args:
+        scenario: an ideal scenario, as from `ideal`; its own start is ignored.
+        start: start poses T_camera_target, shape (M, 4, 4).
+        watch: called with every frame, of up to AT_ONCE runs.
+
+    Raises:
+        ParameterError: the law cannot run in a batch, or the scenario is not ideal.
+    """
+    setup = BatchSetup(scenario)
+    # a batch without starts still gives arrays of the right shapes
+    start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
+    parts = [_fly(setup, start[i : i + AT_ONCE], watch) for i in range(0, max(len(start), 1), AT_ONCE)]
+    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
+    return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
+
+
+@dataclass
+class _Runs:
+    """The m runs that have not ended: index in the batch, pose, state of the law, frames near the goal and at rest, largest distance."""
+
+    index: NDArray[np.int_]
+    T: Array
+    memory: Array
+    near: NDArray[np.int_]
+    rest: NDArray[np.int_]
+    farthest: Array
+
+    def keep(self, which: NDArray[np.bool_]) -> _Runs:
+        return _Runs(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
+    m, stop = len(start), setup.scenario.stop
+    last = setup.frames(stop.duration_s)
+    runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
+    outcome, steps, near = np.full(m, None, dtype=object), np.zeros(m, dtype=int), np.full(m, -1)
+    final, farthest, errors, crossed, done = start.copy(), np.zeros(m), np.full(m, np.nan), np.zeros(m, dtype=bool), 0
+    words, watched = np.full(m, "", dtype=object), _LastHalf(setup.scenario, last)
+    for step in range(last + 1):
+        p = setup.scenario.target.points_at(runs.T)
+        now = _frame(setup, runs, p, step, last)
+        watched.add(now)
+        if step == last:
+            words[runs.index] = watched.unstable(now)
+            now.code[words[runs.index] != ""] = _CODE[Outcome.unstable]
+        watch(now)
+        twist, code = now.twist, now.code
+        over = code != GOING
+        if over.any():
+            at = runs.index[over]
+            outcome[at] = [CODES[c] for c in code[over]]
+            steps[at], final[at], farthest[at], errors[at] = now.ended[over], runs.T[over], runs.farthest[over], now.error[over]
+            reached = code[over] == _CODE[Outcome.converged]
+            # the two ways to lose the target are one outcome, but different failures of a law
+            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(setup.scenario, runs.T[over])
+            near[at] = np.where(reached, step - runs.near[over] + 1, -1)
+            runs, twist = runs.keep(~over), twist[~over]
+        if not len(runs.index):  # all have ended before the time is over
+            break
+        done += len(runs.index)
+        runs.T = exp(-setup.scenario.camera.period * twist) @ runs.T
+    return Batch(outcome, steps, near, final, farthest, errors, crossed, words, done)
+
+
+class _LastHalf:
+    """The last half of the runs that take the whole time, for `loop.stability`.
+
+    Args:
+        scenario: of the runs. last: the number of their last frame.
+    """
+
+    def __init__(self, scenario: Scenario, last: int):
+        self._scenario, self._from = scenario, last + 1 - min(window(scenario), (last + 1) // 2)
+        self._first, self._T = np.empty(0), np.empty((0, 4, 4))
+        self._kept: list[tuple[NDArray[np.int_], Array, Array]] = []
+
+    def add(self, now: Instant) -> None:
+        """One more frame."""
+        if now.step == 0:
+            self._first = now.error
+        if now.step >= self._from:
+            self._T = self._T if self._kept else now.T
+            self._kept.append((now.index, now.twist, now.error))
+
+    def unstable(self, now: Instant) -> NDArray[np.object_]:
+        """The words of each run of the last frame (m,); "" of those that have not timed out."""
+        s, out = self._scenario, np.full(len(now.index), "", dtype=object)
+        over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
+        if not len(over) or not self._kept:
+            return out
+        rows = [np.searchsorted(index, now.index[over]) for index, _, _ in self._kept]  # a run of the last frame is in all of them
+        twist = np.array([each[at] for (_, each, _), at in zip(self._kept, rows, strict=True)])
+        error = np.array([each[at] for (_, _, each), at in zip(self._kept, rows, strict=True)])
+        frames = np.arange(self._from, self._from + len(rows), dtype=float)
+        for k, i in enumerate(over):
+            ends = self._T[rows[0][k]], now.T[i]
+            away = np.array([rigid_error(inverse(T), inverse(s.goal_view.T_camera_target)) for T in ends])
+            limited, still = s.law.limits.reached(twist[:, k]), np.zeros((len(rows), 1))
+            part = LastPart(frames * s.camera.period, error[:, k], twist[:, k], limited, still, away)
+            out[i] = sentence(s, part, float(self._first[now.index[i]]))
+        return out
+
+
+def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Instant:
+    """One frame of all runs with their commands and outcomes.
+
+    The precedence of outcomes is that of `Judge.verdict`. Without a target the law commands rest, and in a static world the target
+    stays lost: such a run ends at once, with the frame at which the `Judge` would end it.
+    """
+    s = setup.scenario
+    seen, error, all_seen = _seen(s, p)
+    memory, twist, works = _commands(setup, runs, p, seen, step / s.camera.rate_hz)
+    runs.memory = memory
+    lost = ~works | ~np.isfinite(error)
+    near = ~lost & all_seen & (error < setup.error_px)
+    runs.near = np.where(near, runs.near + 1, 0)
+    resting = ~lost & ~near & (np.abs(twist).max(axis=1) < REST)
+    runs.rest = np.where(resting, runs.rest + 1, 0)
+    distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
+    runs.farthest = np.maximum(runs.farthest, distance)
+    gone = step + setup.frames(s.stop.lost_after[0])
+    failed = setup.law.failed(memory) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
+    code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
+    for which, how in (
+        (np.full(len(p), step >= last), Outcome.timed_out),
+        (runs.rest > setup.frames(s.stop.rest_after), Outcome.local_minimum),
+        (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
+        (_behind(s, runs.T), Outcome.target_lost),
+        (distance > FAR_M, Outcome.diverged),
+        (failed, Outcome.law_failed),
+        (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
+    ):
+        if which.any():  # later entries overwrite earlier ones: they take precedence
+            code[which] = _CODE[how]
+            ended[which] = min(gone, last) if which is lost else step
+    return Instant(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended, ~lost & all_seen)
+
+
+def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
+    """Which cameras are behind the plane of the target (m,)."""
+    if not (s.target.one_sided and s.stop.loss_ends):
+        return np.zeros(len(T), dtype=bool)
+    return np.einsum("mi,mi->m", T[:, :3, 2], T[:, :3, 3]) <= 0
+
+
+def _seen(s: Scenario, p: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.bool_]]:
+    """Visibility (m, N) of markers p (m, N, 3), RMS error over the visible ones (m,) [px], and whether all are visible (m,)."""
+    uv = s.camera.project(p)
+    seen = np.isfinite(uv[..., 0])
+    if isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
+        seen &= s.camera.whole(p.reshape(-1, 3), s.target.marker.radius).reshape(seen.shape)
+    d, all_seen = uv - s.goal_view.uv, np.asarray(seen.all(axis=1))
+    if all_seen.all():  # nearly every frame: no masks needed
+        return seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
+    d[~seen] = 0.0  # NaN otherwise
+    count = np.maximum(seen.sum(axis=1), 1)  # 1: no division by zero where nothing is seen
+    return seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
+
+
+def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """State of the law after this frame (m, k), commanded twists (m, 6), and whether the law gave a command (m,).
+
+    The law is evaluated once for each group of runs that see the same markers.
+    """
+    law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
+    # a wide camera sees points behind its image plane, which have no normalised coordinates
+    usable = seen & (p[..., 2] > 0) if plane else seen
+    memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
+    needed = max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed
+    if isinstance(setup.law, OneByOne):
+        enough = np.count_nonzero(usable, axis=1) >= needed
+        views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth, setup.scenario.target.marker.radius)
+        memory[enough], twist[enough] = setup.law.step(memory[enough], views, usable[enough], setup.scenario.goal_view)
+        return memory, twist, np.isfinite(twist[:, 0])
+    for which, rows in _groups(usable):
+        if np.count_nonzero(rows) < needed:
+            continue
+        goal = setup.goal(slice(None) if rows.all() else rows)
+        views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth, setup.scenario.target.marker.radius)
+        memory[which], twist[which] = setup.law.step_batch(runs.memory[which], views, goal)
+        if law.inputs == ("relative",):
+            twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])
+    return memory, twist, np.isfinite(twist[:, 0])
+
+
+def _groups(usable: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_] | slice, NDArray[np.bool_]]]:
+    """Groups of runs with the same row of usable markers (m, N): the runs as a mask (m,), and their markers (N,).
+
+    In most frames all markers are usable: one group, with a slice in place of the mask, which copies no arrays.
+    """
+    groups = np.zeros(len(usable), dtype=int) if usable.all() else usable @ (1 << np.arange(usable.shape[1]))  # a bit per marker
+    for group in np.unique(groups):
+        members = groups == group
+        yield slice(None) if members.all() else members, usable[np.argmax(members)]
+
+
+def _undetermined(views: Views, goal: Goal) -> NDArray[np.bool_]:
+    """Whether the homography from the goal view is undetermined (m,): the plane is seen edge on."""
+    d = views.xy - views.xy.mean(axis=1, keepdims=True)
+    a, b, c = (np.einsum("mn,mn->m", d[..., i], d[..., j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+    flat = a * c - b * b < FLAT2 * (0.5 * (a + c)) ** 2
+    undetermined = np.zeros(len(d), dtype=bool)
+    if flat.any():
+        undetermined[flat] = left_open(goal.xy, views.xy[flat])
+    return undetermined

@@ -1,0 +1,239 @@
+"""Comparison of controllers: every scenario with every variation from every seed, in parallel; a table, a report, a film."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
+from vstestbed.core.files import only_writer, study_folder
+from vstestbed.core.planar import block_of
+from vstestbed.core.registry import ROOMS
+from vstestbed.core.shares import at_once
+from vstestbed.scenario.dump import check_plugins, dump
+from vstestbed.studies.comparison.baseline import Baseline, write_changes
+from vstestbed.studies.comparison.campaign import Campaign, OnDone
+from vstestbed.studies.comparison.folder import PLAN, finish, read_plan, resumable, table_of, write_plan, write_table
+from vstestbed.studies.comparison.plan import Comparison, chosen
+from vstestbed.studies.comparison.pools import clear, must_be_known, pool_of
+from vstestbed.studies.comparison.runs import Job, Variant, Variants, controllers, jobs
+
+if TYPE_CHECKING:
+    import polars
+
+    from vstestbed.studies.comparison.folder import ComparisonTable
+
+__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "Job", "Variant", "chosen", "compare", "controllers", "jobs", "must_be_known"]
+
+
+def compare(
+    scenarios: Sequence[str | Path],
+    vary: Mapping[str, Sequence[object]] | None = None,
+    seeds: int | None = None,
+    jobs: int | None = None,
+    executor: str = "local",
+    out: str | Path | None = None,
+    resume: bool = False,
+    set: Mapping[str, object] | None = None,
+    plugins: Sequence[str] = (),
+    film: bool = True,
+    report: bool = True,
+    on_done: OnDone = lambda job, summary: None,
+    force: bool = False,
+    baseline: str | Path | None = None,
+    limit: int | None = None,
+) -> ComparisonTable:
+    """Run a comparison and write its folder; returns the table with one row per run.
+
+    In a script, call it under `if __name__ == "__main__":`, since worker processes import the script.
+
+    Args:
+        scenarios: paths or bundled names; or one comparison, by path or bundled name.
+        vary: lists of values by dotted path; every combination is run. seeds: number of seeds; None: only the nominal start.
+        jobs: worker processes; None: one per core. executor: `local` or `dask://HOST:PORT`.
+        out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
+        set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
+        film: whether to film the first seed. report: whether to write the page and the figures.
+        on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
+        baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
+        limit: of each task only so many runs, spread evenly over its list.
+
+    Raises:
+        ScenarioError, ParameterError: bad input, found before anything runs.
+        RunFolderError: the baseline is no comparison, or has none of these runs.
+        OutputError: `out` is taken, or another process writes into it.
+        EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
+    """
+    # without this check every worker would start workers of its own
+    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
+        raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
+    must_be_known(executor)
+    folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
+    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier, limit) as (
+        campaign,
+        comparison,
+    ):
+        return carry_out(campaign, comparison, jobs, executor, on_done, report=report, baseline=earlier)
+
+
+def carry_out(
+    campaign: Campaign,
+    comparison: Comparison,
+    jobs: int | None = None,
+    executor: str = "local",
+    on_done: OnDone = lambda job, summary: None,
+    stage: Callable[[str], None] = lambda words: None,
+    report: bool = True,
+    baseline: Baseline | None = None,
+) -> ComparisonTable:
+    """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
+
+    Raises:
+        EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
+    """
+    with ExitStack() as stack:
+        pool = None
+        try:
+            if left := len(campaign.jobs) - campaign.done:
+                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), campaign.folder)))
+                campaign.run(pool, on_done)
+            else:
+                clear(campaign.folder)  # of a process that was killed while it wrote the report
+        finally:  # also an interrupted comparison has its table
+            table = table_of(campaign.folder, campaign.jobs)
+            write_table(campaign.folder, table)
+        if lost := len(campaign.jobs) - len(table):
+            words = f"{lost} of {len(campaign.jobs)} runs are not there any more, though each was stored when it was done"
+            advice = "see what else writes there, then do them again with --resume"
+            raise OutputError(campaign.folder, words, advice, EnvironmentLackError.exit_code)
+        changes = None
+        if baseline is not None:
+            changes = baseline.changes(comparison, table, campaign.folder)
+            write_changes(campaign.folder, changes)  # before the page, which reads it
+        if report:
+            finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
+    from vstestbed.studies.comparison.folder import ComparisonTable  # here: polars is imported only where there is a table
+
+    return ComparisonTable.of(table, campaign.folder, comparison, changes)
+
+
+@contextmanager
+def prepared(
+    scenarios: Sequence[str | Path],
+    vary: Mapping[str, Sequence[object]],
+    seeds: int | None,
+    out: Path | None,
+    resume: bool,
+    settings: Mapping[str, object],
+    plugins: Sequence[str],
+    film: bool,
+    force: bool = False,
+    baseline: Baseline | None = None,
+    limit: int | None = None,
+) -> Iterator[tuple[Campaign, Comparison]]:
+    """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
+    requested = None
+    if scenarios:
+        settings = {path: block_of(value) for path, value in settings.items()}
+        axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
+        requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins, limit)
+    with ExitStack() as stack:
+        if resume:
+            folder = resumable(out)
+            stack.enter_context(only_writer(folder))
+            comparison, found = _resumed(folder, requested, force, plugins)
+        elif requested is None:
+            raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
+        else:
+            comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
+            _check_before(comparison, found, baseline)
+            folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
+            write_plan(folder, comparison)
+        first = 0 if comparison.seeds is not None else None
+        filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
+        yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
+
+
+def _check_before(comparison: Comparison, found: Variants, baseline: Baseline | None) -> None:
+    """Refuse what no worker finds, and a baseline that has none of the runs."""
+    _check_workers_find(found)
+    if baseline is not None:
+        baseline.must_match(comparison, jobs(found, comparison.seeds))
+
+
+def _check_workers_find(found: Variants) -> None:
+    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers.
+
+    Raises:
+        ParameterError: it names the class, and how it gets into a file.
+    """
+    typed_in = not hasattr(sys.modules["__main__"], "__file__")
+    if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
+        for variant in found:
+            check_plugins(variant.scenario)
+
+
+def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
+    """The comparison of a folder with its controllers.
+
+    Raises:
+        ParameterError: the command line requests another comparison than the folder's.
+    """
+    comparison = read_plan(folder, plugins)
+    found = controllers(comparison, force)
+    if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
+        problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
+        raise ParameterError("--resume", problem, str(folder))
+    return comparison, found
+
+
+def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
+    """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
+    if (a.seeds, a.limit) != (b.seeds, b.limit) or len(of_a) != len(of_b):
+        return False
+    return all(_essence(x) == _essence(y) for x, y in zip(of_a, of_b, strict=True))
+
+
+def _essence(c: Variant) -> tuple[object, ...]:
+    return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
+
+
+def workers(requested: int | None, runs: int) -> int:
+    """Number of worker processes: as requested, else one per core; never more than there are runs."""
+    if requested is not None and requested < 1:
+        raise ParameterError("--jobs", "must be 1 or more", requested)
+    # the cores that this process may use, which in a container can be fewer than the machine has
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(requested or cores, runs))
+
+
+def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
+    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
+
+    Raises:
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+    """
+    comparison, table, _ = stored(folder, plugins)
+    write_table(folder, table)
+    finish(folder, comparison, table, lambda words: None)
+    return folder / "report.html"
+
+
+def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, polars.DataFrame, int]:
+    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
+
+    Raises:
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+    """
+    comparison = read_plan(folder, plugins)
+    every = jobs(controllers(comparison, force=True), comparison.seeds)
+    # A damaged run is named, and not left out as if it were still to come.
+    table = table_of(folder, every, damaged=False)
+    if table.is_empty():
+        raise RunFolderError(folder, "has no finished run", f"`vstestbed compare --resume --out {folder}` does what is missing")
+    return comparison, table, len(every)

@@ -1,0 +1,331 @@
+"""Plan of a comparison: scenarios, varied values, seeds or tasks; from its file, and from the options of the command line."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeVar
+
+from annotated_types import Ge, Le, Len
+
+from vstestbed.core.errors import Mistake, ParameterError, ScenarioError
+from vstestbed.core.geometry import Pose
+from vstestbed.core.named_files import bundled_comparisons, is_there, place_of_file
+from vstestbed.core.quantity import Narrower, Seed
+from vstestbed.core.spec import spec
+from vstestbed.scenario.load import text_of
+from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
+from vstestbed.scenario.validation import build
+from vstestbed.scenario.yaml_marks import Key, Marks, place_of, plain_mapping
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, own_titles
+
+# Start tables: starts that form a task, such as rotations of 20 to 180 deg about the optical axis.
+
+
+class StartLists(NamedTuple):
+    """The lists of a start table, one entry a run: values by dotted path, and displacements of the camera or of the target."""
+
+    each: dict[str, tuple[Any, ...]]
+    camera_from_goal: tuple[Pose, ...] = ()
+    target_from_goal: tuple[Pose, ...] = ()
+
+
+MUST_BE = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
+"""What a file of starts holds."""
+
+
+@spec
+class StartTable:
+    """The starts of a task: run i has the i-th value of every list in `each`, the i-th displacement, or the start that seed i draws.
+
+    Args:
+        set: values by dotted path, for all runs of the task.
+        each: lists of values by dotted path, all of the same length, one value per run.
+        camera_from_goal: in place of `each`, or beside it: poses of the camera in the frame of the camera at its goal, for any arm,
+            whose joints follow by inverse kinematics (`Scenario.displaced`).
+        target_from_goal: in place of `camera_from_goal`: poses of the target in its frame at the goal, as the camera is to see it.
+        seeds: in place of these lists: number of random starts.
+        file: in place of these lists: a JSON file, relative to the comparison's, with one or more of `each`, `camera_from_goal` and
+            `target_from_goal` as they are written here; e.g. `my_starts.json`.
+        amounts: label of each run [unit as in `unit`]: 20 (deg), 40, ...; by default its number from 0, as in `seed` and in
+            the name of its folder.
+        unit: unit of the amounts.
+    """
+
+    set: dict[str, Any] = field(default_factory=dict)
+    each: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    camera_from_goal: tuple[Pose, ...] = ()
+    target_from_goal: tuple[Pose, ...] = ()
+    seeds: Annotated[int, Ge(1), Le(1_000_000)] | None = None
+    file: str | None = None
+    amounts: tuple[float, ...] = ()
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse lists of different lengths."""
+        given = [bool(self.each or self.camera_from_goal or self.target_from_goal), self.file is not None, self.seeds is not None]
+        if sum(given) != 1 or (self.camera_from_goal and self.target_from_goal):
+            words = "or camera_from_goal, target_from_goal, seeds or file must say what the runs of a task are"
+            raise ParameterError("each", f"{words}; give one of the five, or each beside one of the two displacements")
+        self._check_lists()
+        if self.amounts and len(self.amounts) != self.runs:
+            raise ParameterError("amounts", f"must name each of the {self.runs} runs", list(self.amounts))
+
+    def _check_lists(self) -> None:
+        found = self.lists
+        lengths = {path: len(values) for path, values in found.each.items()}
+        lengths |= {name: len(poses) for name, poses in found._asdict().items() if name != "each" and poses}
+        where = "each" if self.file is None else "file"
+        if 0 in lengths.values() or len(set(lengths.values())) > 1:
+            raise ParameterError(where, "must have one value or more for each run in every list; their lengths are", lengths)
+        if not lengths and self.seeds is None:
+            raise ParameterError(where, f"must hold one or more of {', '.join(StartLists._fields)}", self.file)
+
+    @cached_property
+    def lists(self) -> StartLists:
+        """The lists given here, or those of the file."""
+        if self.file is None:
+            return StartLists(self.each, self.camera_from_goal, self.target_from_goal)
+        return _read_lists(self.file)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        if self.seeds is not None:
+            return self.seeds
+        return len(self.displacements or next(iter(self.lists.each.values())))
+
+    @property
+    def displacements(self) -> tuple[Pose, ...]:
+        """Those of the camera or of the target."""
+        return self.lists.camera_from_goal or self.lists.target_from_goal
+
+    def setting(self, i: int) -> dict[str, object]:
+        """The settings of run i by dotted path."""
+        return {path: values[i] for path, values in self.lists.each.items()}
+
+    def numbers(self, limit: int | None) -> tuple[int, ...]:
+        """The numbers of the runs that are made, from 0: all, or `limit` of them, spread evenly; of random starts the first ones."""
+        if limit is None or limit >= self.runs:
+            return tuple(range(self.runs))
+        if self.seeds is not None:
+            return tuple(range(limit))
+        return tuple((2 * i + 1) * self.runs // (2 * limit) for i in range(limit))  # in the middle of equal parts
+
+    def labels(self) -> tuple[str, ...]:
+        """The label of each run; without amounts its number from 0, by which table and folder have it."""
+        return tuple(f"{amount:g} {self.unit}".strip() for amount in self.amounts or range(self.runs))
+
+
+def _read_lists(file: str) -> StartLists:
+    """The lists of a table's file.
+
+    Raises:
+        ParameterError: it is not there, is no JSON, or holds something else.
+    """
+    path = place_of_file(file)
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        unknown = set(found) - {*StartLists._fields, "about"}
+        if unknown:
+            raise ParameterError("file", f"may have {', '.join(StartLists._fields)} and about; it also has {', '.join(unknown)}", file)
+        poses = {name: tuple(Pose(**pose) for pose in found.get(name, ())) for name in StartLists._fields[1:]}
+        each = {str(key): tuple(values) for key, values in found.get("each", {}).items()}
+    except (OSError, UnicodeDecodeError) as error:
+        raise ParameterError("file", f"cannot be read ({getattr(error, 'strerror', None) or error})", file) from None
+    except RecursionError:
+        raise ParameterError("file", f"is nested too deeply; {MUST_BE}", file) from None
+    except (ValueError, TypeError, AttributeError) as error:  # a Pose of something else raises a ValueError, too
+        raise ParameterError("file", f"{MUST_BE}; reading it failed: {error}", file) from None
+    return StartLists(each, **poses)
+
+
+T = TypeVar("T")
+TASK, AMOUNT = "task", "amount"
+"""Columns that only a comparison with tasks has."""
+OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *SOME_FIGURES)
+"""Columns of the table, whose names no case may have."""
+
+
+@spec
+class Comparison:
+    """Every scenario with every combination of the cases and of the axes' values, in each task or from each seed.
+
+    Args:
+        description: one line for lists and reports.
+        plugins: files or modules that add kinds, for all scenarios, besides their own; e.g. `[my_law.py]`.
+        base: scenarios, by path or bundled name.
+        set: values by dotted path, for all scenarios.
+        cases: named settings of several fields at once: `law: {points: {law: {kind: ibvs}}, pose: {law: {kind: pbvs}}}` is an
+            axis `law` with the values `points` and `pose`. They are applied after `set`, in their order.
+        axes: lists of values (or of whole blocks) by dotted path; every combination is run. They are applied last, and a
+            block before the fields within it.
+        tasks: start tables by name, in place of seeds.
+        seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
+            None: the nominal start, once.
+        limit: of each task only so many runs, spread evenly over its list: a first look at a long one, 20 of 500; e.g. `20`.
+        metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
+    """
+
+    description: str = ""
+    plugins: tuple[str, ...] = ()
+    base: Annotated[tuple[str, ...], Len(1)]
+    set: dict[str, Any] = field(default_factory=dict)
+    cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    tasks: dict[str, StartTable] = field(default_factory=dict)
+    seeds: Annotated[Seed, Narrower(ge=1)] | None = None
+    limit: Annotated[Seed, Narrower(ge=1)] | None = None
+    metrics: tuple[str, ...] = ()
+    places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
+
+    def __post_init__(self) -> None:
+        """Refuse controllers that could not be distinguished, and metrics that no run has."""
+        # the stem is the folder of the scenario's runs
+        if len({Path(name).stem.casefold() for name in self.base}) < len(self.base):
+            raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
+        self._check_axes()
+        for name, cases in self.cases.items():
+            if name in (*self.axes, *OWN_COLUMNS, *own_titles(), "") or not cases:
+                raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
+        self._check_runs()
+        for name in self.metrics:
+            if name not in (known := (*FIGURES, *SOME_FIGURES, *own_titles())):
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
+
+    def _check_runs(self) -> None:
+        if self.tasks and self.seeds is not None:
+            words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
+            raise ParameterError("seeds", words, self.seeds)
+        if self.limit is not None and not self.tasks:
+            raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
+
+    def _check_axes(self) -> None:
+        for path, values in self.axes.items():
+            if not values or any(_same(a, b) for a, b in itertools.combinations(values, 2)):
+                raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
+            if path in self.set:
+                raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
+            for inner in (own for own in self.set if own.startswith(f"{path}.")):
+                words = f"replaces the whole block, so that {inner} of `set` has no effect; vary {inner} as well (one value will do)"
+                raise ParameterError(f"axes.{path}", words)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """The columns of the table that distinguish the controllers of one scenario."""
+        return (*self.cases, *self.axes, *((TASK,) if self.tasks else ()))
+
+
+def merged(*settings: Mapping[str, T]) -> dict[str, T]:
+    """Values by dotted path, later mappings over earlier ones.
+
+    A repeated path moves to the end, since settings are applied in order: a whole block such as `law` in between would overwrite it.
+    """
+    out: dict[str, T] = {}
+    for one in settings:
+        for path, value in one.items():
+            out.pop(path, None)
+            out[path] = value
+    return out
+
+
+def _same(a: object, b: object) -> bool:
+    """Whether two values are equal in YAML: 3 and 3.0 are, 1 and true (equal in Python) are not."""
+    return a == b and isinstance(a, bool) == isinstance(b, bool)
+
+
+def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
+    """Read a comparison's YAML file; scenario files in `base` are searched beside it first. `plugins`: besides its own.
+
+    Raises:
+        ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
+    """
+    plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
+    load_named(plain, marks, str(path), plugins)
+    read = build(Comparison, absolute_files(plain, path.absolute().parent), marks, str(path))
+    beside = tuple(str(path.parent / n) if is_there(path.parent / n) else n for n in read.base)
+    return changed(read, marks, base=beside)
+
+
+def changed(comparison: Comparison, places: Marks | None = None, **changes: Any) -> Comparison:
+    """The comparison with other values, as by dataclasses.replace, and the positions of its values, or other ones."""
+    new = replace(comparison, **changes)
+    object.__setattr__(new, "places", dict(comparison.places if places is None else places))  # no YAML field, and lost by `replace`
+    return new
+
+
+def chosen(
+    names: list[str],
+    settings: Mapping[str, object],
+    axes: Mapping[str, tuple[object, ...]],
+    seeds: int | None,
+    plugins: Sequence[str] = (),
+    limit: int | None = None,
+) -> Comparison:
+    """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
+
+    Scenarios after a comparison's name take the place of its own.
+
+    Raises:
+        ScenarioError, ParameterError, PluginError: invalid input.
+    """
+    settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
+    path = _comparison_among(names)
+    options: Marks = {}
+    options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
+    if path is None:
+        plugins = load_plugins(plugins)
+        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=tuple(plugins), limit=limit)
+        return changed(own, options)
+    read = read_comparison(path, plugins)
+    for dotted in settings:
+        _must_have_effect(read, dotted)
+    own = {key: where for key, where in read.places.items() if key[:2] not in options}
+    numbers = {name: given for name, given in (("seeds", seeds), ("limit", limit)) if given is not None}
+    base = tuple(names[1:]) or read.base
+    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), **numbers)
+
+
+def _must_have_effect(read: Comparison, path: str) -> None:
+    """Refuse a setting that whatever is applied after it writes over, in every run.
+
+    Raises:
+        ScenarioError: it names the place in the file that does so.
+    """
+    for blocks in _after_set(read):
+        over = [(key, own) for key, block in blocks for own in block if path == own or path.startswith(f"{own}.")]
+        if over and len({key for key, _ in over}) == len(blocks):
+            key, own = over[0]
+            words = f"has no effect: {'.'.join(map(str, key))} sets {own} after it ({place_of((*key, own), read.places, '')})"
+            raise ScenarioError([Mistake("--set", path, f"{words}; --vary {path}=VALUE is applied last, or change a copy of the file")])
+
+
+def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object]]]]:
+    """What is applied after `set`: for each case and axis, and for the tasks, the alternatives with their keys, one of which a run has."""
+    for name, cases in read.cases.items():
+        yield [(("cases", name, case), settings) for case, settings in cases.items()]
+    for path in read.axes:
+        yield [(("axes",), {path: None})]
+    if read.tasks:
+        yield [(("tasks", name, "each" if task.each else "set"), task.set | task.each) for name, task in read.tasks.items()]
+
+
+def _comparison_among(names: list[str]) -> Path | None:
+    """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    return path if path is not None and _is_comparison(path) else None
+
+
+def _is_comparison(path: Path) -> bool:
+    """Whether a file is a comparison: it has the key `base` at its top level.
+
+    Raises:
+        ScenarioError: it is no mapping, so neither a comparison nor a scenario.
+    """
+    needs = "a comparison needs base, a scenario robot, target, law and goal"
+    return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]

@@ -1,0 +1,518 @@
+"""Pools of workers for all studies: processes of this machine, or of a dask cluster. Both take requests and return futures."""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+import re
+import shutil
+import signal
+import tempfile
+import threading
+import traceback
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context, resource_tracker
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, UnreachableError
+from vstestbed.core.files import writing
+from vstestbed.core.outcome import Outcome
+from vstestbed.core.shares import STOPS, at_once, some_done
+from vstestbed.loop.recording import Rows
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import parse
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.studies.run_folder import run_into
+
+# One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines.
+
+
+Files = dict[str, bytes]
+"""Content of a run's folder by file name."""
+Done_co = TypeVar("Done_co", covariant=True)
+TILE_PX = (480, 270)
+"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A run as it is sent to a worker, which needs no file of the sender's machine.
+
+    Attributes:
+        folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
+        filmed: whether to make films.
+    """
+
+    folder: str
+    text: str
+    filmed: bool
+
+    def perform(self, place: str | None = None) -> list[Files | None]:
+        """The folder of the run (`execute`)."""
+        return [execute(self, place)]
+
+
+class Request(Protocol[Done_co]):
+    """One run or several, as they are sent to a worker."""
+
+    @property
+    def folder(self) -> str:
+        """Identifies it: of a single run of a comparison its path below the comparison's folder."""
+        ...
+
+    def perform(self, place: str | None = None) -> Done_co:
+        """Do it; `place`: of temporary files, None where TMPDIR says."""
+        ...
+
+
+def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
+    """Do what a request asks for: a function, as pools need it."""
+    return request.perform(place)
+
+
+def execute(request: RunRequest, place: str | None = None) -> Files:
+    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback,
+    a start at which an arm falls `unreachable`.
+
+    Args:
+        request: the run. place: where its folder is made; None: where TMPDIR says.
+
+    Raises:
+        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
+        PluginError: a plugin of the scenario is not there on this machine.
+    """
+    scenario = parse(request.text, "scenario.yaml")
+    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
+    with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
+        folder = Path(made) / "run"
+        folder.mkdir()
+        try:
+            recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
+            # a picture of every failure for the report's gallery; films are made of the first seed only
+            if not recording.outcome.success and len(recording.rows):
+                picture_of_the_end(scenario, recording.rows, folder)
+        except EnvironmentLackError:  # no fault of the run: the comparison stops
+            raise
+        except UnreachableError as error:  # its motors cannot hold it there
+            return crashed(request.text, error.problem, outcome=Outcome.unreachable)
+        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
+            return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
+        return _files(folder)
+
+
+def _files(folder: Path) -> Files:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
+
+
+def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
+    """The folder of a crashed run, or of one that could not begin: scenario, summary, traceback, and `rest`, the files that it has left."""
+    scenario = parse(text, "scenario.yaml")
+    summary = {"scenario": scenario.name, "outcome": outcome.name, "success": False, "reason": reason, "seed": scenario.seed}
+    own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
+    return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
+
+
+def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
+    """Write `end.png`: the scene from outside at the end of a failed run."""
+    from vstestbed.report.video import film
+    from vstestbed.report.video.quality import FINE
+
+    film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
+
+
+def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
+    """The request for a run of a scenario."""
+    return RunRequest(folder, dump(scenario, defaults=True), filmed)
+
+
+def begin(place: str) -> None:
+    """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
+
+    Args:
+        place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    """
+    tempfile.tempdir = place
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):  # held back while it started
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+
+    def follow() -> None:  # a killed parent cannot end its workers
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)  # not sys.exit, which in a thread ends only the thread
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def process_id() -> int:
+    """Process id of the worker, with which the pool can kill it."""
+    return os.getpid()
+
+
+ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
+KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(1 << 25), "MALLOC_TRIM_THRESHOLD_": str(1 << 28), "MALLOC_TOP_PAD_": str(1 << 26)}
+"""The same for glibc: freed memory stays with the process, since SIFT's pyramids, 5 MB an image, otherwise cost a page fault for each
+page of each picture: an eighth of the time of a run with SIFT in every picture."""
+DASK = "dask://"
+Done = TypeVar("Done")
+Of = TypeVar("Of")
+Asked = TypeVar("Asked", bound=Request[Any])
+MOST_TRIES = 2
+"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+RUNNING = ".running"
+"""Folder of the workers' temporary files in a comparison's folder."""
+
+
+class Pool(Protocol):
+    """Takes requests, at most `room` at a time, and returns futures of their results.
+
+    A future whose worker died raises WorkerLostError; by then the pool has replaced the worker.
+    """
+
+    @property
+    def room(self) -> int:
+        """How many runs may be in progress now."""
+        ...
+
+    def submit(self, request: Request[Done]) -> Future[Done]:
+        """Start a run."""
+        ...
+
+    def tries(self, request: Request[Any]) -> int:
+        """How often a run has been started."""
+        ...
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call a function on this machine when all runs are done, at the same time as others where there are several workers."""
+        ...
+
+    def close(self) -> None:
+        """Stop all workers at once."""
+        ...
+
+
+class WorkerLostError(Exception):
+    """The worker process of a run has died: killed, out of memory, or a crash in a library."""
+
+
+def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]) -> Iterator[tuple[Of, Asked, Future[Any]]]:
+    """Do requests; each is given back with its future as it is done, in any order, those with a result before those with an error.
+
+    Args:
+        pool: is kept full, but never gets more than it has room for.
+        work: requests, each with what it is of; made when they are asked for, one of them ahead, while the workers are busy.
+        again: work that the caller adds while this goes on, which comes first.
+    """
+    rest, going, ended = iter(work), dict[Future[Any], tuple[Of, Asked]](), list[tuple[Of, Asked, Future[Any]]]()
+    following = next(rest, None)
+    while True:
+        while len(going) < pool.room and (now := again.pop() if again else following):
+            going[pool.submit(now[1])] = now
+            if now is following:
+                following = next(rest, None)
+        yield from ended  # after the pool has been filled, which goes on while the caller keeps what is done
+        if not (going or again or following):
+            return
+        done = sorted(some_done(going), key=lambda future: future.exception() is not None)
+        ended = [(*going.pop(future), future) for future in done]
+
+
+@contextmanager
+def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterator[None]:
+    """Environment variables for a process that is started meanwhile: defaults where the user has set none, and overrides."""
+    changed = {k: v for k, v in defaults.items() if k not in os.environ} | overrides
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update(changed)
+    try:
+        yield
+    finally:
+        for name, value in before.items():  # these alone: another thread may have changed others meanwhile
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+@contextmanager
+def _signals_held_back() -> Iterator[None]:
+    """A process that is started meanwhile receives no Ctrl-C, which the terminal sends to all, before `begin` ignores it.
+
+    Its imports take a second or more, and would end with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows, where console processes cannot hold it back
+        yield
+        return
+    resource_tracker.ensure_running()  # here, since it lets the signals pass again when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Slot:
+    """One worker process, restarted after it has died.
+
+    Each has an executor of its own: the death of one process breaks its executor as a whole, and all other runs in it.
+    """
+
+    def __init__(self, place: str):
+        self._place = place
+        self.broken = False
+        self.start()
+
+    def start(self) -> None:
+        """Start the process; its temporary files go to the pool's folder, which is removed also if the process is killed."""
+        self.executor = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=begin, initargs=(self._place,))
+        self.broken = False
+        # the process starts with the first submission, so that it inherits these variables, and what is held back
+        with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():
+            self.pid = self.executor.submit(process_id)
+
+    def run(self, request: Request[Done]) -> Future[Done]:
+        """Start a run, in a new process if the last one has died."""
+        try:
+            if not self.broken:
+                return self.executor.submit(perform, request)
+        except BrokenProcessPool:  # killed while it was idle
+            pass
+        self.end()
+        self.start()
+        return self.executor.submit(perform, request)
+
+    def end(self) -> None:
+        """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
+        for process in list((self.executor._processes or {}).values()):  # public only from Python 3.14 on (kill_workers)
+            process.kill()
+        self.executor.shutdown(wait=False, cancel_futures=True)
+
+
+def clear(folder: Path) -> Path:
+    """Remove what a killed process has left of its temporary files in a comparison's folder; returns their place."""
+    place = folder.absolute() / RUNNING
+    shutil.rmtree(place, ignore_errors=True)
+    return place
+
+
+class LocalPool:
+    """Processes of this machine, each with one OpenGL context and one core.
+
+    Args:
+        jobs: number of processes.
+        folder: the comparison's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
+            holds the folder removes what a killed one has left.
+    """
+
+    def __init__(self, jobs: int, folder: Path):
+        self.room = jobs
+        place = clear(folder)
+        with writing(folder):
+            place.mkdir(exist_ok=True)
+            self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
+        self._slots: list[_Slot] = []
+        self._tries: dict[str, int] = {}
+        self._callers = ThreadPoolExecutor(jobs)
+        self._closed = False
+        try:
+            for _ in range(jobs):
+                self._slots.append(_Slot(self._place))
+        except BaseException:  # Ctrl-C while they start
+            self.close()
+            raise
+        self._free = list(self._slots)
+
+    def submit(self, request: Request[Done]) -> Future[Done]:
+        """Start a run in a free worker."""
+        slot = self._free.pop()
+        self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
+        outer: Future[Done] = Future()  # not the executor's own: the slot must be free before the future is done
+        outer.set_running_or_notify_cancel()
+        slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
+        return outer
+
+    def _hand_over(self, inner: Future[Done], slot: _Slot, outer: Future[Done]) -> None:
+        """Free the slot, then complete the future with the result of the run or its error."""
+        error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
+        if isinstance(error, BrokenProcessPool):
+            slot.broken = True
+            error = WorkerLostError("its worker process died") if _answered(slot) else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
+        self._free.append(slot)
+        if error is not None:
+            outer.set_exception(error)
+        else:
+            outer.set_result(inner.result())
+
+    def tries(self, request: Request[Any]) -> int:
+        """How often a run has been started."""
+        return self._tries.get(request.folder, 0)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in a worker as soon as one is free; a single worker leaves it to this process, which has loaded more of the package."""
+        return at_once(function, *arguments) if self.room == 1 else self._callers.submit(self._called, function, arguments)
+
+    def _called(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        slot = self._free.pop()  # there is one: as many threads as slots call
+        try:
+            return slot.executor.submit(function, *arguments).result()
+        except (BrokenProcessPool, CancelledError):  # killed, after its last run or now
+            slot.broken = True
+            if self._closed:  # else what is interrupted would go on in this process, which could not end
+                raise WorkerLostError("the pool is closed") from None
+            return function(*arguments)
+        finally:
+            self._free.append(slot)
+
+    def close(self) -> None:
+        """Kill all workers and remove their temporary files."""
+        self._closed = True
+        self._callers.shutdown(wait=False, cancel_futures=True)
+        for slot in self._slots:
+            slot.end()
+        shutil.rmtree(Path(self._place).parent, ignore_errors=True)
+
+
+NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call it under `if __name__ == '__main__':`"
+
+
+def _answered(slot: _Slot) -> bool:
+    """Whether a slot's process has ever answered: one that never did cannot start at all."""
+    return slot.pid.done() and slot.pid.exception() is None
+
+
+SCHEDULER_GONE = "the dask scheduler is gone", "start it again, then go on with --resume"
+
+
+class DaskPool:
+    """Workers of a dask cluster; they need this package, but no files of this machine.
+
+    Args:
+        address: HOST:PORT of the scheduler.
+
+    Raises:
+        EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
+    """
+
+    def __init__(self, address: str):
+        try:
+            from distributed import Client
+        except ImportError:
+            raise EnvironmentLackError("dask.distributed is not installed", "pip install 'vstestbed[cluster]'") from None
+        try:
+            self._client = Client(f"tcp://{address}", timeout="5s", set_as_default=False)
+        except (OSError, ValueError) as error:
+            words = "start a scheduler (`dask scheduler`) and workers (`dask worker HOST:PORT --nthreads 1`) first"
+            raise EnvironmentLackError(f"no dask scheduler answers at {address} ({error})", words) from None
+        self._name = f"vstestbed-{uuid.uuid4().hex}"  # unique: a cluster keeps results by key, also those of earlier comparisons
+        self._begun: dict[str, list[str]] = {}
+        if not self._threads():
+            logging.getLogger("vstestbed").warning("no workers at %s yet; waiting for some", address)
+
+    def _threads(self) -> int:
+        with self._scheduler_there():
+            threads: Any = self._client.nthreads()
+        return sum(threads.values())
+
+    @contextmanager
+    def _scheduler_there(self) -> Iterator[None]:
+        """Turn errors of a client whose scheduler does not answer any more into one with a remedy.
+
+        Raises:
+            EnvironmentLackError: the scheduler has ended, or no network leads to it.
+        """
+        try:
+            yield
+        except OSError as error:
+            raise EnvironmentLackError(*SCHEDULER_GONE) from error
+        except Exception as error:
+            if self._client.status == "running":
+                raise
+            raise EnvironmentLackError(*SCHEDULER_GONE) from error
+
+    @property
+    def room(self) -> int:
+        """Two runs per worker of the cluster as it is now, so that a worker that becomes free has its next run at hand."""
+        return 2 * max(1, self._threads())
+
+    def submit(self, request: Request[Done]) -> Future[Done]:
+        """Start a run on some worker; if that dies, the scheduler passes the run on to another one."""
+        keys = self._begun.setdefault(request.folder, [])
+        keys.append(f"{self._name}-{request.folder}-{len(keys)}")
+        with self._scheduler_there():
+            future = self._client.submit(_execute_on_dask, request, keys[-1], key=keys[-1], retries=0, pure=False)
+        outer: Future[Done] = Future()
+        outer.set_running_or_notify_cancel()
+        future.add_done_callback(lambda inner: self._hand_over(inner, outer))
+        return outer
+
+    def _hand_over(self, inner: Any, outer: Future[Done]) -> None:
+        """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
+        from distributed.scheduler import KilledWorker
+
+        try:
+            if inner.status == "cancelled":
+                raise EnvironmentLackError(*SCHEDULER_GONE)
+            with self._scheduler_there():
+                error: Any = None if inner.status == "finished" else inner.exception()
+                result: Any = None if error is not None else inner.result()
+            if error is not None:
+                raise WorkerLostError("its worker died") if isinstance(error, KilledWorker) else error
+            outer.set_result(result)
+        except BaseException as error:
+            outer.set_exception(error)
+
+    def tries(self, request: Request[Any]) -> int:
+        """How often a run has been started: every worker that starts it logs an event under the run's key.
+
+        Of a run whose result is there when the scheduler ends: how often it was submitted.
+        """
+        keys = self._begun.get(request.folder, [])
+        try:
+            with self._scheduler_there():
+                # get_events is typed for asynchronous clients as well, where it is a coroutine
+                return sum(len(self._client.get_events(key)) for key in keys)  # type: ignore[arg-type]
+        except EnvironmentLackError:
+            return len(keys)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Call it in this process: the cluster's workers need not see its files."""
+        return at_once(function, *arguments)
+
+    def close(self) -> None:
+        """Disconnect from the cluster; the scheduler cancels runs that no client waits for."""
+        self._client.close()
+
+
+def _execute_on_dask(request: Request[Done], key: str) -> Done:
+    """`perform`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    worker.log_event(key, "begun")
+    return perform(request, worker.local_directory)
+
+
+def pool_of(executor: str, workers: int, folder: Path) -> Pool:
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the comparison's.
+
+    Raises:
+        ParameterError: another value. EnvironmentLackError: see DaskPool.
+    """
+    must_be_known(executor)
+    return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
+
+
+def must_be_known(executor: str) -> None:
+    """Refuse any other value of `--executor`."""
+    if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
+        raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)

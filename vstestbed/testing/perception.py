@@ -1,0 +1,253 @@
+"""What every lens, detector and kind of local features must do."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Picture
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, exp
+from vstestbed.loop.session import run, uninterrupted
+from vstestbed.robots import Free
+from vstestbed.robots.free import FreeStart
+from vstestbed.scenario.load import load
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import Truth
+from vstestbed.sim.build import build_plant
+from vstestbed.targets import Square
+from vstestbed.targets.markers import Disc
+from vstestbed.vision import Blobs, Detector, TruthView
+from vstestbed.vision.local_features import extracted, matched, mutual_matches
+
+# What every detector must do.
+
+
+SCENES: dict[str, tuple[str, dict[str, object]]] = {
+    "disc": ("ibvs_book", {}),
+    "tag": ("arm_tags", {}),
+    "stripe": ("omni_line", {}),
+    "sphere": ("car_parking", {}),
+    "outline": ("arm_region", {}),
+}
+"""A bundled scenario with each kind of marker in the picture at its start."""
+MARGIN_PX = 10.0
+"""A marker that must be found is this far inside the picture [px]."""
+
+
+def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
+    """A detector finds all markers of a rendered picture, at their places; none in an empty one; and its memory is passed.
+
+    Args:
+        detector: with the parameters to test.
+        scenario: whose start shows all markers; None: a bundled one with a marker that it sees.
+        within_px: largest distance from the true image of a marker's centre [px].
+
+    Raises:
+        AssertionError: it says what was expected and what was found.
+    """
+    if detector.changing:
+        _check_own_points(detector, scenario or load("camera_keypoints"), within_px)
+        return
+    s = replace(scenario or _scene(detector), detector=detector)
+    plant, _ = build_plant(
+        s.robot, s.camera, s.target, s.world, s.physics, needs_image=detector.needs_image, needs_truth=detector.needs_truth
+    )
+    with closing(plant):
+        picture, truth = plant.capture()
+    view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
+    true, memory, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
+    undrawn = rng.bit_generator.state
+    shown = _shown(s, truth)
+    for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
+        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, rng)
+        assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
+        error = np.linalg.norm(detection.uv - true, axis=1)[shown]
+        assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"
+    drew = rng.bit_generator.state != undrawn
+    assert drew is detector.draws, (
+        f"{detector.kind}: `draws` is {detector.draws}, and detect() {'draws' if drew else 'does not draw'} from rng"
+    )
+    if detector.needs_image and picture is not None:
+        _check_nothing(detector, s, picture)
+
+
+def _shown(s: Scenario, truth: Truth) -> NDArray[np.bool_]:
+    """The markers that are wholly in the picture, (N,)."""
+    shown = s.camera.whole(truth.p_camera, s.target.marker.radius, MARGIN_PX) & ~truth.hidden
+    assert shown.any(), f"{s.name or 'the scenario'} must show markers at its start"
+    return shown
+
+
+def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: float) -> None:
+    """The points of a detector of its own points are where the scene has those of the goal's picture, and many enough."""
+    s = replace(scenario, detector=detector, stop=replace(scenario.stop, duration_s=scenario.camera.period))
+    log = uninterrupted(run(s))
+    uv, true = (np.stack([[log[f"{axis}{at}_{i}"] for i in range(s.rows)] for axis in "uv"], axis=-1) for at in ("", "_true"))
+    error = np.linalg.norm(uv - true, axis=-1)
+    seen = np.isfinite(error).sum(axis=0)
+    assert seen.min() >= 3, f"{detector.kind}: must find three points or more in every picture, found {seen.tolist()}"
+    median = np.nanmedian(error)
+    assert median < within_px, f"{detector.kind}: points must be within {within_px:g} px, their median is off by {median:.3f}"
+
+
+def _scene(detector: Detector[Any]) -> Scenario:
+    """The bundled scenario whose start shows markers that the detector sees."""
+    if detector.needs_sheet:
+        return load("arm_patch")
+    marker = detector.markers[0] if detector.markers else "disc"
+    assert marker in SCENES, f"{detector.kind}: give a scenario whose start shows markers of kind {marker}"
+    return load(*SCENES[marker])
+
+
+def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> None:
+    """An empty picture has no markers; no picture at all is a mistake."""
+    empty = replace(picture, images=tuple(None if image is None else np.full_like(image, 128) for image in picture.images))
+    _, detection = detector.detect(detector.init(), empty, None, s.camera, s.target, np.random.default_rng(0))
+    assert np.isnan(detection.uv).all(), f"{detector.kind}: an empty picture has no markers, it found {detection.uv}"
+    try:
+        detector.detect(detector.init(), None, None, s.camera, s.target, np.random.default_rng(0))
+    except ParameterError:
+        return
+    raise AssertionError(f"{detector.kind}: without a picture detect must raise ParameterError")
+
+
+# What every lens must do.
+
+
+GRID = 25
+"""Pixels that are tried along each side of the picture."""
+LEAST_SEEN = 0.2
+"""Least share of the picture in which each pixel must have a ray."""
+WITHIN_PX = 1e-4
+"""Largest error of the way to a ray and back [px]: a thousandth of the best measurement."""
+AT_M = 0.6
+"""Distance of the target that is rendered [m]."""
+
+
+def check_camera(camera: Camera, seed: int = 0) -> None:
+    """`ray` is the inverse of `project`, both take leading axes, and markers are rendered and detected where `project` says.
+
+    Args:
+        camera: with the parameters to test. seed: of the directions tried.
+
+    Raises:
+        AssertionError: it says what was expected and what was found.
+    """
+    kind = getattr(camera, "kind", type(camera).__name__)
+    assert isinstance(camera, Camera), f"{kind}: a lens must derive from vstestbed.camera.Camera, or Radial"
+    uv = _check_pixels(camera, kind)
+    _check_directions(camera, kind, np.random.default_rng(seed))
+    _check_picture(camera, uv)
+
+
+def _check_pixels(camera: Camera, kind: str) -> Array:
+    """From pixels to rays and back, whatever the distance; returns the pixels that have a ray."""
+    across, down = np.linspace(0, camera.width - 1, GRID), np.linspace(0, camera.height - 1, GRID)
+    uv = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    rays = camera.ray(uv)
+    assert rays.shape == (len(uv), 3), f"{kind}: ray must have shape (N, 3) for uv (N, 2), got {rays.shape}"
+    seen = np.isfinite(rays).all(axis=1)
+    assert seen.mean() >= LEAST_SEEN, f"{kind}: {seen.mean():.0%} of the picture have a ray, at least {LEAST_SEEN:.0%} must"
+    uv, rays = uv[seen], rays[seen]
+    length = np.abs(np.linalg.norm(rays, axis=1) - 1).max()
+    assert length < 1e-9, f"{kind}: rays must be unit vectors, one is {length:.2g} off"
+    for distance in (0.01, 1.0, 100.0):
+        back = camera.project(distance * rays)
+        error = np.linalg.norm(back - uv, axis=1)
+        assert (error < WITHIN_PX).all(), f"{kind}: project(ray(uv)) must be uv at {distance:g} m, it is {np.max(error):.3g} px off"
+    both = camera.project(np.stack([rays, 2 * rays]))
+    assert both.shape == (2, len(uv), 2), f"{kind}: project must take leading axes: (2, N, 3) to (2, N, 2), got {both.shape}"
+    return uv
+
+
+def _check_directions(camera: Camera, kind: str, rng: np.random.Generator) -> None:
+    """From directions all round to pixels and back: what is seen in the picture is seen where it is, not behind."""
+    directions = rng.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    uv = camera.project(directions)
+    shown = camera.inside(uv)
+    error = np.linalg.norm(camera.ray(uv[shown]) - directions[shown], axis=1)
+    wrong = directions[shown][~(error < 1e-6)]
+    words = f"project must be NaN where the lens sees nothing; {len(wrong)} directions, one of them"
+    assert not len(wrong), f"{kind}: ray(project(p)) must point to p; {words} {wrong[0].round(3)}, come back elsewhere"
+
+
+def _check_picture(camera: Camera, uv: Array) -> None:
+    """Four discs, rendered through the lens, are detected where it projects them."""
+    # Off the middle, which a mirror does not see, and away from the border.
+    wanted = np.array([0.7 * camera.width, 0.6 * camera.height])
+    ray = camera.ray(uv[np.linalg.norm(uv - wanted, axis=1).argmin()][None])[0]
+    axis = np.cross([0.0, 0.0, 1.0], ray)  # the target faces the lens: its z axis along the ray
+    turn = axis / max(float(np.linalg.norm(axis)), 1e-12) * np.arccos(np.clip(ray[2], -1, 1))
+    T = exp(np.concatenate([np.zeros(3), turn]))
+    T[:3, 3] = AT_M * ray
+    s = load("ibvs_book", {"detector": "oracle"})
+    target = Square(side=0.16, marker=Disc(radius=0.025, lit=False), pose=Pose.of(T))
+    robot = Free(start=FreeStart(nominal=Pose()))
+    check_detector(Blobs(), replace(s, name="a square before the lens", robot=robot, camera=replace(camera, latency_s=0.0), target=target))
+
+
+# What every kind of local features must do.
+
+
+WIDTH, HEIGHT, FINER = 320, 240, 2
+"""Size of the two pictures, and samples along each side of a pixel."""
+TURN_DEG, SIZE = 8.0, 0.93
+"""Rotation and scale of the second against the first."""
+SHEETS = 120
+
+
+def check_keypoints(features: Any, within_px: float = 2.0, least: int = 20) -> None:
+    """Features match two pictures of coloured sheets, the second turned by 8 degrees and smaller; an empty picture gives no matches.
+
+    Args:
+        features: with the parameters to test; it has `extract(image)` or `match(goal_image, image)`.
+        within_px: largest median distance of the matches from their true places [px].
+        least: fewest matches that must be within three times that distance.
+
+    Raises:
+        AssertionError: it says what was expected and what was found. ParameterError: arrays of wrong shapes.
+    """
+    turn = np.radians(TURN_DEG)
+    A = SIZE * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    first, second = _picture(1.0, 0.0), _picture(1 / SIZE, -turn)
+    uv_goal, uv = _matches(features, first, second)
+    middle = np.array([WIDTH - 1, HEIGHT - 1]) / 2
+    off = np.linalg.norm(uv - ((uv_goal - middle) @ A.T + middle), axis=1)
+    near = off[off < 3 * within_px]
+    found = f"found {len(near)} of {len(off)} in place"
+    assert len(near) >= least, f"{features.kind}: must match {least} points or more of two pictures, {found}"
+    median = np.median(near)
+    assert median < within_px, f"{features.kind}: matches must be within {within_px:g} px, their median is off by {median:.2f}"
+    nothing, _ = _matches(features, first, np.full_like(first, 128))
+    assert len(nothing) < least, f"{features.kind}: an empty picture has no points, it matched {len(nothing)}"
+
+
+@lru_cache
+def _picture(size: float, turn: float) -> NDArray[np.uint8]:
+    """Sheets over each other (HEIGHT, WIDTH, 3): a place's offset from the middle, turned [rad] and times `size`, is that in the first."""
+    c, s = size * np.cos(turn), size * np.sin(turn)
+    rng = np.random.default_rng(5)
+    u, v = np.meshgrid((np.arange(FINER * WIDTH) + 0.5) / FINER - WIDTH / 2, (np.arange(FINER * HEIGHT) + 0.5) / FINER - HEIGHT / 2)
+    x, y = c * u - s * v, s * u + c * v
+    image = np.full((*x.shape, 3), 128.0, np.float32)
+    for _ in range(SHEETS):
+        (px, py), (a, b), angle = rng.uniform(-0.6, 0.6, 2) * [WIDTH, HEIGHT], rng.uniform(5, 25, 2), rng.uniform(0, np.pi)
+        along, across = np.cos(angle) * (x - px) + np.sin(angle) * (y - py), np.cos(angle) * (y - py) - np.sin(angle) * (x - px)
+        image[(np.abs(along) < a) & (np.abs(across) < b)] = rng.uniform(0, 255, 3)
+    return image.reshape(HEIGHT, FINER, WIDTH, FINER, 3).mean(axis=(1, 3)).astype(np.uint8)
+
+
+def _matches(features: Any, first: NDArray[np.uint8], second: NDArray[np.uint8]) -> tuple[Array, Array]:
+    """Places (M, 2) of matches in both pictures [px]."""
+    if hasattr(features, "match"):
+        return matched(features, first, second)[:2]
+    (uv_goal, a), (uv, b) = extracted(features, first), extracted(features, second)
+    i, j, _ = mutual_matches(a, b)
+    return uv_goal[i], uv[j]

@@ -1,0 +1,567 @@
+"""Coloured markers: blobs segmented by chroma, identified by hue, tracked in windows, corrected for perspective bias."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Look, Panel, Picture, Window
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, lengths
+from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Target
+from vstestbed.vision.association import Outlines, allowed_px, assign_blobs, ball_bias, centre_bias
+from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, window_round, windows_round
+from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
+from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
+
+# Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
+
+
+REACH = 0.1
+"""In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
+leave the first, so that a marker a little outside of its predicted window is still rendered."""
+MEASURED_PX = 2
+"""Blobs are measured so far beyond their mask's box [px] (`colour_blobs`), which may touch the window in which they were searched."""
+TWIN_COSINE = math.cos(math.radians(3))
+"""Two blobs of one hue less than 3 degrees apart, in two overlapping panels, are one marker seen twice."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlobsMemory:
+    """State of the blob detector, of N markers.
+
+    Attributes:
+        blobs: each marker's blob in the last picture; None for a lost one.
+        moves: last known displacement of each blob from one picture to the next [px]; zero at first.
+        T_camera_target: last known pose of the target, shape (4, 4).
+        bias: perspective bias in the last picture, shape (N, 2) [px].
+        panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
+    """
+
+    blobs: tuple[Blob | None, ...] = ()
+    moves: tuple[Move, ...] = ()
+    T_camera_target: Array | None = None
+    bias: Array | None = None
+    panels: tuple[int, ...] = ()
+
+
+def windows(memory: BlobsMemory, camera: Camera, margin: int) -> list[Window] | None:
+    """A window around each marker's predicted blob, in its panel; None where one is lost or a whole search is faster."""
+    return windows_round([b.box if b else None for b in memory.blobs], memory.moves, memory.panels, camera, margin)
+
+
+def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
+    """Regions of interest, in each panel, of the next detection; None for everything."""
+    own = windows(memory, camera, margin + MEASURED_PX)
+    if own is None:
+        return None
+    if len(camera.panels) == 1:
+        return (tuple(own),)
+    out: list[list[Window]] = [[] for _ in camera.panels]
+    for blob, move, home in zip(memory.blobs, memory.moves, memory.panels, strict=True):
+        if blob is None:
+            return None
+        for panel, window in _enlarged_windows(blob, move, home, camera, margin):
+            out[panel].append(window)
+    return tuple(tuple(some) for some in out)
+
+
+def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin: int) -> Iterator[tuple[int, Window]]:
+    """The enlarged window around a predicted blob, in its own panel and, near the border, in every other that sees it."""
+    lens = camera.panels[home].lens
+    wide = margin + REACH * lens.width
+    panels = [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels))
+    for panel in panels:
+        seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
+        window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
+        if window is not None:
+            yield panel, window
+
+
+def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
+    """Displacement of each blob since the last picture [px]; of one that was not seen then, or is not now, the last known one.
+
+    It is zero where none is known in the panel in which the blob is now.
+    """
+    none = (None,) * len(blobs)
+    out: list[Move] = []
+    last = zip(memory.blobs or none, memory.moves or none, memory.panels or none, strict=True)
+    for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
+        if before is not None and before != panel:
+            a, move = _blob_there(a, before, panel, camera), None
+        out.append((b.u - a.u, b.v - a.v) if a and b else move or (0.0, 0.0))
+    return tuple(out)
+
+
+def _blob_there(blob: Blob | None, panel: int, other: int, camera: Camera) -> Blob | None:
+    """A blob in another panel's pixels; None where it lies outside of that panel."""
+    seen = seen_from(blob, (0.0, 0.0), panel, other, camera) if blob else None
+    return seen[0] if seen else None
+
+
+def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
+    """The same with each blob that nears its panel's border in the panel where it will be farthest from a border."""
+    blobs, moves, panels = list(memory.blobs), list(memory.moves), list(memory.panels)
+    for i, (blob, move, home) in enumerate(zip(memory.blobs, memory.moves, memory.panels, strict=True)):
+        if blob is None:
+            continue
+        most = _slack(blob, move, camera.panels[home].lens)
+        if most >= margin + max(abs(move[0]), abs(move[1])) / 2:
+            continue
+        for panel in range(len(camera.panels)):
+            seen = seen_from(blob, move, home, panel, camera) if panel != home else None
+            if seen is not None and _slack(*seen, camera.panels[panel].lens) > most:
+                most = _slack(*seen, camera.panels[panel].lens)
+                (blobs[i], moves[i]), panels[i] = seen, panel
+    return replace(memory, blobs=tuple(blobs), moves=tuple(moves), panels=tuple(panels))
+
+
+def seen_from(blob: Blob, move: Move, panel: int, other: int, camera: Camera) -> tuple[Blob, Move] | None:
+    """A blob and its move in another panel's pixels; None where the blob's prediction lies outside of that panel."""
+    here, there = camera.panels[panel], camera.panels[other]
+    left, top, right, bottom = blob.box
+    corners = [(left - 0.5, top - 0.5), (right - 0.5, top - 0.5), (left - 0.5, bottom - 0.5), (right - 0.5, bottom - 0.5)]
+    px = np.array([(blob.u, blob.v), (blob.u + move[0], blob.v + move[1]), *corners])
+    uv = there.lens.project(here.lens.ray(px) @ here.R_camera_panel.T @ there.R_camera_panel)
+    if not (np.isfinite(uv).all() and there.lens.inside(uv[1:2]).all()):
+        return None
+    low, high = np.floor(uv[2:].min(axis=0) + 0.5).astype(int), np.ceil(uv[2:].max(axis=0) + 0.5).astype(int)
+    (u, v), (du, dv) = uv[0].tolist(), (uv[1] - uv[0]).tolist()
+    box = (int(low[0]), int(low[1]), int(high[0]), int(high[1]))
+    return replace(blob, u=u, v=v, box=box), (du, dv)
+
+
+def _slack(blob: Blob, move: Move, lens: Camera) -> float:
+    """Least distance of the predicted blob's box from the image's border [px]; negative where it reaches beyond."""
+    (left, top, right, bottom), (du, dv) = blob.box, move
+    return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
+
+
+def at_border(blob: Blob, lens: Camera) -> bool:
+    """Whether a blob touches the image's border."""
+    left, top, right, bottom = blob.box
+    return left <= 0 or top <= 0 or right >= lens.width or bottom >= lens.height
+
+
+def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] | None:
+    """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in panels by solid angle.
+
+    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Where panels overlap, a marker may
+    be seen twice; the panel whose axis is nearer to it is taken.
+    """
+    if len(camera.panels) == 1 or not found:
+        return max(found, key=lambda f: (f[1].whole, f[1].area), default=None)
+    rays = [camera.panels[p].lens.ray(np.array([[b.u, b.v]]))[0] for p, b in found]
+    cosine = [float(ray[2]) for ray in rays]
+    best = max(range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3))
+    in_camera = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
+    return found[max(_twins(found, in_camera, best), key=lambda i: cosine[i])]
+
+
+def _twins(found: list[tuple[int, Blob]], rays: list[Array], index: int) -> list[int]:
+    """Indices of blobs that are the same marker as that of `index` in other panels, and `index` itself."""
+    panel, blob = found[index]
+    others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
+    return [i for i in others if rays[i] @ rays[index] > TWIN_COSINE] + [index]
+
+
+# From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
+
+
+AREA_NOISE_PX = 3.5
+"""Error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
+SAME_BIAS_PX = 0.02
+"""The bias has converged when it changes by less than this [px]; another round would change it by a tenth of that."""
+MOST_ROUNDS = 3
+"""Most poses solved for one picture, besides one for each rejected marker."""
+SURPRISE = 0.15
+"""Sum over three markers of |log(area / predicted)|: under .05 for the right pose of rendered discs, over .6 for most others."""
+
+
+class MarkerFit:
+    """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each blob was found.
+
+    Args:
+        camera: the camera.
+        target: the marker layout, of N markers.
+        panels: index of the panel of each marker's blob, N of them.
+        area_tolerance: largest relative difference between a blob's area and the predicted one.
+        edge: error of a blob's border, inwards or outwards [px].
+    """
+
+    def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
+        self._camera, self._target, self._tolerance, self._edge = camera, target, area_tolerance, edge
+        self._of = None if len(camera.panels) == 1 else _by_panel(camera, panels)
+        self.outliers = np.zeros(len(target.points), dtype=bool)
+        """Which blobs are no markers of this target: they lie far from where the pose of the others predicts them, (N,)."""
+
+    def centres(self, blobs: list[Blob | None], memory: BlobsMemory, correct: bool) -> tuple[Array, Array | None, Array]:
+        """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective bias (N, 2) in the panels'.
+
+        Args:
+            blobs: of each marker; None where none was found.
+            memory: the last picture, whose bias and pose start the iteration.
+            correct: subtract the bias from the centres.
+        """
+        centroid, area = _whole(blobs)
+        assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
+        T, bias = self._fitted(centroid, area, assumed, memory.T_camera_target)
+        if T is None:
+            bias = self._bias_without_pose(centroid, area, bias, memory.T_camera_target)
+        uv = centroid - bias if correct else centroid
+        return (uv if self._of is None else self._camera.project(self._rays(uv))), T, bias
+
+    def _fitted(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> tuple[Array | None, Array]:
+        """The pose (4, 4) that fits the markers, None where there is none, and their bias (N, 2) [px].
+
+        Alternates between the pose from the centroids less the assumed bias and the bias under that pose, until the bias has
+        converged. Rejected markers become NaN in `centroid` (N, 2) and `area` (N,), in place.
+        """
+        T = self._pose(centroid - assumed, area, previous)
+        for _ in range(len(centroid) + MOST_ROUNDS):
+            if T is None:
+                break
+            expected = self._expected(T)
+            bias = expected.bias
+            worst, misfit = self._worst(area, expected.area)
+            outlier = self._outlier(centroid, expected, area, previous, misfit)
+            if outlier is not None:
+                worst, T, assumed = outlier
+                centroid[worst] = area[worst] = np.nan
+                continue
+            if misfit > 1:
+                centroid[worst] = area[worst] = np.nan
+            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:  # "not >" so that the NaN of lost markers ends the loop
+                break
+            assumed = bias
+            T = self._pose(centroid - assumed, area, T if previous is None else previous)
+        return T, assumed
+
+    def _bias_without_pose(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> Array:
+        """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
+        if self._target.marker.height_m:
+            return self._by_size(centroid, area)
+        return assumed if previous is None else self._expected(previous).bias
+
+    def _outlier(
+        self, centroid: Array, expected: Outlines, area: Array, previous: Array | None, misfit: float
+    ) -> tuple[int, Array, Array] | None:
+        """The blob that is not this target's, with the pose and bias of the others; None where the pose of all explains them.
+
+        Leave one out: that blob is dropped without which the others fit best, by position and, since three points always have a
+        pose, by area. Four blobs of which one is another object may have a pose that nearly fits their positions, but hardly
+        one that fits their areas too.
+        """
+        if self._of is not None:
+            return None
+        seen = np.flatnonzero(np.isfinite(centroid[:, 0]))
+        if len(seen) < 4:
+            return None
+        allowed = allowed_px(centroid)
+        if misfit <= 1 and _off(centroid, expected)[seen].max() <= allowed:
+            return None
+        best, found = math.inf, None
+        for i in seen.tolist():
+            others, left = centroid.copy(), area.copy()
+            others[i] = left[i] = np.nan
+            pose = self._of_others(others - expected.bias, left, previous)
+            if pose is None:
+                continue
+            there = self._expected(pose)
+            surprise = float(np.nanmean(np.abs(np.log(left / there.area)))) / SURPRISE
+            score = surprise + float(np.nanmax(_off(others, there))) / allowed
+            if score < best:
+                best, found = score, (i, pose, there)
+        if found is None:
+            return None
+        index, pose, there = found
+        self.outliers[index] = _off(centroid, there)[index] > allowed
+        return index, pose, there.bias
+
+    def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
+        """The pose without one blob; of three, the one that continues the last pose, unless their areas contradict it."""
+        seen = np.isfinite(uv[:, 0])
+        pose = self._pose(uv, area, previous)
+        if np.count_nonzero(seen) > 3 or (pose is not None and self._surprise(pose, area) < SURPRISE):
+            return pose
+        return self._first_of_three(self._rays(uv[seen]), area)
+
+    def _surprise(self, T: Array, area: Array) -> float:
+        """Sum of |log(area / predicted)| of areas (N,) under a pose."""
+        return float(np.nansum(np.abs(np.log(area / self._expected(T).area))))
+
+    def _expected(self, T_camera_target: Array) -> Outlines:
+        """Predicted outline of each marker in its panel."""
+        if self._of is None:
+            return centre_bias(self._camera, self._target, T_camera_target)
+        n = len(self._target.points)
+        out = Outlines(np.full((n, 2), np.nan), np.full(n, np.nan), np.full((n, 2), np.nan))
+        for panel, mine in self._of:
+            T = T_camera_target.copy()
+            T[:3] = panel.R_camera_panel.T @ T[:3]
+            for all_of_them, there in zip(out, centre_bias(panel.lens, self._target, T), strict=True):
+                all_of_them[mine] = there[mine]
+        return out
+
+    def _by_size(self, centroid: Array, area: Array) -> Array:
+        """Perspective bias (N, 2) [px] of balls, from the apparent size of each; 0 for those not seen."""
+        radius = self._target.marker.radius
+        if self._of is None:
+            bias = ball_bias(self._camera, radius, centroid, area)
+        else:
+            bias = np.zeros_like(centroid)
+            for panel, mine in self._of:
+                bias[mine] = ball_bias(panel.lens, radius, centroid[mine], area[mine])
+        return np.where(np.isfinite(bias), bias, 0.0)
+
+    def _rays(self, uv: Array) -> Array:
+        """Unit rays (N, 3) in the camera frame of the markers' pixels (N, 2), each in its panel."""
+        if self._of is None:
+            return self._camera.ray(uv)
+        rays = np.empty((len(uv), 3))
+        for panel, mine in self._of:
+            rays[mine] = panel.lens.ray(uv[mine]) @ panel.R_camera_panel.T
+        return rays
+
+    def _pose(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
+        """The pose (4, 4) from the images of the centres (N, 2) [px]; None with fewer than three."""
+        seen = np.isfinite(uv[:, 0])
+        n = int(np.count_nonzero(seen))
+        if n < 3:
+            return None
+        rays, points = self._rays(uv), self._target.points
+        if n < len(seen):
+            rays, points = rays[seen], points[seen]
+        if len(points) == 3 and previous is None:
+            return self._first_of_three(rays, area)
+        return solve_pose_from_rays(rays, points, previous)
+
+    def _first_of_three(self, rays: Array, area: Array) -> Array | None:
+        """Of the poses that three rays (3, 3) leave, the one that fits the areas (N,) best; None if even that does not fit."""
+        poses = three_ray_poses(rays, self._target.points[np.isfinite(area)])
+        best = min(poses, key=lambda T: self._surprise(T, area), default=None)
+        return best if best is not None and self._surprise(best, area) < SURPRISE else None
+
+    def _worst(self, area: Array, expected: Array) -> tuple[int, float]:
+        """Index of the area (N,) farthest from the predicted one, and that difference over the one allowed; NaN areas are skipped."""
+        worst, most = 0, -1.0
+        # A loop in Python: on these few numbers it is quicker than NumPy.
+        for i, (a, e) in enumerate(zip(area.tolist(), expected.tolist(), strict=True)):
+            if math.isnan(a):
+                continue
+            allowed = self._tolerance * e + AREA_NOISE_PX + self._edge * 2 * math.sqrt(math.pi * e)
+            misfit = math.inf if math.isnan(e) else abs(a - e) / allowed
+            if misfit > most:
+                worst, most = i, misfit
+        return worst, most
+
+
+def _off(centroid: Array, expected: Outlines) -> Array:
+    """Distance of each centroid (N, 2) from its prediction, shape (N,) [px]."""
+    return lengths(centroid - (expected.centre + expected.bias))[:, 0]
+
+
+def _by_panel(camera: Camera, panels: list[int]) -> list[tuple[Panel, slice | NDArray[np.bool_]]]:
+    """The panels in which markers are, each with which they are: all of them (a slice, which is quicker), or (N,) bool."""
+    if min(panels) == max(panels):
+        return [(camera.panels[panels[0]], slice(None))]
+    of = np.array(panels)
+    return [(camera.panels[panel], of == panel) for panel in set(panels)]
+
+
+def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:
+    """Centroids (N, 2) [px] and areas (N,) [px^2] of the blobs that are whole, NaN for the others."""
+    whole = [b if b and b.whole else None for b in blobs]
+    return np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole]), np.array([b.area if b else np.nan for b in whole])
+
+
+EDGE_PX = 0.15
+"""Error of a smoothed, shaded blob's border, inwards or outwards [px] (measured on rendered balls of 5 px radius and more)."""
+
+Place = tuple[int, Window]
+"""Index of the camera's panel, and a window in it."""
+Found = tuple[int, Blob] | None
+"""Index of the camera's panel and a marker's blob in it; None: not found."""
+
+
+@spec
+class Blobs(DetectorBase):
+    """Markers by colour: chroma mask, contours, moments; identified by the hue at the centroid.
+
+    Tracking: a marker is searched in a window around its predicted position (constant velocity); when one is not found there, the
+    whole image of the same exposure is searched. In a camera with panels it is handed over to the next panel before it reaches a
+    border; where panels overlap it counts once. Of several blobs of one hue, those are taken that one pose of the target explains
+    (`assign_blobs`).
+
+    Measurement: the image of the marker's centre is the centroid less the perspective bias under the pose that the markers
+    themselves give. A blob is rejected if it touches the image's border, if its shape is no ellipse, if its area differs from
+    what the pose predicts (occlusion), or if it lies far from where the pose of the others predicts it (another object of that
+    colour); the worst is left out and the pose solved again until all fit. Of three markers without an earlier pose, the
+    solution whose areas fit best is taken. With fewer than three, border and shape alone decide, and the bias is that of the
+    last pose.
+
+    Noise: its level is estimated from the image (`noise_level`: 0 for a rendered one without noise). From a standard deviation
+    of about 1 grey level, blobs are segmented in the smoothed image, and with `grey` moments edge pixels are weighted by their
+    measured chroma, so that centroids scatter in proportion to the noise: 2 cm discs at 1 m by .01, .02 and .05 px for 2, 8 and
+    20 grey levels. Above 20, markers begin to be missed; the dark sides of shaded balls a little before. From about 30 on,
+    noise itself may be taken for a marker.
+
+    Args:
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker [grey levels]; scenes keep everything else below it.
+        hue_tolerance_deg: largest difference to the marker's hue; never more than half the step between two markers' hues.
+        least_area_px: least area of a blob; smaller ones are noise [px^2].
+        moments: `binary` weights each pixel 0 or 1; `grey` by coverage, which is finer in images with multisampling and the
+            same in images with neither multisampling nor noise, whose markers are of one colour up to the edge.
+        correct_centre: subtract the perspective bias from the centroid.
+        area_tolerance: largest relative difference between a blob's area and the predicted one [1].
+        window_margin_px: margin of a window around the predicted blob, besides half of its last move [px].
+
+    Reference: Corke 2017, Robotics, Vision & Control, sections 13.1 and 15.2 (blobs, moments, visual servoing with them).
+    """
+
+    kind: Literal["blobs"] = "blobs"
+    chroma: Annotated[int, Ge(1), Lt(255)] = 60
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 15.0
+    least_area_px: Annotated[Pixels, Narrower(ge=1)] = 9.0
+    moments: Literal["binary", "grey"] = "grey"
+    correct_centre: bool = True
+    area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
+    needs_image: ClassVar[bool] = True
+    needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
+
+    def init(self) -> BlobsMemory:
+        """Nothing seen yet."""
+        return BlobsMemory()
+
+    def look(self, memory: BlobsMemory, camera: Camera, target: Target) -> Look | None:
+        """Windows around the predicted markers, in a camera with panels also across the seams; None where a marker is lost."""
+        return look_of(memory, camera, self.window_margin_px) if memory.blobs else None
+
+    def detect(
+        self, memory: BlobsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[BlobsMemory, Detection]:
+        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
+
+        Raises:
+            ParameterError: there is no picture.
+        """
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")
+        noise = _noise_levels(picture)
+        found = self._track(picture, noise, memory, camera, target)
+        if found is None:
+            picture = picture.completed()
+            noise = _noise_levels(picture)
+            found = self._search(picture, noise, memory, camera, target)
+        blobs, panels = _split(found, memory)
+        level = max((noise[f[0]] for f in found if f), default=0.0)
+        markers = MarkerFit(camera, target, panels, self.area_tolerance, _edge_px(level, camera.panels[0].lens))
+        uv, T, bias = markers.centres(blobs, memory, self.correct_centre)
+        for i in np.flatnonzero(markers.outliers):
+            blobs[i] = None  # not tracked: its window would follow the wrong object
+        kept = T if T is not None else memory.T_camera_target
+        after = BlobsMemory(tuple(blobs), moves_of(memory, blobs, panels, camera), kept, bias, tuple(panels))
+        if len(camera.panels) > 1:
+            after = hand_over(after, camera, self.window_margin_px)
+        return after, Detection(uv=uv, T_camera_target=T)
+
+    def _blobs_in(self, places: list[Place], picture: Picture, noise: list[float], camera: Camera) -> list[list[Blob]]:
+        """All blobs in each of some places of a picture, in directions that the lens there sees."""
+        regions: list[Region] = []
+        for panel, window in places:
+            image, lens, level = picture.images[panel], camera.panels[panel].lens, noise[panel]
+            assert image is not None
+            rim: Rim = self.moments if _smooth(lens) or (level > 0 and self.moments == "binary") else "sharp"
+            regions.append(Region(image, window, rim, level))
+        found = find_blobs(regions, self.chroma, self.least_area_px)
+        return [_seen_by(camera.panels[panel].lens, blobs) for (panel, _), blobs in zip(places, found, strict=True)]
+
+    def _track(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
+        """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
+        own = windows(memory, camera, self.window_margin_px)
+        if own is None or any(picture.images[panel] is None for panel in memory.panels):
+            return None
+        places = list(zip(memory.panels, own, strict=True))
+        found: list[Found] = []
+        by_marker = self._blobs_in(places, picture, noise, camera)
+        for hue, last, move, (panel, window), blobs in zip(target.hues_deg, memory.blobs, memory.moves, places, by_marker, strict=True):
+            lens = camera.panels[panel].lens
+            if last is None:
+                return None
+            blob = _nearest(self._of_hue(blobs, hue, len(own)), last.u + move[0], last.v + move[1])
+            if blob is None or blob.cut_by(window, lens.width, lens.height):
+                return None
+            if len(camera.panels) > 1 and at_border(blob, lens):
+                return None  # another panel may have the whole of it
+            found.append((panel, blob))
+        return found
+
+    def _search(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
+        """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains.
+
+        In a camera with panels instead the largest, blobs that are not cut first.
+        """
+        hues, everywhere = target.hues_deg, self._all_blobs(picture, noise, camera)
+        by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
+        if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
+            return list(assign_blobs(by_marker, camera, target, memory.T_camera_target))
+        return [largest(some, camera) for some in by_marker]
+
+    def _all_blobs(self, picture: Picture, noise: list[float], camera: Camera) -> list[tuple[int, Blob]]:
+        """All blobs of all panels, each with the index of its panel."""
+        drawn = [i for i, image in enumerate(picture.images) if image is not None]
+        whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
+        # One by one: a panel is too large for the time of a call to count.
+        return [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
+
+    def _of_hue(self, blobs: list[Blob], hue_deg: float, n_hues: int) -> list[Blob]:
+        return [b for b in blobs if self._has_hue(b, hue_deg, n_hues)]
+
+    def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
+        """Whether a blob has a marker's hue, of `n_hues` that must be told apart."""
+        tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
+        return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
+
+
+def _noise_levels(picture: Picture) -> list[float]:
+    """The noise of each panel's image [grey levels]; 0 for one that was not drawn."""
+    return [0.0 if image is None else noise_level(image) for image in picture.images]
+
+
+def _seen_by(lens: Camera, blobs: list[Blob]) -> list[Blob]:
+    """The blobs in directions that a lens sees: noise makes blobs outside of a wide lens's image circle, too, where a pixel has no ray."""
+    if not blobs or lens.sees_all:
+        return blobs
+    seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))[:, 0])
+    return [blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen]
+
+
+def _split(found: list[Found], memory: BlobsMemory) -> tuple[list[Blob | None], list[int]]:
+    """The blobs and their panels; for a marker not found the panel in which it was seen last, at first 0."""
+    panels = memory.panels or (0,) * len(found)
+    return [f[1] if f else None for f in found], [f[0] if f else last for f, last in zip(found, panels, strict=True)]
+
+
+def _nearest(blobs: list[Blob], u: float, v: float) -> Blob | None:
+    """The blob whose centroid is nearest to (u, v) [px]."""
+    return min(blobs, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
+
+
+def _edge_px(noise: float, lens: Camera) -> float:
+    """Error of a blob's border [px]: none in a clean image of one sample a pixel, whose colours are exact."""
+    return EDGE_PX if noise > 0 or _smooth(lens) else 0.0
+
+
+def _smooth(lens: Camera) -> bool:
+    """Whether pixels at a marker's edge mix colours: several samples a pixel, or an image interpolated for a lens."""
+    return lens.multisampling > 0 or lens.resampled

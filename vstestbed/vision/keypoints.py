@@ -1,0 +1,618 @@
+"""Natural features: key points matched between the goal's picture and this one, in place of markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal, cast
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Look, Picture
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositivePixels
+from vstestbed.core.spec import OneOf, kind_of, spec
+from vstestbed.features.observation import Goal
+from vstestbed.targets.base import Target
+from vstestbed.vision.base import Detection, DetectorBase, TruthView, goal_of_points, points_of
+from vstestbed.vision.local_features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched, mutual_matches
+
+# Points followed from one picture to the next, in place of matching each picture with the goal's.
+
+
+LEVELS = 3
+"""Levels of the pyramid besides the picture itself: a window reaches 2^3 times as far."""
+
+
+@spec
+class NoTracking:
+    """Every picture is matched with the goal's."""
+
+    kind: Literal["none"] = "none"
+
+
+@spec
+class Klt:
+    """Points are followed from picture to picture by pyramidal Lucas-Kanade, there and back again.
+
+    Of every `redetect_every`-th picture, and where fewer than `keep` points are left, key points are matched with the goal's
+    again: points that were followed stay, and empty rows are filled.
+
+    Args:
+        redetect_every: pictures from one matching with the goal's picture to the next [1].
+        keep: points below which they are matched again at once [1]; none: half of the detector's `best`, but not under `least`;
+            e.g. `12`.
+        window_px: side of the window round each point [px].
+        astray_px: largest distance of a point, followed there and back again, from where it was [px].
+
+    References: Lucas & Kanade 1981; Bouguet 2000, Pyramidal implementation of the Lucas Kanade feature tracker; Kalal, Mikolajczyk &
+    Matas 2010, doi:10.1109/ICPR.2010.675 (there and back again).
+    """
+
+    kind: Literal["klt"] = "klt"
+    redetect_every: Annotated[int, Ge(1), Le(100_000)] = 10
+    keep: Annotated[int, Ge(3), Le(200)] | None = None
+    window_px: Annotated[int, Ge(5), Le(101)] = 21
+    astray_px: PositivePixels = 0.5
+
+
+TRACKS = OneOf("track", NoTracking, Klt, default="none")
+Tracking = Annotated[NoTracking | Klt, TRACKS]
+
+
+def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Array) -> Array:
+    """Where points uv (K, 2) of the picture before are now (K, 2); NaN where they are lost, or were.
+
+    Args:
+        before, now: the pictures' brightness (H, W).
+    """
+    known = np.isfinite(uv).all(axis=1)
+    out = np.full(uv.shape, np.nan)
+    if not known.any():
+        return out
+    size, start = (klt.window_px, klt.window_px), uv[known].astype(np.float32)[:, None]
+    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=size, maxLevel=LEVELS)
+    # Back from where it began: a point that is another now does not stay there.
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(
+        now, before, there, start.copy(), winSize=size, maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    aside = np.linalg.norm((back - start)[:, 0], axis=1)
+    height, width = now.shape
+    inside = ((there[:, 0] >= 0) & (there[:, 0] <= [width - 1, height - 1])).all(axis=1)
+    kept = (found.ravel() > 0) & (returned.ravel() > 0) & (aside < klt.astray_px) & inside
+    out[known] = np.where(kept[:, None], there[:, 0], np.nan)
+    return out
+
+
+# Pairs of places that match in two pictures.
+
+
+Pairs = tuple[Array, Array]
+"""Places (M, 2) in the goal's picture and in this one [px]."""
+
+
+def among(uv: Array, others: Array) -> NDArray[np.bool_]:
+    """Which of the points uv (M, 2) are among others (N, 2)."""
+    return np.asarray((uv[:, None] == others).all(axis=2).any(axis=1))
+
+
+def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, int]:
+    """The pairs for which `which` (M,) holds, and how many of the first ones are among them."""
+    return (pairs[0][which], pairs[1][which]), int(np.count_nonzero(which[:first]))
+
+
+# Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
+
+
+HALF = 10
+"""Half the side of a patch, without its middle [px of the goal's picture]."""
+ROUNDS, SETTLED_PX = 8, 0.005
+"""Most Gauss-Newton steps, and the step under which none follows [px]."""
+REACH_PX = 3.0
+"""A patch that moves farther than this from its match has found something else [px]."""
+ALIKE = 0.8
+"""Least correlation of a patch with the goal's [1]."""
+TEXTURE = 1e-3
+"""Least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place."""
+SMOOTH_PX = 0.8
+"""Standard deviation of the Gaussian over both pictures, without which interpolation between pixels adds a bias [px]."""
+
+
+def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """A picture (H, W) as `refined` takes it."""
+    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
+
+
+def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
+    """Places (K, 2) at which the patches round uv_goal (K, 2) of the goal's picture are found; NaN where not alike, or cut by a border.
+
+    Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
+    over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
+    compositional Lucas-Kanade).
+
+    Args:
+        goal, image: the pictures (H, W), `smooth`.
+        A: d uv / d uv_goal (K, 2, 2) of the map between the pictures at each point.
+
+    Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
+    """
+    x = np.stack(np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1).reshape(-1, 2)
+    template, contrast = _normalised(_sampled(goal, uv_goal[:, None] + x))
+    gradient = np.stack([(_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s)) / 2 for s in np.eye(2)], -1)
+    gradient = gradient - gradient.mean(axis=1, keepdims=True)
+    normal = gradient.mT @ gradient
+    usable = _textured(normal) & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(uv).all(axis=1)
+    normal[~usable] = np.eye(2)
+    over = np.einsum("kij,pj->kpi", np.where(usable[:, None, None], A, np.eye(2)), x)
+    start, A = np.where(usable[:, None], uv, 0.0), np.where(usable[:, None, None], A, 0.0)
+    at = start.copy()
+    alike = np.zeros(len(uv))
+    for _ in range(ROUNDS):
+        patch, _ = _normalised(_sampled(image, at[:, None] + over))
+        alike = np.mean(patch * template, axis=1)
+        d = np.linalg.solve(normal, np.einsum("kpi,kp->ki", gradient, (patch - template) * contrast[:, None])[..., None])
+        step = (A @ d)[..., 0]
+        at = at - step
+        if np.abs(step).max(initial=0.0) < SETTLED_PX:
+            break
+    usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
+    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < REACH_PX)
+    return np.where(found[:, None], at, np.nan)
+
+
+def whole(image: NDArray[Any], uv_goal: Array, uv: Array, A: Array) -> NDArray[np.bool_]:
+    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; the others `refined` does not find.
+
+    Args:
+        uv_goal, uv, A: as of `refined`.
+    """
+    corners = HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return _inside(image, uv_goal[:, None] + corners) & _inside(image, uv[:, None] + np.einsum("kij,pj->kpi", A, corners))
+
+
+def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
+    """Brightness (K, P) at uv (K, P, 2), linear between pixels; outside, that of the border.
+
+    OpenCV's own rounds places to a 32nd of a pixel.
+    """
+    height, width = image.shape
+    u, v = np.clip(uv[..., 0], 0, width - 1.001), np.clip(uv[..., 1], 0, height - 1.001)
+    i, j = u.astype(np.intp), v.astype(np.intp)
+    a, b, k = u - i, v - j, j * width + i
+    flat = image.ravel()
+    top = flat[k] * (1 - a) + flat[k + 1] * a
+    return top * (1 - b) + (flat[k + width] * (1 - a) + flat[k + width + 1] * a) * b
+
+
+def _inside(image: NDArray[Any], uv: Array) -> NDArray[np.bool_]:
+    """Which patches (K,) with pixels uv (K, P, 2) lie wholly in the picture: beyond its border nothing is known."""
+    size = np.array([image.shape[1], image.shape[0]]) - 1
+    return np.asarray(((uv >= 0) & (uv <= size)).all(axis=(1, 2)))
+
+
+def _normalised(patches: Array) -> tuple[Array, Array]:
+    """Patches (K, P) less their mean and over their standard deviation (K,), and that; a flat one stays zero."""
+    off = patches - patches.mean(axis=1, keepdims=True)
+    contrast = np.sqrt(np.mean(off**2, axis=1))
+    return off / np.maximum(contrast, 1e-6)[:, None], contrast
+
+
+def _textured(normal: Array) -> NDArray[np.bool_]:
+    """Whether patches with the normal equations (K, 2, 2) have structure in both directions."""
+    eigenvalues = np.linalg.eigvalsh(normal)
+    return np.asarray(eigenvalues[:, 0] > np.maximum(TEXTURE * eigenvalues[:, 1], 1e-3))
+
+
+# The homography between two views of one plane, robust against wrong matches, for any lens with one image.
+
+
+LEAST_INLIERS = 8
+"""A homography has eight unknowns; one that fewer pairs agree with may be a chance."""
+SEED = 1
+"""Of the random samples, so that a run repeats."""
+CONFIDENCE, MOST_SAMPLES = 0.9999, 5000
+STEP_PX = 0.5
+"""Half the distance over which the map's derivatives are taken [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarMap:
+    """The map of a plane's points from the goal's picture into another, by their rays: r ~ H r*.
+
+    Attributes:
+        H: homography (3, 3) of rays in the cameras' frames, from the goal's to this one's.
+        camera: the lens of both pictures.
+    """
+
+    H: Array
+    camera: Camera
+
+    def __call__(self, uv_goal: Array) -> Array:
+        """Pixels (..., 2) in this picture of pixels (..., 2) of the goal's; NaN where the lens does not see them."""
+        return self.camera.project(self.camera.ray(uv_goal) @ self.H.T)
+
+    def derivatives(self, uv_goal: Array) -> Array:
+        """How the map turns, stretches and shears the picture's parts at uv_goal (K, 2): d uv / d uv_goal (K, 2, 2)."""
+        steps = STEP_PX * np.eye(2)
+        ahead, back = (self(uv_goal[:, None] + sign * steps) for sign in (1, -1))  # (K, 2 directions, 2 coordinates)
+        return ((ahead - back) / (2 * STEP_PX)).mT
+
+
+def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> tuple[PlanarMap, NDArray[np.bool_]] | None:
+    """The homography with which the most pairs uv_goal (M, 2), uv (M, 2) agree, and which do (M,); None where too few do.
+
+    By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in the picture of a camera without
+    distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
+
+    Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
+    """
+    f = _focal_px(camera)
+    a, b = camera.normalise(uv_goal), camera.normalise(uv)
+    usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+    if np.count_nonzero(usable) < LEAST_INLIERS:
+        return None
+    method = cv2.UsacParams()
+    method.threshold, method.confidence = within_px, CONFIDENCE
+    method.maxIterations, method.randomGeneratorState = MOST_SAMPLES, SEED
+    H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)  # in pixels: of smaller numbers it loses its way
+    if H is None or mask is None or np.count_nonzero(mask) < LEAST_INLIERS:
+        return None
+    agree = np.zeros(len(a), dtype=bool)
+    agree[usable] = mask.ravel() > 0
+    # Its sign is the one that leaves the points in front of the camera.
+    H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
+    ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
+    return PlanarMap(H * np.sign(np.median(ahead)), camera), agree
+
+
+def _focal_px(camera: Camera) -> float:
+    """Pixels per unit of the normalised coordinates at the middle of the picture."""
+    middle = camera.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [0.0, 0.01, 1.0]]))
+    return float(np.linalg.norm(middle[1:] - middle[0], axis=1).mean() / 0.01)
+
+
+def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
+    """Indices of at most `most` of the points uv (M, 2), far from each other: the `first` ones, then always the farthest from all chosen.
+
+    In the order in which they were chosen; points at one place are taken once.
+    """
+    chosen = list(range(min(first, most)))
+    far = np.full(len(uv), np.inf)
+    for k in chosen:
+        far = np.minimum(far, np.sum((uv - uv[k]) ** 2, axis=1))
+    while len(chosen) < min(most, len(uv)):
+        k = int(np.argmax(far))
+        if far[k] <= 0:
+            break
+        chosen.append(k)
+        far = np.minimum(far, np.sum((uv - uv[k]) ** 2, axis=1))
+    return np.array(chosen, dtype=np.intp)
+
+
+# Rows for points that come and go: a fixed number, in which a point keeps its row as long as it is there.
+
+
+@dataclass(frozen=True, slots=True)
+class Slots:
+    """K rows of points that are matched with the goal's picture.
+
+    Attributes:
+        uv_goal, uv: where each is in the goal's picture and in this one (K, 2) [px]; NaN in an empty row.
+        ids: number of the point in each row (K,), -1 in an empty row; a point that comes to a row gets a new one.
+        next_id: the next point's number.
+    """
+
+    uv_goal: Array
+    uv: Array
+    ids: NDArray[np.intp]
+    next_id: int = 0
+
+    @classmethod
+    def empty(cls, rows: int) -> Slots:
+        """No points yet."""
+        return cls(np.full((rows, 2), np.nan), np.full((rows, 2), np.nan), np.full(rows, -1))
+
+    @property
+    def taken(self) -> NDArray[np.bool_]:
+        """Which rows have a point (K,)."""
+        return self.ids >= 0
+
+    def placed(self, uv_goal: Array, uv: Array) -> Slots:
+        """The rows with these M <= K points (M, 2) in place of the present ones: those that are there already, by their place in the
+
+        goal's picture, keep their row and number; the others come into free rows in their order.
+        """
+        rows = {tuple(place): k for k, place in enumerate(self.uv_goal.tolist()) if self.ids[k] >= 0}
+        made = Slots.empty(len(self.ids))
+        at = np.array([rows.get(tuple(place), -1) for place in uv_goal.tolist()], dtype=np.intp)
+        ids = np.where(at >= 0, self.ids[at], -1)
+        free = iter(np.setdiff1d(np.arange(len(self.ids)), at).tolist())
+        next_id = self.next_id
+        for m in np.flatnonzero(at < 0).tolist():
+            at[m], ids[m], next_id = next(free), next_id, next_id + 1
+        made.uv_goal[at], made.uv[at], made.ids[at] = uv_goal, uv, ids
+        return Slots(made.uv_goal, made.uv, made.ids, next_id)
+
+    def unseen(self) -> Slots:
+        """The same points, none of which is seen."""
+        return Slots(self.uv_goal, np.full(self.uv.shape, np.nan), self.ids, self.next_id)
+
+    def moved(self, uv: Array) -> Slots:
+        """The same points at uv (K, 2); those with NaN leave their rows."""
+        stays = self.taken & np.isfinite(uv).all(axis=1)
+        goal = np.where(stays[:, None], self.uv_goal, np.nan)
+        return Slots(goal, np.where(stays[:, None], uv, np.nan), np.where(stays, self.ids, -1), self.next_id)
+
+
+SPARE, FURTHER, LEAST_TRIED = 1.5, 4, 16
+"""Points whose places are measured below a pixel, as a multiple of those that are reported, since some are not found; the most, as a
+multiple of the first ones; and the fewest at first, since a plane needs eight that agree."""
+SLIPPED_PX = 0.25
+"""A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeypointsMemory:
+    """State of the detector in a run to one goal.
+
+    Attributes:
+        goal: the goal view, with its picture.
+        learned: the goal picture's key points uv (R, 2) and descriptors (R, D); None of features that match pictures themselves.
+        smooth: the goal's picture as the patches are taken from it.
+        slots: the points that are reported.
+        last: brightness of the last picture, where points are followed from there; since: pictures since the last matching.
+    """
+
+    goal: Goal
+    learned: tuple[Array, NDArray[Any]] | None
+    smooth: NDArray[np.float32]
+    slots: Slots
+    last: NDArray[np.uint8] | None = None
+    since: int = 0
+
+
+@spec
+class Keypoints(DetectorBase):
+    """Points of the scene itself, found again by their surroundings: no markers are needed, and the target's are not looked for.
+
+    The points are those that are matched between the picture taken at the goal and this one. They are others in every picture, so the
+    detection holds the goal's view of the very points in its `best` rows; empty rows are NaN. Where fewer than `least` are found, nothing
+    is reported, and the law rests, or coasts where it can.
+
+    - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
+    - With `ransac: homography` those pairs count that agree with one plane.
+    - The best of them, or well spread ones, are chosen.
+    - With `subpixel` the patch round each point of the goal's picture is laid over this one (`vision.match.patches`), with its scale,
+    turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Points whose patch is not alike, or is cut by
+    a picture's border, are dropped, and the next ones take their place.
+
+    With `track` the points of one picture are followed into the next instead, and matched again now and then.
+
+    Depths in the goal's view are those of the target's plane, or of a depth camera. Of points beyond the target, such as the floor's,
+    the plane's are wrong, hence `within: board`.
+
+    Args:
+        features: what finds, describes and matches key points: `sift`, `orb`, `akaze`, or a plugin's.
+        best: most points that are reported, the number of rows [1].
+        least: fewest points that are reported; with fewer nothing is seen [1]. With `ransac: homography` eight must agree with one plane
+            besides, of which `best` are reported.
+        choose: which of the matched points: the `distance` of whose descriptors is least, or those that are `spread` over the picture.
+        ratio: a match counts only if its distance is under this share of the distance to the second nearest [1]; none: all
+            mutual matches count; e.g. `0.8`.
+        ransac: which matches count: those on one plane (`homography`), or all (`none`), as in a scene of several planes.
+        ransac_px: how far a match may be from where the homography maps it [px].
+        subpixel: measure places below a pixel by patches; needs eight matches on one plane, without which places stay as they are.
+        within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board (`board`).
+        track: whether points are followed from picture to picture: `none` or `klt`.
+    """
+
+    kind: Literal["keypoints"] = "keypoints"
+    features: Annotated[Features, KEYPOINTS] = Sift()
+    best: Annotated[int, Ge(3), Le(200)] = 24
+    least: Annotated[int, Ge(3), Le(200)] = 4
+    choose: Literal["distance", "spread"] = "spread"
+    ratio: Annotated[float, Gt(0), Lt(1)] | None = None
+    ransac: Literal["homography", "none"] = "homography"
+    ransac_px: PositivePixels = 2.0
+    subpixel: bool = True
+    within: Literal["picture", "board"] = "picture"
+    track: Tracking = NoTracking()
+    needs_image: ClassVar[bool] = True
+    needs_goal: ClassVar[bool] = True
+    changing = True
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
+        if self.least > self.best:
+            raise ParameterError("least", f"must be at most best = {self.best}", self.least)
+        if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
+            raise ParameterError("track.keep", f"must be at most best = {self.best}", self.track.keep)
+        if self.ratio is not None and self._extractor is None:
+            words = f"compares descriptors, and features {self.features.kind} match pictures by themselves; leave it out"
+            raise ParameterError("ratio", words, self.ratio)
+
+    @property
+    def _extractor(self) -> Extractor | None:
+        """The features, if they describe key points; None of those that match pictures by themselves."""
+        return None if hasattr(self.features, "match") else cast(Extractor, self.features)
+
+    @property
+    def rows(self) -> int:
+        """As many as `best`."""
+        return self.best
+
+    @property
+    def fleeting(self) -> bool:
+        """Without tracking, others are found in every picture."""
+        return isinstance(self.track, NoTracking)
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsMemory:
+        """The goal picture's key points.
+
+        Raises:
+            ParameterError: there is no picture of the goal, or it has fewer key points than can ever match, or fewer where they are
+                looked for; or the target has no board.
+        """
+        if goal.image is None:
+            raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
+        if self.within == "board" and target.board_half_m is None:
+            raise ParameterError("detector.within", f"may not be board with target {kind_of(type(target))}, which has none; use picture")
+        learned = self._learned(goal, target) if self._extractor else None
+        return KeypointsMemory(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
+
+    @property
+    def _matching(self) -> int:
+        """Fewest key points of the goal's picture that must match: `least`, and as many as tell a plane where one is asked for."""
+        return max(self.least, LEAST_INLIERS) if self.ransac == "homography" else self.least
+
+    def _learned(self, goal: Goal, target: Target) -> tuple[Array, NDArray[Any]]:
+        assert goal.image is not None
+        assert self._extractor is not None
+        uv, descriptors = extracted(self._extractor, goal.image.image)
+        there = self._usable(goal, target, uv)
+        if np.count_nonzero(there) < self._matching:
+            raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
+        return uv[there], descriptors[there]
+
+    def _too_few(self, found: int, usable: int) -> str:
+        """What is wrong with the goal's picture, in which so many key points are found and so many of them are usable."""
+        plane = self._matching > self.least
+        wanted = f"{self._matching} key points or more, as many as tell a plane," if plane else f"least = {self.least} key points or more"
+        words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
+        if found < self._matching:
+            return f"{words}; use a target with more texture{', or ransac: none' if plane and found >= self.least else ''}"
+        if self.within == "board":
+            return f"{words}, of which {usable} lie on the target's board; use a goal that shows it larger, or within: picture"
+        return f"{words}, of which {usable} have a depth there; use a goal that shows more of the target's plane, or a depth camera"
+
+    def _usable(self, goal: Goal, target: Target, uv: Array) -> NDArray[np.bool_]:
+        """Which points uv (M, 2) of the goal's picture have a depth, and lie on the target's board where only those are asked for."""
+        if len(uv) == 0:
+            return np.zeros(0, dtype=bool)
+        p = points_of(goal_of_points(goal, uv))
+        there = np.asarray(np.isfinite(p).all(axis=1))
+        half = target.board_half_m
+        if self.within == "board" and half is not None:
+            with np.errstate(invalid="ignore"):
+                there &= (np.abs(p[:, :2]) <= half).all(axis=1)
+        return there
+
+    def look(self, memory: KeypointsMemory, camera: Camera, target: Target) -> Look | None:
+        """None: the whole picture."""
+
+    def detect(
+        self,
+        memory: KeypointsMemory,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
+    ) -> tuple[KeypointsMemory, Detection]:
+        """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points.
+
+        Raises:
+            ParameterError: there is no picture, or `begin` was not called.
+        """
+        image = None if picture is None else picture.completed().image
+        if image is None:
+            raise ParameterError("picture", "is missing: detector keypoints needs one whole picture")
+        if not isinstance(memory, KeypointsMemory):
+            raise ParameterError("memory", "must be that of `begin`, which learns the goal's picture")
+        dim = grey(image)
+        slots = self._followed(memory, dim, camera)
+        since, why = memory.since + 1, ""
+        if slots is None or self._due(slots, since):
+            kept = (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
+            pairs = self._matches(memory, image, target)
+            found, agreeing = self._chosen(memory, pairs, kept, dim, camera)
+            slots, since, why = memory.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
+        if np.count_nonzero(slots.taken) < self.least:
+            slots = memory.slots.unseen()  # those of the last picture: a law that coasts knows what it saw there
+        memory = replace(memory, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
+        return memory, Detection(slots.uv, goal=goal_of_points(memory.goal, slots.uv_goal), ids=slots.ids, why=why)
+
+    def _why(self, matching: int, agreeing: int, measured: int) -> str:
+        """Why nothing is reported though points match; "" where too few do, or enough are measured."""
+        words = f"detector keypoints: {matching} points match the goal's picture, of which {agreeing} agree with one plane"
+        if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
+            return ""
+        if agreeing < self.least:
+            return f"{words}: the target may have too little texture, or parts that look alike, or show too little of itself"
+        words = f"{words}; of those tried the patches of {measured} are found, fewer than least = {self.least}"
+        return f"{words}: the others are cut by the border or not alike; subpixel: false does without patches"
+
+    def _due(self, slots: Slots, since: int) -> bool:
+        """Whether points that were followed are to be matched with the goal's picture."""
+        assert isinstance(self.track, Klt)
+        keep = max(self.least, self.best // 2) if self.track.keep is None else self.track.keep
+        return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < keep
+
+    def _followed(self, memory: KeypointsMemory, dim: Image, camera: Camera) -> Slots | None:
+        """The last picture's points where they are now, without those that are lost; None where points are not followed."""
+        if memory.last is None or not isinstance(self.track, Klt):
+            return None
+        slots = memory.slots.moved(followed(self.track, memory.last, dim, memory.slots.uv))
+        there = slots.taken
+        found = planar_map(camera, slots.uv_goal[there], slots.uv[there], self.ransac_px) if there.any() else None
+        if found is None:
+            return slots
+        plane, agree = found
+        uv = slots.uv.copy()
+        if self.ransac == "homography":
+            uv[np.flatnonzero(there)[~agree]] = np.nan
+        if self.subpixel:
+            uv[there] = self._refined(memory, slots.uv_goal[there], uv[there], dim, plane)
+        return slots.moved(uv)
+
+    def _matches(self, memory: KeypointsMemory, image: Image, target: Target) -> Pairs:
+        """All matches with the goal's picture, the best first."""
+        if self._extractor is not None and memory.learned is not None:
+            uv, descriptors = extracted(self._extractor, image)
+            i, j, _ = mutual_matches(memory.learned[1], descriptors, self.ratio)
+            return memory.learned[0][i], uv[j]
+        assert memory.goal.image is not None
+        uv_goal, uv, distance = matched(cast(Matcher, self.features), memory.goal.image.image, image)
+        order = np.argsort(distance, kind="stable")
+        order = order[self._usable(memory.goal, target, uv_goal)[order]]
+        return uv_goal[order], uv[order]
+
+    def _chosen(self, memory: KeypointsMemory, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> tuple[Pairs, int]:
+        """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
+        first = 0 if kept is None else len(kept[0])
+        if kept is not None:
+            new = ~among(pairs[0], kept[0])
+            pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
+        found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
+        if self.ransac == "homography":
+            pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1], first)
+        agreeing = len(pairs[0])
+        if found is None or not self.subpixel:
+            return self._best(pairs, first, self.best), agreeing
+        return self._measured(memory, *those(pairs, whole(dim, *pairs, found[0].derivatives(pairs[0])), first), dim, found[0]), agreeing
+
+    def _measured(self, memory: KeypointsMemory, pairs: Pairs, first: int, dim: Image, plane: PlanarMap) -> Pairs:
+        """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
+        tried = max(round(SPARE * self.best), LEAST_TRIED)
+        most = FURTHER * tried
+        while True:
+            some = self._best(pairs, first, tried)
+            uv = self._refined(memory, *some, dim, plane)
+            there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
+            if len(there) == self.best or len(some[0]) < tried or tried >= most:
+                return some[0][there], uv[there]
+            tried *= 2
+
+    def _best(self, pairs: Pairs, first: int, most: int) -> Pairs:
+        """At most `most` of the pairs, which are in the order of their distance; the `first` ones are among them."""
+        index = spread_out(pairs[0], most, first) if self.choose == "spread" else np.arange(min(most, len(pairs[0])))
+        return pairs[0][index], pairs[1][index]
+
+    def _refined(self, memory: KeypointsMemory, uv_goal: Array, uv: Array, dim: Image, plane: PlanarMap) -> Array:
+        """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""
+        found = refined(memory.smooth, smooth(dim), uv_goal, uv, plane.derivatives(uv_goal))
+        better = planar_map(plane.camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
+        return found if better is None else np.where(better[1][:, None], found, np.nan)

@@ -1,0 +1,215 @@
+"""Lines on the floor: bird's-eye strips of the floor around the look-ahead distances, in which stripes are found by hue."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Look, Picture, Window
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Target
+from vstestbed.targets.ground_lines import GroundLines, on_foot
+from vstestbed.vision.base import Detection, DetectorBase, TruthView
+from vstestbed.vision.colour import chroma
+
+ROWS = 9
+"""Rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight."""
+LEAST_ROWS = 5
+"""Fewest rows from which a line is fitted."""
+FINEST_M, COARSEST_M = 5e-4, 0.02
+"""Limits of a strip's raster [m]; between them a cell is as large as a pixel."""
+OUTSIDE = np.float32(-9)
+"""Coordinate for a cell that the camera does not see [px]: far enough outside for interpolation not to reach the image."""
+BACKDROP = (128, 128, 128)
+"""Grey for cells outside of the image: without hue."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A strip of floor as a raster of ROWS x K cells, in the vehicle's frame (x ahead, y left), and its pixels.
+
+    Attributes:
+        ahead: x of its middle row, the look-ahead distance [m].
+        row_m, column_m: size of a cell [m].
+        lefts: y of the columns, shape (K,) [m], from left to right.
+        maps: for each of the camera's panels the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
+    """
+
+    ahead: float
+    row_m: float
+    column_m: float
+    lefts: Array
+    maps: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+
+    def window(self, panel: int, lens: Camera) -> Window | None:
+        """The window of a panel's image that holds the strip; None where the panel does not see it."""
+        uv = np.stack(self.maps[panel], axis=-1).reshape(-1, 2)
+        uv = uv[uv[:, 0] != OUTSIDE]
+        if not len(uv):
+            return None
+        (left, top), (right, bottom) = (np.floor(uv.min(axis=0)) - 1).astype(int), (np.ceil(uv.max(axis=0)) + 2).astype(int)
+        return max(0, int(left)), max(0, int(top)), min(lens.width, int(right)), min(lens.height, int(bottom))
+
+
+@dataclass(frozen=True, slots=True)
+class LinesMemory:
+    """The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where never seen."""
+
+    strips: tuple[Strip, ...] = ()
+    lefts: Array | None = None
+
+
+@spec
+class Lines(DetectorBase):
+    """Lines on the floor by colour, where they cross the target's look distances.
+
+    The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each pixel is a point of the floor
+    (inverse perspective mapping). A strip of floor across each look-ahead distance is resampled from the image, at about one
+    pixel a cell, whatever the lens. A line's cells are those of its hue; of their connected regions the largest is taken or,
+    where two are of one size, as at a crossing, the one nearest to the last picture's. The centroids by chroma of the nine rows
+    are fitted by a straight line (robustly, Huber), and its intersection with the look-ahead distance is the point. It is
+    rejected where the region is cut by the strip's end or is not as wide as a stripe (occlusion). The pitch of a vehicle on its
+    suspension displaces the floor, as on a real one.
+
+    Args:
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line [grey levels].
+        hue_tolerance_deg: largest difference to the line's hue; never more than half the step between two lines' hues.
+        reach_m: half width of the strips, to each side of the vehicle [m].
+        width_tolerance: largest relative difference between the measured width and the stripe's [1].
+
+    Reference: view of a plane from above: Corke 2017, Robotics, Vision & Control, section 14.2 (planar homography); robust fit:
+    Huber 1981, Robust Statistics.
+    """
+
+    kind: Literal["lines"] = "lines"
+    chroma: Annotated[int, Ge(1), Lt(255)] = 60
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 30.0
+    reach_m: Annotated[PositiveLength, Narrower(le=10)] = 0.7
+    width_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.4
+    needs_image: ClassVar[bool] = True
+    needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("stripe",)
+
+    def init(self) -> LinesMemory:
+        """Nothing seen yet."""
+        return LinesMemory()
+
+    def look(self, memory: LinesMemory, camera: Camera, target: Target) -> Look | None:
+        """The windows that hold the strips; None before the first picture."""
+        if not memory.strips:
+            return None
+        panels = enumerate(camera.panels)
+        return tuple(tuple(w for s in memory.strips if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
+
+    def detect(
+        self, memory: LinesMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[LinesMemory, Detection]:
+        """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen.
+
+        Raises:
+            ParameterError: there is no picture, or the target is not of kind lines.
+        """
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
+        # a scenario refuses other targets; called directly, without lines there is nothing to look for
+        if not isinstance(target, GroundLines):
+            raise ParameterError("target", "must be of kind lines for detector lines")
+        strips = memory.strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
+        n = len(target.points)
+        last = np.full(n, np.nan) if memory.lefts is None else memory.lefts
+        hues, lefts = target.hues_deg, np.full(n, np.nan)
+        for k, strip in enumerate(strips):
+            floor = _from_above(picture, strip)
+            colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
+            # Points are commanded line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
+            for i in range(k, n, len(strips)):
+                mask = self._mask(colour, hue, hues[i], n // len(strips))
+                lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
+        aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
+        uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
+        return LinesMemory(strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
+
+    def _mask(self, colour: Image, hue: Image, hue_deg: float, lines: int) -> Image:
+        """1 where a cell has a line's hue, shape (ROWS, K). OpenCV's hue of 8 bits is in steps of 2 degrees."""
+        tolerance = min(self.hue_tolerance_deg, 180 / lines)
+        # One comparison for each of the 256 hues, then a lookup for each cell.
+        apart = np.abs((2.0 * np.arange(256) - hue_deg + 180) % 360 - 180)
+        return ((colour > self.chroma) & (apart <= tolerance)[hue]).astype(np.uint8)
+
+    def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
+        """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.
+
+        Args:
+            strip: the strip. colour: its chroma (ROWS, K). mask: 1 in the line's cells (ROWS, K).
+            width_m: width of the stripe [m]. last: y in the last picture [m], NaN where it was not seen.
+        """
+        count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        if count < 2:
+            return math.nan
+        areas = stats[1:, cv2.CC_STAT_AREA]
+        able = 1 + np.flatnonzero(2 * areas >= areas.max())
+        far = np.abs(strip.lefts[np.rint(centres[able, 0]).astype(int)] - last) if math.isfinite(last) else -areas[able - 1]
+        one = int(able[np.argmin(far)])
+        weight = np.where(cv2.dilate((labels == one).astype(np.uint8), np.ones((1, 3), np.uint8)) > 0, colour, 0).astype(float)
+        rows = np.flatnonzero((weight[:, 0] == 0) & (weight[:, -1] == 0) & ((labels == one).any(axis=1)))
+        if len(rows) < LEAST_ROWS:
+            return math.nan
+        mass = weight[rows].sum(axis=1)
+        columns = weight[rows] @ np.arange(weight.shape[1]) / mass
+        slope, crossing = _fit(np.column_stack([(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]))
+        width = float(np.median(mass)) / float(weight.max()) * strip.column_m / math.hypot(1.0, slope)
+        if abs(width - width_m) > self.width_tolerance * width_m:
+            return math.nan
+        return float(strip.lefts[0] + crossing * (strip.lefts[1] - strip.lefts[0]))
+
+
+def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    """Slope and intercept of the line through points (K, 2), with Huber's loss: outliers beyond a unit or so weigh little."""
+    vx, vy, x0, y0 = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
+    slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
+    return slope, y0 - slope * x0
+
+
+def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
+    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side, with its pixels in each panel.
+
+    Raises:
+        ParameterError: the camera does not see the floor there.
+    """
+    # Pixels per metre by finite differences of 2 mm, which hold for any lens.
+    mount, step = camera.mount.T, 0.002
+    here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))
+    row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), FINEST_M, COARSEST_M)) for uv in (on, left))
+    if not math.isfinite(row_m + column_m):
+        raise ParameterError("target.look_m", "must be where the camera sees the floor", ahead)
+    half = math.ceil(reach / column_m)
+    lefts: Array = np.arange(half, -half - 1, -1, dtype=np.float64) * column_m  # left is left, as in the image
+    aheads: Array = ahead + (np.arange(ROWS, dtype=np.float64) - ROWS // 2) * row_m
+    floor = np.stack(np.meshgrid(aheads, lefts, indexing="ij"), axis=-1)
+    p = on_foot(mount, floor.astype(np.float64))
+    maps = []
+    for panel in camera.panels:
+        uv = panel.lens.project(p @ panel.R_camera_panel)
+        u, v = np.moveaxis(np.where(panel.lens.inside(uv)[..., None], uv, OUTSIDE), -1, 0)
+        maps.append((np.ascontiguousarray(u, np.float32), np.ascontiguousarray(v, np.float32)))
+    return Strip(ahead, row_m, column_m, lefts, tuple(maps))
+
+
+def _from_above(picture: Picture, strip: Strip) -> Image:
+    """The strip's image (ROWS, K, 3); where several panels see a cell, from the first of them."""
+    out: Image | None = None
+    for image, maps in zip(picture.images, strip.maps, strict=True):
+        if image is None or (maps[0] == OUTSIDE).all():
+            continue
+        seen = np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, BACKDROP), np.uint8)
+        out = seen if out is None else np.where((out == BACKDROP).all(axis=-1, keepdims=True), seen, out)
+    return np.full((*strip.maps[0][0].shape, 3), BACKDROP[0], np.uint8) if out is None else out

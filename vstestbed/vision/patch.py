@@ -1,0 +1,687 @@
+"""A printed picture tracked whole: the homography of its plane by ESM, found again by keypoints."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Picture, Window
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal
+from vstestbed.targets.base import Target
+from vstestbed.targets.picture import decoded
+from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_round
+from vstestbed.vision.local_features import Descriptors, Sift, mutual_matches
+
+# A picture on a plane as a template to track: its grey levels in several sizes, each with all that its alignment needs of it.
+
+
+GreyImage = NDArray[np.float32]
+
+LEAST_SIDE = 20
+"""Shortest side of the smallest copy of a template [texel]."""
+BLOCKS = 6
+"""Blocks along a template's longer side, each of which is compared with the picture by itself."""
+FLAT = 6.0
+"""Standard deviation of a block's grey levels below which its correlation would be one of noise alone."""
+BLUR = 0.8
+"""Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
+NOISE = 4.0
+"""Grey levels by which a flat texel may differ from the picture, ..."""
+SHIFT = 0.3
+"""... and texels by which an edge may seem to be shifted in it."""
+EDGE = 2
+"""Outermost texels that are left out: what the picture shows there mixes with what is behind the template."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TemplateSize:
+    """A template in one size, (h, w) texels; n = h w.
+
+    Attributes:
+        grey: grey levels (h, w).
+        x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
+        to_plane: (3, 3), from (column, row, 1) to (x, y, 1).
+        slopes: derivatives of the grey levels by x and y, (2, n).
+        texel: width and height of a texel, in the same units.
+        inner: which texels count, (n,); those at the border do not.
+        spread: what a residual is measured by at each texel (n,), in grey levels: at edges two samplings differ more.
+        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
+        blocks: how many there are along x and y.
+    """
+
+    grey: GreyImage
+    x: GreyImage
+    y: GreyImage
+    to_plane: Array
+    slopes: GreyImage
+    texel: tuple[float, float]
+    inner: NDArray[np.bool_]
+    spread: GreyImage
+    block: NDArray[np.intp]
+    textured: NDArray[np.bool_]
+    blocks: tuple[int, int]
+
+    def by_block(self, values: GreyImage) -> GreyImage:
+        """Means of values (n,) over each block, (B,)."""
+        return np.asarray(cv2.resize(values.reshape(self.grey.shape), self.blocks, interpolation=cv2.INTER_AREA), np.float32).ravel()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Template:
+    """A picture file as a template: from its largest copy to its smallest, each about half as large as the one before.
+
+    Attributes:
+        levels: the copies. unit_m: half the longer side of the picture [m]. half: half its sides in that unit.
+        features: its keypoints' places in that unit (K, 2) and their SIFT descriptors (K, 128).
+    """
+
+    levels: tuple[TemplateSize, ...]
+    unit_m: float
+    half: tuple[float, float]
+    features: tuple[Array, Descriptors]
+
+    @property
+    def corners(self) -> Array:
+        """(-, -), (+, -), (+, +), (-, +), homogeneous, shape (4, 3)."""
+        a, b = self.half
+        return np.array([[-a, -b, 1], [a, -b, 1], [a, b, 1], [-a, b, 1]])
+
+
+def template_of(path: Path, width_m: float, most_texels: int) -> Template:
+    """The template of a picture file that is printed `width_m` wide; its largest copy has `most_texels` or a few less.
+
+    Raises:
+        ParameterError: `file` is no picture, or too large.
+    """
+    return _template(path, path.stat().st_mtime_ns, width_m, most_texels)
+
+
+@lru_cache(maxsize=8)
+def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Template:
+    image = decoded(path)
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
+    height, width = grey.shape
+    longer = max(height, width)
+    half = width / longer, height / longer
+    share = min(1.0, (most_texels / grey.size) ** 0.5)
+    levels: list[TemplateSize] = []
+    while min(height, width) * share >= LEAST_SIDE or not levels:
+        levels.append(_level(grey, (max(4, round(width * share)), max(4, round(height * share))), half))
+        share /= 2
+    return Template(tuple(levels), width_m / 2 / half[0], half, _features(image, half))
+
+
+def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) -> TemplateSize:
+    """The template reduced to a size (w, h) by averaging, so that its texels' places stay where they are."""
+    small = grey if size == grey.shape[::-1] else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float32)
+    small = np.asarray(cv2.GaussianBlur(small, (0, 0), BLUR), np.float32)
+    w, h = size
+    texel = 2 * half[0] / w, 2 * half[1] / h
+    u, v = np.meshgrid(np.arange(w), np.arange(h))
+    x, y = ((u - (w - 1) / 2) * texel[0]).ravel(), ((v - (h - 1) / 2) * texel[1]).ravel()
+    inner = ((np.minimum(u, w - 1 - u) >= EDGE) & (np.minimum(v, h - 1 - v) >= EDGE)).ravel()
+    across, down = (max(1, round(BLOCKS * side)) for side in half)  # the same blocks in every size
+    block = (v * down // h * across + u * across // w).ravel()
+    n = np.bincount(block)
+    mean = np.bincount(block, small.ravel()) / n
+    spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
+    to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
+    slope = slopes(small, texel)
+    sampled = np.hypot(NOISE, SHIFT * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    return TemplateSize(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
+
+
+def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
+    """Derivatives of grey levels (h, w) by the template's x and y, by central differences, (2, n)."""
+    out = np.empty((2, *grey.shape), np.float32)
+    cv2.Sobel(grey, cv2.CV_32F, 1, 0, dst=out[0], ksize=1, scale=0.5 / texel[0])
+    cv2.Sobel(grey, cv2.CV_32F, 0, 1, dst=out[1], ksize=1, scale=0.5 / texel[1])
+    return out.reshape(2, -1)
+
+
+LONGEST_PX = 640
+"""Longest side of the template in which keypoints are detected [px]: a picture shows no finer ones."""
+SIFT = Sift(most=800, contrast=0.01)
+"""Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
+
+
+def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
+    """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3), blue first."""
+    height, width = image.shape[:2]
+    share = min(1.0, LONGEST_PX / max(height, width))
+    w, h = round(width * share), round(height * share)
+    small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
+    px, descriptors = SIFT.extract(np.asarray(small, np.uint8))
+    return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
+
+
+# Grey pictures in several sizes, sampled where a plane is projected by any lens.
+
+
+OUTSIDE = -1e4
+"""A pixel far outside of every picture."""
+GRID = np.linspace(-1, 1, 9)
+"""Places along a template's sides at which its size in the picture is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A rectangle of one panel's image in several sizes, each half of the one before (`cv2.pyrDown`), and where it begins [px]."""
+
+    panel: int
+    sizes: list[GreyImage]
+    smooth: dict[int, GreyImage]
+    begin: Array
+
+
+class GreyPicture:
+    """A picture's grey levels, in the camera's panels, or in one rectangle of its image alone.
+
+    Args:
+        picture: the exposure. camera: its calibrated lens. window: the rectangle that counts; None for everything.
+    """
+
+    def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
+        self.camera = camera
+        self._parts: list[_Part] = []
+        for k, image in enumerate(picture.images):
+            if image is None:
+                continue
+            left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
+            grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
+            self._parts.append(_Part(k, [grey.astype(np.float32)], {}, np.array([left, top], float)))
+
+    def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
+        """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.
+
+        rays: (3, 3), from a grid's place (column, row, 1) to its direction in the camera's frame. shape: h and w of the grid.
+        """
+        parts = [self._sampled(part, rays, shape, halvings) for part in self._parts]
+        out = parts[0]
+        for more in parts[1:]:
+            np.copyto(out, more, where=np.isnan(out))
+        return out
+
+    def _sampled(self, part: _Part, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
+        """The same from one panel's image."""
+        panel, image = self.camera.panels[part.panel], self._size(part, halvings)
+        turned, lens = panel.R_camera_panel.T @ rays, panel.lens
+        h, w = shape
+        ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
+        if isinstance(lens, Perspective) and lens.distortion is None and ahead.min() > 0:
+            to_part = np.array([[1, 0, -part.begin[0]], [0, 1, -part.begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            found = cv2.warpPerspective(image, to_part, (w, h), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+            return np.asarray(found, np.float32)
+        u, v = np.moveaxis(lens.project(_grid(shape) @ turned.T), -1, 0)
+        u, v = ((at - begin) / 2**halvings for at, begin in ((u, part.begin[0]), (v, part.begin[1])))
+        u, v = (np.nan_to_num(at.astype(np.float32), nan=OUTSIDE) for at in (u, v))
+        found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+        return np.asarray(found, np.float32)
+
+    def _size(self, part: _Part, halvings: int) -> GreyImage:
+        while len(part.sizes) <= halvings:
+            part.sizes.append(np.asarray(cv2.pyrDown(part.sizes[-1]), np.float32))
+        if halvings not in part.smooth:
+            part.smooth[halvings] = np.asarray(cv2.GaussianBlur(part.sizes[halvings], (0, 0), BLUR), np.float32)
+        return part.smooth[halvings]
+
+
+@lru_cache(maxsize=16)
+def _grid(shape: tuple[int, int]) -> Array:
+    """(column, row, 1) of a grid, (h, w, 3)."""
+    v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
+    grid = np.stack([u, v, np.ones(shape)], axis=-1)
+    grid.setflags(write=False)  # kept
+    return grid
+
+
+def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> float:
+    """Pixels of a camera's image (of its panels) along the unit of a template: the root of the ratio of areas; NaN where it is not seen."""
+    x, y = np.meshgrid(GRID * half[0], GRID * half[1])
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ G.T
+    areas: list[float] = []
+    for panel in camera.panels:
+        uv = panel.lens.project(rays @ panel.R_camera_panel).reshape(len(GRID), len(GRID), 2)
+        a, b = uv[1:, 1:] - uv[:-1, :-1], uv[1:, :-1] - uv[:-1, 1:]
+        area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]) / 2
+        area = area[np.isfinite(area) & panel.lens.inside(uv[1:, 1:])]
+        areas.extend(area.tolist())
+    cell = (GRID[1] - GRID[0]) ** 2 * half[0] * half[1]
+    return float(np.sqrt(np.median(areas) / cell)) if areas else float("nan")
+
+
+# Alignment of a plane's template with a picture by efficient second-order minimisation (ESM), under any lens.
+#
+# The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of its image in the camera's frame.
+
+
+TUKEY = 4.685
+"""Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
+LEAST_SIGMA = 0.5
+"""Least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`."""
+LIGHT = 64.0
+"""Grey levels that count as one in the normal equations, so that their columns are of similar size."""
+RIDGE = 1e-6
+"""Added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is."""
+MOST_ROUNDS = (12, 8, 8)
+"""Most iterations on the smallest copy, the next one and the largest."""
+STILL_PX = 0.03
+"""The iterations end when no corner moves by more than this in the picture [px]."""
+EARLIER = 8.0
+"""In the smaller copies they end so many times earlier."""
+PART = 2000
+"""Texels in one product of matrices."""
+LEAST_TEXELS = 100
+"""Fewest texels within the picture from which an alignment is attempted."""
+INSIDE = 0.5
+"""Share of a block that must be in the picture for it to count."""
+ENOUGH = 0.15
+"""Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
+FAINT = 1.0
+"""Least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise."""
+PARTLY = 0.8
+"""Share of the alike blocks' median correlation below which a block is taken to be hidden in part."""
+COARSEST = 4.0
+"""The smallest copy is that whose texels are up to so many times those of the largest."""
+SHARP = 0.7
+"""Pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """How a template fits a picture.
+
+    Attributes:
+        G: the homography (3, 3). correlation: zero-mean normalised cross-correlation over the visible blocks.
+        visible: share of the textured blocks that the picture shows: inside it, and alike.
+    """
+
+    G: Array
+    correlation: float
+    visible: float
+
+
+@dataclass(frozen=True, slots=True)
+class BlockFits:
+    """Which blocks (B,) of a template count; the correlation of those that are alike, and their share of the textured ones."""
+
+    counted: NDArray[np.bool_]
+    correlation: float
+    share: float
+
+
+def normalised(G: Array) -> Array:
+    """The same homography with determinant 1, whatever its factor; zero where it is singular."""
+    det = np.linalg.det(G)
+    return G / np.cbrt(det) if abs(det) > 1e-12 * np.abs(G).max() ** 3 else np.zeros((3, 3))
+
+
+def align(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> Fit | None:
+    """The homography near G that aligns a template with a picture; None where the plane leaves the picture.
+
+    From the template's small copies to a large one, each against the picture in a similar size, the residuals
+    r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised over z in sl(3) and the light's gain and
+    offset, which change linearly over the plane. ESM takes the mean of the derivatives in the picture and in the template, which makes the
+    convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out what hides the plane.
+
+    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
+    """
+    blocks = None
+    sizes = _sizes(template, picture, G)
+    for (level, halvings), rounds in zip(sizes, MOST_ROUNDS[-len(sizes) :], strict=True):
+        still = STILL_PX * (1 if level is sizes[-1][0] else EARLIER)
+        found = _aligned(level, picture, halvings, G, rounds, still, least_correlation, template.corners)
+        if found is None:
+            return None
+        G, blocks = found
+    return None if blocks is None else Fit(G, blocks.correlation, blocks.share)
+
+
+def similarity(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> tuple[float, float]:
+    """How well a template fits a picture at G as it is, in its smallest copy that `align` would use: share visible, correlation."""
+    sizes = _sizes(template, picture, G)
+    if not sizes:
+        return 0.0, 0.0
+    level, halvings = sizes[0]
+    blocks = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
+    return blocks.share, blocks.correlation
+
+
+def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[TemplateSize, int]]:
+    """The template's copies to align with, smallest first, each with how often the picture is halved for it; empty where not seen."""
+    scale = pixels_per_unit(picture.camera, G, template.half)
+    if not scale > 0:
+        return []
+    px = [scale * np.sqrt(level.texel[0] * level.texel[1]) for level in template.levels]
+    first = next((k for k, size in enumerate(px) if size >= SHARP), len(px) - 1)
+    used = [k for k in range(first, len(px)) if px[k] <= COARSEST * 1.2 * px[first]]
+    return [(template.levels[k], max(0, round(float(np.log2(px[k]))))) for k in reversed(used)]
+
+
+def _sampled(level: TemplateSize, picture: GreyPicture, halvings: int, G: Array) -> GreyImage:
+    return picture.sampled(G @ level.to_plane, level.grey.shape, halvings).ravel()
+
+
+def _aligned(
+    level: TemplateSize, picture: GreyPicture, halvings: int, G: Array, rounds: int, still: float, least: float, corners: Array
+) -> tuple[Array, BlockFits] | None:
+    """G aligned in one size, and how well each block fits there; None where too little of the plane is in the picture."""
+    before = picture.camera.project(corners @ G.T)
+    counted = light = None
+    for _ in range(rounds):
+        grey = _sampled(level, picture, halvings, G)
+        if counted is None:
+            counted = _compared(level, grey, least).counted
+        seen = counted[level.block] & level.inner & np.isfinite(grey)
+        if np.count_nonzero(seen) < LEAST_TEXELS:
+            return None
+        warp, light = _step(level, grey, seen, light)
+        G = normalised(G @ warp)
+        if not np.isfinite(G).all() or np.linalg.det(G) <= 0:
+            return None
+        now = picture.camera.project(corners @ G.T)
+        moved, before = np.abs(now - before), now
+        if not (moved > still).any():
+            blocks = _compared(level, _sampled(level, picture, halvings, G), least)
+            if (blocks.counted == counted).all():
+                return G, blocks
+            counted = blocks.counted
+    return G, _compared(level, _sampled(level, picture, halvings, G), least)
+
+
+def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
+    """The warp exp(A(z)) (3, 3) of the template's plane by which its homography changes in one iteration, and the light (6,) after it.
+
+    light: gain and offset, each (1, x, y); None at first.
+    """
+    template, x, y = level.grey.ravel(), level.x, level.y
+    known = np.where(seen, grey, 0)
+    a = _first_light(grey[seen], template[seen]) if light is None else light
+    gain = (a[0] + a[1] * x + a[2] * y).astype(np.float32)
+    residual = gain * known + (a[3] + a[4] * x + a[5] * y).astype(np.float32) - template
+    shape = level.grey.shape
+    gx, gy = 0.5 * (gain * slopes(np.where(np.isfinite(grey), grey, 0).reshape(shape), level.texel) + level.slopes)
+    along = gx * x + gy * y
+    scaled = known / LIGHT
+    lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
+    rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
+    N = _products(np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32))
+    n = len(N) - 1
+    z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
+    return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
+
+
+def _first_light(grey: GreyImage, template: GreyImage) -> Array:
+    """Gain and offset (6,), the same everywhere, by which the grey levels have the template's mean and spread."""
+    gain = template.std() / max(float(grey.std()), 1e-3)
+    return np.array([gain, 0, 0, template.mean() - gain * grey.mean(), 0, 0])
+
+
+def _products(rows: GreyImage) -> Array:
+    """The product rows rows^T of (m, n), in parts so small that a linear algebra library does not share them out among threads."""
+    return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
+
+
+def _weights(residual: GreyImage, level: TemplateSize, seen: NDArray[np.bool_]) -> GreyImage:
+    """Tukey's weights of residuals (n,), zero where not seen; their scale by the median of their sizes."""
+    size = np.abs(residual) / level.spread
+    sigma = max(1.4826 * float(np.median(size[seen])), LEAST_SIGMA)
+    part = np.minimum(size / (TUKEY * sigma), 1.0)
+    return np.where(seen, (1 - part * part) ** 2, 0).astype(np.float32)
+
+
+def _exponential(z: Array) -> Array:
+    """The exponential of the matrix of sl(3) with coordinates z (8,), by its series: it is small."""
+    A = np.array([[z[4], z[2], z[0]], [z[3], -z[4] - z[5], z[1]], [z[6], z[7], z[5]]])
+    A *= min(1.0, 1.0 / max(np.abs(A).max(), 1e-12))
+    out, term = np.eye(3), np.eye(3)
+    for k in range(1, 8):
+        term = term @ A / k
+        out = out + term
+    return out
+
+
+def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
+    """How well each textured block of a template fits the grey levels (n,): by its zero-mean normalised correlation with them."""
+    seen = level.inner & np.isfinite(grey)
+    # About their means, which single precision would otherwise keep too few digits beside.
+    i, t = (np.where(seen, of - of[seen].mean(), 0) if seen.any() else np.zeros_like(of) for of in (grey, level.grey.ravel()))
+    s, si, st, sii, stt, sit = (level.by_block(values) for values in (seen.astype(np.float32), i, t, i * i, t * t, i * t))
+    some = np.maximum(s, 1e-3)
+    cov, vi, vt = sit - si * st / some, np.maximum(sii - si * si / some, 0), np.maximum(stt - st * st / some, 0)
+    inside = level.textured & (s >= INSIDE * level.by_block(level.inner.astype(np.float32)))
+    each = cov / np.sqrt(np.maximum(vi, FAINT**2) * np.maximum(vt, FAINT**2))
+    alike = inside & (each >= least)
+    total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
+    share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
+    # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
+    counted = alike & (each >= PARTLY * np.median(each[alike])) if share >= ENOUGH else inside
+    return BlockFits(counted, total, share)
+
+
+# A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
+
+
+RATIO = 0.8
+"""A match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)."""
+WITHIN_PX = 3.0
+"""Largest distance of a keypoint from its place by the homography [px]."""
+LEAST_MATCHES = 10
+"""Fewest matches that must agree."""
+TRIALS = 2000
+AHEAD = 0.1
+"""Least cosine of the angle between a ray and the middle of all."""
+STEP = 1e-3
+"""Tangent by which the picture's scale in its middle is measured."""
+
+
+def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
+    """The homography (3, 3) from a template's plane to the directions of its image, as `esm.align` takes it; None where it is not found.
+
+    SIFT keypoints of all panels are matched with the template's. Their directions are turned to a virtual pinhole camera which looks at
+    their middle, so that any lens will do.
+
+    Args:
+        template: the plane's. picture: the whole exposure. camera: its calibrated lens.
+    """
+    places, _ = template.features
+    pairs = [_matched(image, panel, template) for image, panel in zip(picture.images, camera.panels, strict=True) if image is not None]
+    rays, index = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
+    if len(rays) < LEAST_MATCHES:
+        return None
+    R = _looking(np.median(rays, axis=0))
+    turned = rays @ R
+    ahead = turned[:, 2] > AHEAD
+    xy = turned[ahead, :2] / turned[ahead, 2:]
+    if len(xy) < LEAST_MATCHES:
+        return None
+    f = _focal_px(camera)
+    H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, WITHIN_PX, maxIters=TRIALS, confidence=0.999)
+    return None if H is None or np.count_nonzero(inliers) < LEAST_MATCHES else _in_front(H, R, f, template)
+
+
+def _in_front(H: NDArray[Any], R: Array, f: float, template: Template) -> Array | None:
+    """The homography to directions from one to the pixels of a virtual camera turned by R (3, 3); None of a plane seen from behind."""
+    G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)
+    # A plane seen from behind, or points on both sides of the camera, come of wrong matches.
+    return G if G.any() and (template.corners @ (R.T @ G)[2] > 0).all() else None
+
+
+def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDArray[np.intp]]:
+    """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the template's, and its number (M,)."""
+    px, descriptors = SIFT.extract(image)
+    mine, number, _ = mutual_matches(descriptors, template.features[1], RATIO)
+    rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
+    known = np.isfinite(rays).all(axis=1)
+    return rays[known], number[known]
+
+
+def _looking(ray: Array) -> Array:
+    """R_camera_virtual (3, 3) of a camera that looks along a ray."""
+    z = ray / np.linalg.norm(ray)
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+def _focal_px(camera: Camera) -> float:
+    """Pixels per unit of tangent in the middle of the camera's (first) image."""
+    lens = camera.panels[0].lens
+    middle = lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
+    return float(np.linalg.norm(middle[1] - middle[0])) / STEP
+
+
+ALONG = np.linspace(-1, 1, 5)
+"""Places along a template's sides whose images make its bounding box."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatchMemory:
+    """The plane's homography (3, 3) when it was last seen, and in the picture before that one; None where it was not.
+
+    Attributes:
+        tracked: the last picture showed it. searched_s: time of the last search by keypoints [s].
+    """
+
+    G: Array | None = None
+    before: Array | None = None
+    tracked: bool = False
+    searched_s: float = -math.inf
+
+
+@spec
+class PatchDetector(DetectorBase):
+    """The target's own picture, tracked whole; its corners, or the points `at_px`, are the markers.
+
+    The template is the target's picture file. Its homography to the picture is aligned by efficient second-order minimisation (ESM) from
+    the last one, predicted at constant velocity, with a gain and an offset of the light and the robust weights of an M-estimator. At
+    first, and every `search_s` while it is lost, SIFT keypoints find it. It works with every lens: the plane is projected by the
+    camera's own model.
+
+    All points of the plane are known by the homography: also those that are hidden, and those beyond the border of the picture, whose
+    pixels are extrapolated. When less than `least_visible` of the template is in the picture, and alike, all markers are lost.
+
+    Args:
+        least_correlation: a block of the template (a sixth of its longer side) is taken to be visible if its zero-mean normalised
+            correlation with the picture is at least this [1].
+        least_visible: share of the blocks with texture that must be visible [1].
+        search_s: time between two searches while it is lost [s].
+        texels: largest number of the template's pixels that are compared with the picture; more are slower and a little more exact.
+        window_margin_px: margin of the window around the predicted picture, besides half of its last move [px].
+
+    References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Lowe 2004, doi:10.1023/B:VISI.0000029664.99615.94.
+    """
+
+    kind: Literal["patch"] = "patch"
+    least_correlation: Annotated[float, Gt(0), Lt(1)] = 0.6
+    least_visible: Annotated[float, Gt(0), Le(1)] = 0.3
+    search_s: PositiveTime = 0.2
+    texels: Annotated[int, Ge(1000), Le(1000000)] = 30000
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 12
+    needs_image: ClassVar[bool] = True
+    needs_sheet: ClassVar[bool] = True
+
+    def init(self) -> PatchMemory:
+        """Nothing seen yet."""
+        return PatchMemory()
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> PatchMemory:
+        """Nothing seen yet; the target's picture and its keypoints are read now, not while a robot waits for the first picture."""
+        if target.sheet is not None:
+            self._template(target)
+        return self.init()
+
+    def look(self, memory: PatchMemory, camera: Camera, target: Target) -> Look | None:
+        """The window of the next picture; None for everything, always so in a camera with panels."""
+        window = self._window(memory, camera, target)
+        return None if window is None else ((window,),)
+
+    def detect(
+        self, memory: PatchMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[PatchMemory, Detection]:
+        """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found.
+
+        Raises:
+            ParameterError: there is no picture, or the target has none to track.
+        """
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector patch needs one; use detector oracle where there is none")
+        template = self._template(target)
+        fit, searched_s = self._tracked(memory, picture, template, camera, target), memory.searched_s
+        if fit is None and picture.t - searched_s >= self.search_s:
+            fit, searched_s = self._found(picture, template, camera), picture.t
+        if fit is None:
+            lost = replace(memory, before=None, tracked=False, searched_s=searched_s)
+            return lost, Detection(uv=np.full((len(target.points), 2), np.nan))
+        points = np.column_stack([target.points[:, :2] / template.unit_m, np.ones(len(target.points))])
+        next_memory = PatchMemory(fit.G, memory.G if memory.tracked else None, True, searched_s)
+        return next_memory, Detection(uv=camera.project(points @ fit.G.T))
+
+    def _template(self, target: Target) -> Template:
+        if target.sheet is None or target.source is None:
+            raise ParameterError("target", "must be a picture for detector patch, which tracks it")
+        return template_of(target.source, target.sheet.width, self.texels)
+
+    def _tracked(self, memory: PatchMemory, picture: Picture, template: Template, camera: Camera, target: Target) -> Fit | None:
+        """The template aligned from where it was: in its window, else in the whole picture; None where it is not there."""
+        if memory.G is None:
+            return None
+        window = self._window(memory, camera, target)
+        fit = self._aligned(memory, GreyPicture(picture, camera, window), template)
+        if fit is None and window is not None:
+            fit = self._aligned(memory, GreyPicture(picture.completed(), camera), template)
+        return fit
+
+    def _aligned(self, memory: PatchMemory, grey: GreyPicture, template: Template) -> Fit | None:
+        """Aligned from the last homography and the one predicted at constant velocity, from the more similar one first."""
+        if memory.G is None:
+            return None
+        starts = [memory.G]
+        if memory.before is not None:
+            starts.append(normalised(memory.G @ np.linalg.inv(memory.before) @ memory.G))
+            starts.sort(key=lambda G: similarity(template, grey, G, self.least_correlation))
+        for G in reversed(starts):
+            fit = self._good(align(template, grey, G, self.least_correlation))
+            if fit is not None:
+                return fit
+        return None
+
+    def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
+        """The template found by keypoints and aligned."""
+        whole = picture.completed()
+        G = found(template, whole, camera)
+        return None if G is None else self._good(align(template, GreyPicture(whole, camera), G, self.least_correlation))
+
+    def _good(self, fit: Fit | None) -> Fit | None:
+        return fit if fit is not None and fit.visible >= self.least_visible else None
+
+    def _window(self, memory: PatchMemory, camera: Camera, target: Target) -> Window | None:
+        """Around the template, predicted at constant velocity; None where the whole image is to be searched."""
+        if len(camera.panels) > 1 or not memory.tracked or memory.G is None:
+            return None
+        half = self._template(target).half
+        x, y = np.meshgrid(ALONG * half[0], ALONG * half[1])
+        plane = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
+        uv = camera.project(plane @ memory.G.T)
+        before = uv if memory.before is None else camera.project(plane @ memory.before.T)
+        if not (np.isfinite(uv).all() and np.isfinite(before).all()):
+            return None
+        (left, top), (right, bottom) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
+        box = max(-camera.width, int(left)), max(-camera.height, int(top)), math.ceil(right) + 1, math.ceil(bottom) + 1
+        du, dv = (uv - before).mean(axis=0).tolist()
+        windows = windows_round([box], [(du, dv)], [0], camera, self.window_margin_px)
+        return None if windows is None else windows[0]

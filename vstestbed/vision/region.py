@@ -1,0 +1,588 @@
+"""One region of colour: segmented by chroma and hue, its border measured to a fraction of a pixel, the target's outline fitted to it."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, NamedTuple
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from cv2.typing import MatLike
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Look, Panel, Picture, Window
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle, PositivePixels
+from vstestbed.core.spec import spec
+from vstestbed.features.observation import Goal
+from vstestbed.targets import Target
+from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_along
+from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
+from vstestbed.vision.colour import Region, chroma_mask, noise_level
+
+# The border of a region, to a fraction of a pixel, from how much of each pixel the region covers.
+
+
+FULL, NONE = 0.85, 0.15
+"""Coverage of pixels inside and outside, two pixels from the border; where they are not, at corners and in slots, no border is
+measured."""
+REACH = 2
+"""Pixels to each side of the border that are added up."""
+NEIGHBOURS = np.ones((3, 3), np.uint8)
+NEAR = (7, 7)
+"""A pixel's neighbours whose mean gives the colours that meet at a border: of those wholly covered, and of those not covered at all."""
+
+
+def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """How much of each pixel a region covers, shape (H, W), 0 to 1 but for noise.
+
+    A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c - B) . (F - B) / |F - B|^2. F and B are
+    the mean colours of the pixels near it that are wholly inside and wholly outside, which follow shading and background.
+
+    Args:
+        part: RGB (H, W, 3), the region's box and a few pixels round it. alone: 255 in the region's pixels, shape (H, W).
+
+    Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
+    """
+    near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
+    out = (inner > 0).astype(np.float32)
+    border = (near > 0) & (inner == 0)  # the colours are worked out there alone: most of a region is its inside
+    F, B = _mean_near(part, inner, border), _mean_near(part, cv2.bitwise_not(near), border)
+    span = F - B
+    out[border] = ((part[border] - B) * span).sum(axis=1) / np.maximum((span * span).sum(axis=1), 1.0)
+    return out
+
+
+def _mean_near(part: Image, which: MatLike, at: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Mean colours (K, 3) of the pixels of `which` (255 there) near each of K pixels `at`; where there are none, of all of them."""
+    total = cv2.boxFilter(cv2.bitwise_and(part, part, mask=which), cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    count = cv2.boxFilter(which, cv2.CV_32F, NEAR, normalize=False, borderType=cv2.BORDER_CONSTANT)[at][:, None] / 255
+    overall = np.array(cv2.mean(part, which)[:3], np.float32)
+    return np.where(count > 0, total[at] / np.maximum(count, 1), overall).astype(np.float32)
+
+
+def edge_points(cover: NDArray[np.floating]) -> Array:
+    """Points (K, 2) [px] on the border of a region, from the coverage (H, W) of each pixel, 0 to 1.
+
+    Along a row, between two pixels of which one is covered by more than half and the other is not, the coverages of four pixels, from
+    inside to outside, add up to the way from the beginning of the first to the border. That is exact for straight borders that are
+    steeper than 45 degrees, since a pixel's coverage is the mean over its height; flatter ones are measured along columns.
+    """
+    c = np.pad(cover.astype(np.float32), REACH)
+    du, dv = (np.abs(cv2.Sobel(c, cv2.CV_32F, *order, ksize=3)) for order in ((1, 0), (0, 1)))
+    along_rows = _crossings(c, du >= dv)
+    along_columns = _crossings(np.ascontiguousarray(c.T), np.ascontiguousarray((dv > du).T))
+    return np.concatenate([along_rows, along_columns[:, ::-1]]) - REACH
+
+
+def bare_share(uv: Array, alone: NDArray[np.uint8], reach_px: float) -> float:
+    """Share of points uv (S, 2) [px] that no pixel at a region's border is within `reach_px` of; NaN counts as such a point.
+
+    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`), also at corners and under blur.
+
+    Args:
+        uv: in coordinates of `alone`. alone: 255 in the region's pixels, shape (H, W).
+    """
+    pad = math.ceil(reach_px) + 1  # beyond it nothing is within reach
+    region = cv2.copyMakeBorder(alone, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+    inner = cv2.erode(region, NEIGHBOURS)
+    away = cv2.distanceTransform(cv2.bitwise_not(region - inner), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    height, width = away.shape
+    with np.errstate(invalid="ignore"):
+        at = np.rint(uv + pad)
+        u, v = at[((at >= 0) & (at < [width, height])).all(axis=1)].astype(int).T
+    return 1 - np.count_nonzero(away[v, u] <= reach_px) / len(uv)
+
+
+def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
+    """Borders (K, 2) [px] (u, v) along the rows of a coverage (H, W), where `steep` (H, W) says that the border runs across them."""
+    inside = c > 0.5
+    v, u = np.nonzero((inside[:, 1:-2] != inside[:, 2:-1]) & (steep[:, 1:-2] | steep[:, 2:-1]))
+    four = np.stack([c[v, u + k] for k in range(4)], axis=1)  # pixels u .. u + 3; the border is between the middle two
+    leaves = inside[v, u + 1]
+    four = np.where(leaves[:, None], four, four[:, ::-1])
+    clear = (four[:, 0] > FULL) & (four[:, 3] < NONE)
+    way = four.sum(axis=1)
+    at = np.where(leaves, u - 0.5 + way, u + 3.5 - way)
+    return np.column_stack([at, v])[clear].astype(float)
+
+
+# Fit of a polygon in a plane to the points of a region's border in a picture: the homography between them.
+
+
+TURNS = 36
+"""Rotations that are tried where none is known: every 10 degrees."""
+TRIED = 3
+"""Of these the best are refined."""
+COARSE = 40
+"""Points of the border by which they are compared."""
+ROUNDS = 12
+"""Most Gauss-Newton steps: from the affine guess three to six are enough."""
+SETTLED = 1e-5
+"""A step that moves no point by more than this share of the region's size ends the fit."""
+OUTLIER = 4.0
+"""Points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight."""
+FAINT = 2e-3
+"""Share of the region's size under which no distance is unusual."""
+FLAT = 1e3
+"""Condition of a homography between both round figures over which it has folded the picture onto a line; of a region it is under ten."""
+PREFERRED = 1.02
+"""Of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class PolygonFit:
+    """The images of a polygon's plane that fit points of a border best.
+
+    Attributes:
+        H: homography (3, 3) from the polygon's plane to the picture. turn: the rotation in it, after both were made round [rad].
+        off: distance of each point from the polygon, shape (K,), in standard deviations of the region (its half size, roughly).
+    """
+
+    H: Array
+    turn: float
+    off: Array
+
+
+def fit_polygon(
+    edge: Array, middle: Array, spread: Array, corners: Array, plane: tuple[Array, Array], turns: tuple[float, ...], expected: float
+) -> PolygonFit | None:
+    """The fit of a polygon with `corners` (E, 2) to points `edge` (K, 2) on the border of a region; None where none is found.
+
+    Region and polygon are made round by their second moments, after which an affine image of the polygon differs by a rotation alone.
+    From there Gauss-Newton steps change the homography G from picture to plane so that sum n_k . (G e_k - q_k)^2 is least, with q_k the
+    point of the polygon next to G e_k and n_k the normal of its side.
+
+    Args:
+        edge: points on the border. middle, spread: centroid (2,) and covariance (2, 2) of the region's area, in the same coordinates.
+        corners: of the polygon. plane: centroid and covariance of its area.
+        turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken where several fit alike.
+    """
+    whiten, colour = roundness(spread), _root(plane[1])
+    e, q = (edge - middle) @ whiten, (corners - plane[0]) @ inverted(colour)
+    best: PolygonFit | None = None
+    for turn in turns or _likely(e, q, expected):
+        found = _refined(e, q, turn)
+        if found is None:
+            continue
+        G, off, left = found
+        size = float(np.sqrt(np.mean(np.minimum(off, 0.5) ** 2)))
+        if best is not None and not _better(size, turn, best, expected):
+            continue
+        to_plane = _affine(colour, plane[0]) @ G @ inverted(_affine(inverted(whiten), middle))
+        best = PolygonFit(inverted(to_plane), left, off)
+    return best
+
+
+def _better(size: float, turn: float, best: PolygonFit, expected: float) -> bool:
+    before = float(np.sqrt(np.mean(np.minimum(best.off, 0.5) ** 2)))
+    if max(size, before) > PREFERRED * min(size, before) + FAINT:
+        return size < before
+    return _apart(turn, expected) < _apart(best.turn, expected)
+
+
+def _apart(a: float, b: float) -> float:
+    return abs(math.remainder(a - b, 2 * math.pi))
+
+
+def _likely(e: Array, q: Array, expected: float) -> list[float]:
+    """The rotations for which round points e (K, 2) are nearest to a round polygon q (E, 2), the best first."""
+    few = e[:: max(1, len(e) // COARSE)]
+    turns = expected + np.arange(TURNS) * (2 * math.pi / TURNS)
+    c, s = np.cos(turns), np.sin(turns)
+    turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)  # rotated back by each, (TURNS, K, 2)
+    distance = _foot(turned.reshape(-1, 2), q)[2].reshape(TURNS, -1)
+    cost = np.minimum(distance, 0.5).mean(axis=1)
+    lowest = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
+    # A figure with n-fold symmetry has n such minima, and all are to be compared.
+    kept = lowest[cost[lowest] <= 1.5 * cost.min() + FAINT]
+    return [float(turns[k]) for k in sorted(kept, key=lambda k: cost[k])[: max(TRIED, len(kept))]]
+
+
+def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | None:
+    """G (3, 3) from round points e (K, 2) to a round polygon q (E, 2), the points' distances (K,), and the rotation in it."""
+    c, s = math.cos(turn), math.sin(turn)
+    G = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # back by the rotation
+    m = np.column_stack([e, np.ones(len(e))])
+    off = np.zeros(len(e))
+    for _ in range(ROUNDS):
+        x = m @ G.T
+        if not (x[:, 2] > 0.1).all():
+            return None
+        p = x[:, :2] / x[:, 2:]
+        normal, height, off, within = _foot(p, q)
+        usual = 1.4826 * float(np.median(off))
+        used = within & (off <= max(OUTLIER * usual, FAINT))
+        if np.count_nonzero(used) < 16:
+            return None
+        rows = m[used] / x[used, 2:]
+        n, along = normal[used], (normal[used] * p[used]).sum(axis=1)
+        J = np.concatenate([n[:, :1] * rows, n[:, 1:] * rows, -along[:, None] * rows[:, :2]], axis=1)
+        step = np.linalg.lstsq(J, -height[used], rcond=None)[0]
+        G = G + np.append(step, 0.0).reshape(3, 3)
+        if np.abs(step).max() < SETTLED:
+            break
+    if not np.linalg.cond(G) < FLAT:
+        return None
+    return G, off, math.atan2(G[0, 1] - G[1, 0], G[0, 0] + G[1, 1])
+
+
+def _foot(p: Array, q: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """The side of a polygon q (E, 2) that is next to each point p (K, 2): its normal (K, 2), the point's height over its line (K,),
+    its distance (K,), and whether its foot lies within the side.
+    """
+    way = np.roll(q, -1, axis=0) - q
+    length = np.hypot(way[:, 0], way[:, 1])
+    along = way / length[:, None]
+    t = p @ along.T - (q * along).sum(axis=1)
+    h = p[:, :1] * along[:, 1] - p[:, 1:] * along[:, 0]
+    h -= q[:, 0] * along[:, 1] - q[:, 1] * along[:, 0]
+    beyond = np.maximum(np.maximum(-t, t - length), 0.0)
+    distance = h * h + beyond * beyond
+    side = distance.argmin(axis=1)
+    k = np.arange(len(p))
+    normal = np.column_stack([along[:, 1], -along[:, 0]])[side]
+    return normal, h[k, side], np.sqrt(distance[k, side]), beyond[k, side] == 0
+
+
+def inverted(A: Array) -> Array:
+    """The inverse (n, n) of a matrix."""
+    return np.linalg.inv(A).astype(float)
+
+
+def roundness(S: Array) -> Array:
+    """The matrix (2, 2) that makes a region with covariance S (2, 2) round, of unit variance: S^-1/2."""
+    return _root(inverted(S))
+
+
+def _root(S: Array) -> Array:
+    """The symmetric root of a positive definite matrix (2, 2)."""
+    root = math.sqrt(max(float(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]), 0.0))
+    return (S + root * np.eye(2)) / math.sqrt(float(np.trace(S)) + 2 * root)
+
+
+def _affine(A: Array, shift: Array) -> Array:
+    """The homography x -> A x + shift."""
+    out = np.eye(3)
+    out[:2, :2], out[:2, 2] = A, shift
+    return out
+
+
+# From the border of a region in a picture to the points of the target's outline, in the target's order.
+
+
+CLOSE = 200
+"""Points of a polygon's outline by which it is compared with the border in the picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class Border:
+    """The border of a region found in one panel of a camera.
+
+    Attributes:
+        edge: points on it (K, 2) [px]. middle: the region's centroid (2,) [px]. spread: covariance of its area (2, 2) [px^2].
+    """
+
+    edge: Array
+    middle: Array
+    spread: Array
+    panel: Panel
+
+    @property
+    def size_px(self) -> float:
+        """Standard deviation of the region's pixels, the geometric mean of both axes [px]."""
+        return math.sqrt(math.sqrt(max(float(np.linalg.det(self.spread)), 0.0)))
+
+    def rays(self, uv: Array) -> Array:
+        """Unit rays (K, 3) in the camera's frame of pixels (K, 2) of the panel."""
+        return self.panel.lens.ray(uv) @ self.panel.R_camera_panel.T
+
+    def project(self, p: Array) -> Array:
+        """Pixels (K, 2) of the panel of directions (K, 3) in the camera's frame; NaN where its lens does not see one."""
+        return self.panel.lens.project(p @ self.panel.R_camera_panel)
+
+
+@dataclass(frozen=True, slots=True)
+class OutlineFit:
+    """The outline that fits a border best.
+
+    Attributes:
+        p: its points as directions in the camera's frame, shape (M, 3), in the target's order.
+        off_px: distance of each point of the border from it, shape (K,) [px].
+        close: directions along it (S, 3), evenly: of a polygon closer together than its points, of what is round the points.
+        turn: how the target is turned in the picture (`PolygonFit.turn`) [rad]; 0 for what is round.
+    """
+
+    p: Array
+    off_px: Array
+    close: Array
+    turn: float = 0.0
+
+
+def fit_outline(border: Border, target: Target, turn: float | None, expected: float) -> OutlineFit | None:
+    """The fit of the target's outline to the border; None where there is none.
+
+    Args:
+        border: in the picture. target: a ball or a shape.
+        turn: the rotation in the last picture [rad]; None where it is to be sought all round.
+        expected: the rotation that is taken where several fit alike [rad].
+    """
+    rays = border.rays(border.edge)
+    if target.figure_corners is not None:
+        return _polygon(border, rays, target, target.figure_corners, turn, expected)
+    # A round region of pixels with standard deviation s has the radius 2 s.
+    found = target.round_outline(rays)
+    return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px, found.p)
+
+
+def turn_at(goal: Goal, target: Target) -> float:
+    """How a shape is turned in the goal view [rad]; 0 for what is round."""
+    if target.figure_corners is None or not np.isfinite(goal.xy).all():
+        return 0.0
+    seen, flat = goal.xy, target.points[:, :2]
+    # The affine map that fits best, without what makes both shapes round: a rotation.
+    to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
+    R = roundness(covariance(seen)) @ to[:2].T @ np.linalg.inv(roundness(covariance(flat)))
+    return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+
+
+def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: float | None, expected: float) -> OutlineFit | None:
+    """The image of a polygon with `corners` (E, 2) that fits rays (K, 3)."""
+    if not (rays[:, 2] > LEAST_AHEAD).all():
+        return None
+    xy = rays[:, :2] / rays[:, 2:]
+    middle, J = _linearised(border)
+    plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
+    found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
+    if found is None:
+        return None
+    p, close = (_before(np.column_stack([xy, np.ones(len(xy))]) @ found.H.T) for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
+    return OutlineFit(p, found.off * border.size_px, close, found.turn)
+
+
+def _before(p: Array) -> Array:
+    """Directions (K, 3), each turned to lie before the camera."""
+    return p * np.sign(p[:, 2:])
+
+
+def _linearised(border: Border) -> tuple[Array, Array]:
+    """Normalised coordinates (2,) of the region's centroid, and their derivative (2, 2) by pixels."""
+    uv = border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    ray = border.rays(uv)
+    xy = ray[:, :2] / ray[:, 2:]
+    return xy[0], (xy[1:] - xy[0]).T
+
+
+MOST_EDGES = 400
+"""Points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better."""
+LEAST_EDGES = 24
+"""Fewest points from which an outline is fitted."""
+MOST_TRIED = 3
+"""Regions of the target's hue that are tried, the largest first."""
+NOISE_PX = 0.05
+"""Added to the tolerance by noise [px per grey level of its standard deviation]."""
+PIXEL_PX = 1.0
+"""Added to the tolerance where the outline is compared with whole pixels [px]: outlines that were right, sharp, blurred over up to 8 px or
+under noise, then had under 0.015 of their length farther from the region's pixels."""
+BESIDE_PX = 3
+"""A region is measured so far beyond its box [px], which may touch the window in which it was searched."""
+
+
+class Found(NamedTuple):
+    """A region: its box [px], its centroid (2,) [px], and the outline fitted to it."""
+
+    box: Window
+    middle: Array
+    fit: OutlineFit
+
+
+@dataclass(frozen=True, slots=True)
+class RegionMemory:
+    """State of the region detector.
+
+    Attributes:
+        expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry.
+        box, middle: of the region in the last picture [px]; None where it was not found.
+        move: its displacement since the picture before [px].
+        turn: how the shape was turned in the last picture [rad].
+    """
+
+    expected: float = 0.0
+    box: Window | None = None
+    middle: Array | None = None
+    move: Move = (0.0, 0.0)
+    turn: float = 0.0
+
+
+@spec
+class RegionDetector(DetectorBase):
+    """The outline of the target's region, as points in the target's order: of a shape or a ball.
+
+    Segmentation: connected pixels with more than `chroma` and the target's hue; of several regions the largest to which the outline
+    fits. In later pictures it is searched in a window around its predicted place (constant velocity), and where it is not whole there,
+    in the whole image.
+
+    Measurement: the border is measured at every pixel along it by coverage (`edge_points`), and the target's outline is fitted to it
+    by least squares, in undistorted coordinates: of a polygon the homography of its plane, which needs no calibrated depth and no pose;
+    of a disc the ellipse; of a ball the cone of rays that touch it. The outline's points then are those of the target in its order.
+    Borders of pixels that are in or out (`camera.multisampling: 0`) are off by up to half a pixel, alike along a border that runs along
+    the rows: with 4 samples the points of a shape 200 px long are exact to some hundredths of a pixel.
+
+    Lost: a region that reaches the image's border, since the moments of a part are not those of the region, or of which another thing
+    hides a part: more than `hidden_share` of its border is farther than `tolerance_px` from the fitted outline, or of the outline from
+    its border. By the second, a remnant is no region that lies along one side of an outline many times its size. A part with the outline
+    of the whole as seen from elsewhere, such as half of a square, is not told from it.
+
+    Args:
+        chroma: max - min of r, g, b (0..255) above which a pixel belongs to the region [grey levels]; scenes keep everything else below it.
+        hue_tolerance_deg: largest difference to the target's hue.
+        least_area_px: least area of the region [px^2].
+        tolerance_px: largest distance of the border from the fitted outline [px].
+        hidden_share: share of the border, and of the fitted outline, that may be farther from the other, above which the region counts as
+            partly hidden [1].
+        window_margin_px: margin of the window around the predicted region, besides half of its last move [px].
+
+    Reference: coverage as the mean over a pixel: Corke 2017, Robotics, Vision & Control, section 13.1 (regions, moments).
+    """
+
+    kind: Literal["region"] = "region"
+    chroma: Annotated[int, Ge(1), Lt(255)] = 60
+    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 20.0
+    least_area_px: Annotated[Pixels, Narrower(ge=50)] = 100.0
+    tolerance_px: PositivePixels = 1.5
+    hidden_share: Annotated[float, Gt(0), Lt(1)] = 0.04
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 12
+    needs_image: ClassVar[bool] = True
+    markers: ClassVar[tuple[str, ...]] = ("outline",)
+
+    def init(self) -> RegionMemory:
+        """Nothing seen yet."""
+        return RegionMemory()
+
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> RegionMemory:
+        """Nothing seen yet; a shape is expected as the goal view shows it."""
+        return RegionMemory(expected=turn_at(goal, target))
+
+    def look(self, memory: RegionMemory, camera: Camera, target: Target) -> Look | None:
+        """A window around the predicted region; None where it is lost or large, and in a camera with panels."""
+        own = self._window(memory, camera, self.window_margin_px + BESIDE_PX)
+        return None if own is None else ((own,),)
+
+    def _window(self, memory: RegionMemory, camera: Camera, margin: int) -> Window | None:
+        if len(camera.panels) > 1:
+            return None
+        own = windows_round([memory.box], [memory.move], [0], camera, margin)
+        return own[0] if own else None
+
+    def detect(
+        self,
+        memory: RegionMemory,
+        picture: Picture | None,
+        view: TruthView | None,
+        camera: Camera,
+        target: Target,
+        rng: np.random.Generator,
+    ) -> tuple[RegionMemory, Detection]:
+        """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole.
+
+        Raises:
+            ParameterError: there is no picture, or the target is not a region.
+        """
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector region needs one; use detector oracle where there is none")
+        if not target.outlined:
+            raise ParameterError("target", "must be a shape or a ball for detector region")
+        found = self._tracked(picture, memory, camera, target) or self._searched(picture.completed(), memory, camera, target)
+        if found is None:
+            return RegionMemory(memory.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
+        du, dv = (0.0, 0.0) if memory.middle is None else (found.middle - memory.middle).tolist()
+        after = RegionMemory(memory.expected, found.box, found.middle, (du, dv), found.fit.turn)
+        return after, Detection(uv=camera.project(found.fit.p))
+
+    def _tracked(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+        """The region in a window round its predicted place; None where it is not whole there."""
+        window, image = self._window(memory, camera, self.window_margin_px), picture.images[0]
+        return None if window is None or image is None else self._largest(image, 0, window, memory, camera, target)
+
+    def _searched(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+        """The region in the first panel that has it whole; None where none has."""
+        for panel, image in enumerate(picture.images):
+            lens = camera.panels[panel].lens
+            found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), memory, camera, target)
+            if found is not None:
+                return found
+        return None
+
+    def _largest(self, image: Image, panel: int, window: Window, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+        """The largest region of the target's hue in a window that is whole and to which the outline fits; None without one."""
+        lens = camera.panels[panel].lens
+        region = Region(image, window, "grey" if lens.multisampling > 0 or lens.resampled else "sharp", noise_level(image))
+        mask = chroma_mask(region.searched, self.chroma)
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+        order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
+        for label in order[:MOST_TRIED].tolist():
+            x, y, w, h, area = stats[label].tolist()
+            if area < self.least_area_px:
+                break
+            alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
+            left, top = window[0] + x, window[1] + y
+            box = (left, top, left + w, top + h)
+            if not self._has_hue(image[top : top + h, left : left + w], alone, target.hues_deg[0]) or not _inside(box, window, lens):
+                continue
+            if (found := self._fitted(region, alone, box, panel, memory, camera, target)) is not None:
+                return found
+        return None
+
+    def _has_hue(self, part: Image, alone: Image, wanted_deg: float) -> bool:
+        """Whether a region's mean colour has the target's hue."""
+        r, g, b, _ = cv2.mean(part, mask=alone)
+        return abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360)) <= self.hue_tolerance_deg
+
+    def _fitted(
+        self, region: Region, alone: Image, box: Window, panel: int, memory: RegionMemory, camera: Camera, target: Target
+    ) -> Found | None:
+        """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it does not fit."""
+        left, top = max(box[0] - BESIDE_PX, 0), max(box[1] - BESIDE_PX, 0)
+        part = region.image[top : box[3] + BESIDE_PX, left : box[2] + BESIDE_PX]
+        found = np.zeros(part.shape[:2], np.uint8)
+        found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
+        cover = coverage(part, found)
+        edge = edge_points(cover) + [left, top]
+        if len(edge) < LEAST_EDGES:
+            return None
+        edge = edge[np.linspace(0, len(edge) - 1, min(len(edge), MOST_EDGES)).astype(int)]
+        m = cv2.moments(cover)
+        mass = m["m00"]
+        middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
+        spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
+        border = Border(edge, middle, spread, camera.panels[panel])
+        fit = self._fitting(border, found, (left, top), self.tolerance_px + NOISE_PX * region.noise, memory, target)
+        return None if fit is None else Found(box, middle, fit)
+
+    def _fitting(
+        self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, memory: RegionMemory, target: Target
+    ) -> OutlineFit | None:
+        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
+
+        Args:
+            found: 255 in the region's pixels, of a part of the image whose first pixel is `corner`.
+        """
+        for turn in [None] if memory.box is None else [memory.turn, None]:
+            fit = fit_outline(border, target, turn, memory.expected)
+            if fit is None:
+                continue
+            bare = bare_share(border.project(fit.close) - corner, found, tolerance + PIXEL_PX)
+            if float(np.mean(fit.off_px > tolerance)) <= self.hidden_share and bare <= self.hidden_share:
+                return fit
+        return None
+
+
+def _inside(box: Window, window: Window, lens: Camera) -> bool:
+    """Whether a box neither reaches the image's border nor an edge of the window that was searched, beyond which it may go on."""
+    left, top, right, bottom = box
+    in_image = left > 0 and top > 0 and right < lens.width and bottom < lens.height
+    return in_image and left > window[0] and top > window[1] and right < window[2] and bottom < window[3]

@@ -1,0 +1,367 @@
+"""Square fiducial tags (AprilTag, ArUco): found and decoded by OpenCV, refined along their edges, tracked in windows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated, ClassVar, Literal
+
+import cv2
+import numpy as np
+from annotated_types import Ge, Gt, Le, Lt
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Look, Picture, Window
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import PositivePixels
+from vstestbed.core.spec import spec
+from vstestbed.targets.base import Target
+from vstestbed.targets.markers import Marker, Tag
+from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_round
+from vstestbed.vision.colour import Image
+from vstestbed.vision.pnp import solve_pose_from_rays
+
+# Subpixel corners of tags: the four edges measured in the grey image and intersected, good to hundredths of a pixel.
+
+
+ALONG = np.linspace(0.1, 0.9, 16)
+"""Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
+ACROSS = np.linspace(-1, 1, 25)
+"""Samples of one profile across an edge, in units of its reach."""
+ENDS = 3
+"""Samples at each end of a profile whose mean is its black or white level."""
+REACH = 0.65
+"""Half length of a profile in modules: it ends within the black border and within the white quiet zone ..."""
+MOST_REACH_PX = 4.0
+"""... and its limit [px], beyond any blur of the order of a pixel."""
+ROUNDS = 4
+"""Most iterations; each starts from the corners of the last one ..."""
+STEADY_PX = 0.02
+"""... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edges:
+    """The measured edges of N tags.
+
+    Attributes:
+        corners: shape (N, 4, 2) [px].
+        astray: largest distance of a measured point from its line, shape (N,) [px].
+        contrast: least step from black to white as a share of the tag's median step, shape (N,).
+        border: least distance of a profile's ends from the picture's border, shape (N,) [px]; negative outside.
+    """
+
+    corners: Array
+    astray: Array
+    contrast: Array
+    border: Array
+
+
+def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
+    """The edges of tags whose corners are known within half a module.
+
+    Profiles of intensity I are sampled across an edge along the tag's own rows and columns, mapped into the image by the
+    corners' homography, so that they end within one module also on a tilted tag. Along a profile of length 2 r from black b to
+    white w the edge lies at r (1 - 2 mean(I - b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points
+    by total least squares; their intersections are the corners.
+
+    Args:
+        grey: the image (H, W).
+        corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
+        modules: number of modules along a tag's edge.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
+        edges = _measured_once(grey, corners, modules)
+        for _ in range(ROUNDS - 1):
+            if np.abs(edges.corners - corners).max() < STEADY_PX:
+                break
+            corners, edges = edges.corners, _measured_once(grey, edges.corners, modules)
+    return edges
+
+
+def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
+    """One iteration of `measure_edges`."""
+    size = np.array([grey.shape[1], grey.shape[0]]) - 1
+    middle, reach = _profiles(corners, modules)
+    where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
+    u, v = where.reshape(1, -1, 2)[..., 0], where.reshape(1, -1, 2)[..., 1]
+    profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    share, step = _crossing(np.asarray(profile, float).reshape(where.shape[:-1]))
+    measured, misfit = _cross(middle + share[..., None] * reach)
+    contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
+    # Samples outside of the image repeat its border pixels; a negative distance rejects the tag.
+    border = np.minimum(where, size - where).min(axis=(1, 2, 3, 4))
+    return Edges(measured, np.abs(misfit).max(axis=(1, 2)), contrast, border)
+
+
+def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
+    """Midpoints of the profiles and the vectors from there to their outer ends, both (N, 4, S, 2) [px].
+
+    Homography of the unit square from its four corners: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
+    """
+    a, b, c, d = (corners[:, k] for k in range(4))
+    e, f, s = b - c, d - c, a - b + c - d
+    det = np.cross(_flat(e), _flat(f))[:, 2]
+    g, h = np.cross(_flat(s), _flat(f))[:, 2] / det, np.cross(_flat(e), _flat(s))[:, 2] / det
+    H = np.zeros((len(corners), 3, 3))
+    H[:, :2, 0], H[:, :2, 1], H[:, :2, 2] = b - a + g[:, None] * b, d - a + h[:, None] * d, a
+    H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
+    out = REACH / modules
+    s, zero = ALONG, np.zeros_like(ALONG)
+    on = np.stack([np.stack([s, zero]), np.stack([zero + 1, s]), np.stack([1 - s, zero + 1]), np.stack([zero, 1 - s])])
+    normal = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])[:, :, None]
+    inner, outer = (_mapped(H, on + sign * out * normal) for sign in (-1, 1))
+    reach = (outer - inner) / 2
+    long = np.linalg.norm(reach, axis=-1, keepdims=True)
+    return _mapped(H, on), reach * np.minimum(1, MOST_REACH_PX / np.maximum(long, 1e-9))
+
+
+def _mapped(H: Array, p: Array) -> Array:
+    """Points (4, 2, S) of the unit square mapped into the image by homographies (N, 3, 3), shape (N, 4, S, 2)."""
+    q = np.einsum("nij,ejs->nesi", H[:, :, :2], p) + H[:, None, None, :, 2]
+    return q[..., :2] / q[..., 2:]
+
+
+def _crossing(profile: Array) -> tuple[Array, Array]:
+    """Position of the edge in profiles (..., K), from -1 at their inner to 1 at their outer end, and the step's height."""
+    black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
+    step = white - black
+    mean = np.trapezoid(profile, axis=-1) / (profile.shape[-1] - 1)
+    return np.clip(1 - 2 * (mean - black) / np.maximum(step, 1.0), -1, 1), step
+
+
+def _cross(points: Array) -> tuple[Array, Array]:
+    """Intersections (N, 4, 2) of the lines through points (N, 4, S, 2), and the points' distances from their lines (N, 4, S)."""
+    mean = points.mean(axis=2)
+    d = points - mean[:, :, None]
+    xx, yy, xy = (d[..., 0] ** 2).sum(-1), (d[..., 1] ** 2).sum(-1), (d[..., 0] * d[..., 1]).sum(-1)
+    angle = np.arctan2(2 * xy, xx - yy) / 2 + np.pi / 2  # the scatter matrix's minor axis, in closed form
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    lines = np.concatenate([normal, -(normal * mean).sum(-1, keepdims=True)], axis=-1)
+    # Homogeneous lines: their cross product is the point of intersection.
+    crossed = np.cross(np.roll(lines, 1, axis=1), lines)
+    return crossed[..., :2] / crossed[..., 2:], (d * normal[:, :, None]).sum(-1)
+
+
+def _flat(v: Array) -> Array:
+    """Vectors (N, 2) with a third component 0, for np.cross."""
+    return np.concatenate([v, np.zeros((len(v), 1))], axis=-1)
+
+
+# Printed tags: images of each family's tags, for the textures of the scene.
+
+
+PX_PER_MODULE = 16
+"""Texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap."""
+
+
+@lru_cache
+def dictionary(family: str) -> cv2.aruco.Dictionary:
+    """OpenCV's dictionary of a family of tags."""
+    kind, _, name = family.partition("_")
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{name}" if kind == "apriltag" else f"DICT_{name.upper()}"))
+
+
+def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.uint8]:
+    """A tag with its quiet zone of one module, `px` pixels a module: 0 and 255, shape (px (modules + 2),) * 2."""
+    black = cv2.aruco.generateImageMarker(dictionary(tag.family), number, tag.modules * px)
+    return np.pad(np.asarray(black, np.uint8), px, constant_values=255)
+
+
+def tag_png(tag: Tag, number: int) -> bytes:
+    """The same as a PNG file."""
+    return cv2.imencode(".png", tag_picture(tag, number))[1].tobytes()
+
+
+def printed(marker: Marker, i: int) -> tuple[str, bytes]:
+    """Name and PNG file of what is printed on marker i of a target.
+
+    Raises:
+        TypeError: nothing is.
+    """
+    if not isinstance(marker, Tag):  # the one marker with a print; the picture comes from OpenCV, which targets do without
+        raise TypeError(f"nothing is printed on a {marker.kind}")
+    number = marker.first_id + i
+    return f"{marker.family}_{number}", tag_png(marker, number)
+
+
+CONTOUR_PX = math.sqrt(0.5)
+"""OpenCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]."""
+Found = tuple[int, Array]
+"""Index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]."""
+QUIET = 0.25
+"""Margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class TagsMemory:
+    """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their last known moves [px], the last known pose."""
+
+    corners: tuple[Array | None, ...] = ()
+    moves: tuple[tuple[float, float], ...] = ()
+    T_camera_target: Array | None = None
+
+
+@spec
+class Tags(DetectorBase):
+    """Markers that are fiducial tags, identified by their number; a marker's pixel is the image of its tag's centre.
+
+    OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is measured in the grey image and the
+    four lines are intersected (`measure_edges`): corners to .01 px, without a constant offset. (OpenCV's own refinements, on
+    rendered tags of 20 to 75 px: `subpix` .4 px, inwards; `contour` .7 px, inwards; `apriltag` .6 px, of which a constant
+    (+.43, +.43).) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the lens.
+    The pose is solved from all corners; one tag suffices.
+
+    A tracked tag is searched in a window around its predicted position (constant velocity); when one is not found there, the whole
+    image of the same exposure is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of
+    its edges is off its line or without contrast (occlusion). Tags need about 2 px a module.
+
+    Args:
+        astray_px: largest distance of an edge's point from the edge's line [px].
+        misread: how many of a tag's modules may be read wrongly; 3 finds more of the tags under 2 px a module, and also tags
+            whose inner modules are occluded.
+        contrast: least step from black to white at an edge's point, as a share of the tag's median step [1].
+        window_margin_px: margin of a window around the predicted tag and its quiet zone, besides half of its last move [px].
+
+    Reference: Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (finding and reading square tags).
+    """
+
+    kind: Literal["tags"] = "tags"
+    astray_px: PositivePixels = 1.0
+    misread: Annotated[int, Ge(0), Le(3)] = 0
+    contrast: Annotated[float, Gt(0), Lt(1)] = 0.4
+    window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
+    needs_image: ClassVar[bool] = True
+    needs_truth: ClassVar[bool] = False
+    markers: ClassVar[tuple[str, ...]] = ("tag",)
+
+    def init(self) -> TagsMemory:
+        """Nothing seen yet."""
+        return TagsMemory()
+
+    def look(self, memory: TagsMemory, camera: Camera, target: Target) -> Look | None:
+        """The windows of the next picture; None for everything, always so in a camera with panels."""
+        windows = self._windows(memory, camera)
+        return None if windows is None else (tuple(windows),)
+
+    def detect(
+        self, memory: TagsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[TagsMemory, Detection]:
+        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
+
+        Raises:
+            ParameterError: there is no picture, or the target's markers are not tags.
+        """
+        if picture is None or picture.empty:
+            raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
+        tag, n = target.marker, len(target.points)
+        # a scenario refuses other markers; called directly, without a family there is no dictionary
+        if not isinstance(tag, Tag):
+            raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
+        found = self._track(_greys(picture), memory, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
+        uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
+        corners = tuple(found[i][1] if i in found else None for i in range(n))
+        kept = T if T is not None else memory.T_camera_target
+        return TagsMemory(corners, _moves(memory, corners), kept), Detection(uv=uv, T_camera_target=T)
+
+    def _windows(self, memory: TagsMemory, camera: Camera) -> list[Window] | None:
+        """A window for each tag; None where the whole image is to be searched."""
+        if len(camera.panels) > 1:
+            return None
+        boxes = [None if c is None else _box(c) for c in memory.corners]
+        return windows_round(boxes, memory.moves, [0] * len(boxes), camera, self.window_margin_px)
+
+    def _track(self, greys: list[Image | None], memory: TagsMemory, camera: Camera, tag: Tag, n: int) -> dict[int, Found] | None:
+        """All tags, each from a window of its own; None where one is lost and the whole image must be searched."""
+        windows, grey = self._windows(memory, camera), greys[0]
+        if windows is None or grey is None:
+            return None
+        rough = {i: quad for i, w in enumerate(windows) for k, quad in _read(grey, w, tag, n, self.misread).items() if k == i}
+        whole = self._whole(grey, rough, tag) if len(rough) == n else {}
+        return {i: (0, corners) for i, corners in whole.items()} if len(whole) == n else None
+
+    def _search(self, greys: list[Image | None], camera: Camera, tag: Tag, n: int) -> dict[int, Found]:
+        """The tags found in whole images; where panels overlap, in the panel whose axis is nearer."""
+        found: dict[int, Found] = {}
+        cosines: dict[int, float] = {}
+        for panel, grey in enumerate(greys):
+            if grey is None:
+                continue
+            whole = self._whole(grey, _read(grey, (0, 0, grey.shape[1], grey.shape[0]), tag, n, self.misread), tag)
+            for i, corners in whole.items():
+                cosine = float(camera.panels[panel].lens.ray(corners.mean(axis=0))[2])
+                if cosine > cosines.get(i, -2.0):
+                    found[i], cosines[i] = (panel, corners), cosine
+        return found
+
+    def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
+        """The tags whose edges are visible all along, with measured corners."""
+        if not rough:
+            return {}
+        edges = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
+        good = (edges.astray <= self.astray_px) & (edges.contrast >= self.contrast) & (edges.border >= 0)
+        return {i: corners for i, corners, whole in zip(rough, edges.corners, good.tolist(), strict=True) if whole}
+
+
+def _greys(picture: Picture) -> list[Image | None]:
+    return [None if image is None else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in picture.images]
+
+
+def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[int, Array]:
+    """OpenCV's corners (4, 2) [px], by marker, of the target's tags that it decodes in a window of the image."""
+    left, top, right, bottom = window
+    quads, markers, _ = _reader(tag.family, tag.first_id, n, misread).detectMarkers(grey[top:bottom, left:right])
+    rough: dict[int, Array] = {}
+    for quad, marker in zip(quads, [] if markers is None else np.asarray(markers, int).ravel(), strict=True):
+        corners = np.asarray(quad, float).reshape(4, 2)
+        out = corners - corners.mean(axis=0)
+        rough[int(marker)] = corners + (left, top) + CONTOUR_PX * out / np.linalg.norm(out, axis=1, keepdims=True)
+    return rough
+
+
+@lru_cache
+def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector for n tags of a family, numbered from 0.
+
+    A dictionary of these tags alone is searched ten times as fast as the whole family of 587.
+    """
+    whole = dictionary(family)
+    how = cv2.aruco.DetectorParameters()
+    how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    how.errorCorrectionRate = 1.0
+    own = cv2.aruco.Dictionary(whole.bytesList[first : first + n], whole.markerSize, misread)
+    return cv2.aruco.ArucoDetector(own, how)
+
+
+def _measure(found: dict[int, Found], previous: Array | None, camera: Camera, target: Target, tag: Tag) -> tuple[Array, Array | None]:
+    """Images of all centres (N, 2) [px] in the camera's own image, and the pose, from the corners (4, 2) of the tags found."""
+    uv = np.full((len(target.points), 2), np.nan)
+    if not found:
+        return uv, None
+    seen = list(found)
+    panels = [(camera.panels[panel], corners) for panel, corners in found.values()]
+    rays = np.stack([panel.lens.ray(corners) @ panel.R_camera_panel.T for panel, corners in panels])
+    diagonals = np.cross(rays[:, :2], rays[:, 2:])  # normals of the planes through the camera and each diagonal
+    centre = np.cross(diagonals[:, 0], diagonals[:, 1])
+    # The planes intersect in a line through the camera; of its two directions take the one towards the corners.
+    centre *= np.sign((centre * rays.sum(axis=1)).sum(axis=-1, keepdims=True))
+    uv[seen] = camera.project(centre)
+    points = target.points[seen][:, None] + tag.corners
+    return uv, solve_pose_from_rays(rays.reshape(-1, 3), points.reshape(-1, 3), previous)
+
+
+def _box(corners: Array) -> Window:
+    """Bounding box of a tag's corners (4, 2) with its quiet zone."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    room = QUIET * (high - low).max()
+    (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
+    return int(left), int(top), math.ceil(right), math.ceil(bottom)
+
+
+def _moves(memory: TagsMemory, corners: tuple[Array | None, ...]) -> tuple[tuple[float, float], ...]:
+    """Displacement of each tag since the last picture [px]; the last known one where it was not seen then or is not now."""
+    before, kept = memory.corners or (None,) * len(corners), memory.moves or ((0.0, 0.0),) * len(corners)
+    moves = [last if a is None or b is None else (b - a).mean(axis=0) for a, b, last in zip(before, corners, kept, strict=True)]
+    return tuple((float(du), float(dv)) for du, dv in moves)
