@@ -1,4 +1,4 @@
-"""A policy for the arm's goal views, learned from the position-based law; `tests/studies/train_policy.py` made its weights.
+"""A policy for the arm's goal views, learned from the position-based law; `tests/long/train_policy.py` made its weights.
 
 It sees where the markers are and nothing else: no pose, no depth, no joints.
 """

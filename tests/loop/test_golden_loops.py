@@ -100,7 +100,7 @@ def name(row: dict[str, str]) -> str:
 
 
 TOLD = [row for row in ROWS if not decided_by_rounding(row)]
-"""The batched loop holds all of them (tests/experiments/basin); of the time loop every eighth is run each time, the others as studies."""
+"""The batched loop holds all of them (tests/studies/basin); of the time loop every eighth is run each time, the others as studies."""
 
 
 @pytest.mark.parametrize("row", [pytest.param(row, id=name(row), marks=[pytest.mark.study] if i % 8 else []) for i, row in enumerate(TOLD)])

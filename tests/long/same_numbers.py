@@ -1,4 +1,4 @@
-"""Do two checkouts leave the same numbers? `python tests/studies/same_numbers.py OLD NEW [SCENARIO ...]`.
+"""Do two checkouts leave the same numbers? `python tests/long/same_numbers.py OLD NEW [SCENARIO ...]`.
 
 For before and after a change of structure.
 Every bundled scenario (or those named) runs once in each checkout, and `compare canonical` after them. Printed for each run is whether

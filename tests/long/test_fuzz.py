@@ -1,6 +1,6 @@
 """Ten thousand files and two hundred runs, each under a limit of processor time that also ends a loop in compiled code.
 
-pytest -m study tests/studies/test_fuzz.py -s
+pytest -m study tests/long/test_fuzz.py -s
 """
 
 from __future__ import annotations

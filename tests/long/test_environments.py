@@ -1,4 +1,4 @@
-"""What environments cost, and what a thousand resets leave behind: `pytest -s -m study tests/studies/test_environments.py`."""
+"""What environments cost, and what a thousand resets leave behind: `pytest -s -m study tests/long/test_environments.py`."""
 
 from __future__ import annotations
 

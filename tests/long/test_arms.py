@@ -1,6 +1,6 @@
 """Arms by their files: 20 random starts each from rendered pictures, and what friction, torque limits and latency do to one.
 
-    python -m pytest -s -m study tests/studies/test_arms.py
+    python -m pytest -s -m study tests/long/test_arms.py
 
 Jaco (dm-control): `ibvs` 20 of 20 in 4.9 to 6.9 s, at worst .25 px, 2.0 mm, .18 deg; `pbvs` 20 of 20 in 4.8 to 6.9 s, at worst .25 px,
 2.8 mm, .24 deg. Panda (dm_robotics_panda): `ibvs` 20 of 20 in 5.6 to 8.0 s, at worst .27 px, 2.0 mm, .17 deg; `pbvs` 20 of 20 in 6.2 to

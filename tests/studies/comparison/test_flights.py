@@ -15,7 +15,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from tests.experiments.comparison.test_campaign import logs, timeless
+from tests.studies.comparison.test_campaign import logs, timeless
 from tests.shortcuts import run_here
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch

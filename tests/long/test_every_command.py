@@ -3,7 +3,7 @@
 Commands, their arguments and options are those of the command line itself, and what an argument may be is what a shell would offer
 for it: a new command, scenario or kind is covered without a word here. Folders that commands leave are given to those that take one.
 
-    python -m pytest -s -m study tests/studies/test_every_command.py        # VSTESTBED_CODES=FILE keeps the codes, one a line
+    python -m pytest -s -m study tests/long/test_every_command.py        # VSTESTBED_CODES=FILE keeps the codes, one a line
 """
 
 from __future__ import annotations

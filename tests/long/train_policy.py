@@ -1,6 +1,6 @@
 """Trains `scenarios/policies/arm_policy.npz`: the position-based law of `arm_pbvs` cloned on marker pixels, with DAgger.
 
-    python tests/studies/train_policy.py [--out FILE.npz] [--seed 0]
+    python tests/long/train_policy.py [--out FILE.npz] [--seed 0]
 
 The expert drives first, disturbed so that it also shows how to come back; then the learner drives, and the expert, which computes its
 command for every frame of a session, says what it would have done (`Frame.command`). Marker pixels come from the oracle detector: no

@@ -1,4 +1,4 @@
-"""Would a test notice? `python tests/studies/mutation.py [--rooms laws tasks vision/pose] [--sample N] [--seed N] [--jobs N]`.
+"""Would a test notice? `python tests/long/mutation.py [--rooms laws tasks vision] [--sample N] [--seed N] [--jobs N]`.
 
 A mutant is the package with one operator, comparison, sign, truth value or number of one file changed. The tests that run the changed line
 should fail; a mutant under which they all pass has survived. Printed are the survivors and the share of mutants that were noticed
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-TESTS = ("laws", "tasks", "vision/pose", "features", "catalogue", "loop", "robots/test_failsafe.py", "experiments/basin")
+TESTS = ("laws", "tasks", "vision", "features", "catalogue", "loop", "robots/test_failsafe.py", "studies/basin")
 """Tests that may notice; the longest runs and the studies are left out."""
 LONGEST_S = 6.0
 CPU_S = 90
@@ -217,7 +217,7 @@ def survivors(mutants: list[Mutant], lines: dict[str, Any], jobs: int) -> Iterat
 def main() -> None:
     """Sample mutants, run them, print survivors and scores."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rooms", nargs="+", default=["laws", "tasks", "vision/pose"])
+    parser.add_argument("--rooms", nargs="+", default=["laws", "tasks", "vision"])
     parser.add_argument("--sample", type=int, default=100, help="mutants of each room; 0: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)

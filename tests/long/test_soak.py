@@ -1,6 +1,6 @@
 """A run of a day: its memory does not grow, and no command on its folder needs much.
 
-`VSTESTBED_SOAK_HOURS=24 python -m pytest -m study -s tests/studies/test_soak.py` simulates so many hours (by default one) by rays and
+`VSTESTBED_SOAK_HOURS=24 python -m pytest -m study -s tests/long/test_soak.py` simulates so many hours (by default one) by rays and
 prints the slope. The log of 24 hours at 25 Hz is made of rows of a short run.
 """
 
