@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pages import campaign, kept
+from docs.build import campaign, kept
 from tests.shortcuts import Here
 
 PLAN = """

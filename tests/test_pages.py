@@ -13,8 +13,8 @@ import typer.main
 from typer.testing import CliRunner
 
 import vstestbed as vs
-from tests.pages.kept import FOLDER, Kept, place_of
-from tests.pages.render import REPOSITORY, SOURCES, pages, rendered
+from docs.build.kept import FOLDER, Kept, place_of
+from docs.build.render import REPOSITORY, SOURCES, pages, rendered
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import app
 from vstestbed.cli.tools import settings_of
@@ -52,7 +52,7 @@ def test_pages_are_what_their_sources_and_the_kept_results_give_and_no_result_is
     kept, other = Kept(may_run=False), []
     for page in pages():
         other += [str(page)] if rendered(page, kept) != (REPOSITORY / page).read_text(encoding="utf-8") else []
-    assert not other, f"python -m tests.pages makes them again: {', '.join(other)}"
+    assert not other, f"python -m docs.build makes them again: {', '.join(other)}"
     places = [place_of(command) for command in kept.used]
     assert len(places) == len(set(places)) and set(places) == set(FOLDER.glob("*.json"))
 

@@ -10,7 +10,7 @@ from typing import Any
 import matplotlib
 import pytest
 
-GUIDE = (Path(__file__).parents[2] / "scenarios/guides/python.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[2] / "docs/guides/python.md").read_text(encoding="utf-8")
 
 
 def test_the_guide_runs_from_python_and_from_its_yaml(command: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:

@@ -135,7 +135,7 @@ def test_a_texture_beside_the_scenario_is_found_from_any_folder(tmp_path: Path):
 
 
 def test_the_block_of_the_guide_is_drawn():
-    text = (folder("scenarios") / "guides" / "scenery.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/guides/scenery.md").read_text(encoding="utf-8")
     blocks = [block for block in re.findall(r"```yaml\n(.*?)```", text, re.DOTALL) if "randomise" in block]
     given = YAML(typ="safe").load(blocks[0])
     s = vs.load("arm_ibvs", {"detector": "oracle", "world": given["world"], "randomise": given["randomise"]}, 5)

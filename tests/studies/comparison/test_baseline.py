@@ -17,7 +17,7 @@ from vstestbed.report.comparison.baseline import FILE, BaselineChanges, read_cha
 from vstestbed.studies.comparison import Comparison, controllers, jobs
 from vstestbed.studies.comparison.baseline import Baseline, write_changes
 
-GUIDE = Path(__file__).resolve().parents[3] / "scenarios/guides/comparing.md"
+GUIDE = Path(__file__).resolve().parents[3] / "docs/guides/comparing.md"
 PLAN = Comparison(base=("quick",), axes={"law.gain": (1, 2)}, metrics=("time_to_converge_s", "min_border_margin_px", "sim_time_s"))
 
 

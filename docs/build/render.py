@@ -1,0 +1,255 @@
+"""A page from its source: Jinja templates in `docs/sources/`, laid out as the pages are, with the results of commands in them.
+
+{{ run("arm_ibvs").time_to_converge_s | n(1) }} s
+{% set rows = command("compare arm_laws") %} {{ rows | where(scenario="arm_pbvs") | reached }}
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from statistics import median as median_of
+from typing import Any
+
+import jinja2
+import polars as pl
+from ruamel.yaml import YAML
+
+import vstestbed as vs
+from docs.build import parameters
+from docs.build.kept import Kept, Row
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
+from vstestbed.report.comparison.columns import ComparisonResults
+from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
+from vstestbed.report.comparison.pairs import TIME
+from vstestbed.report.comparison.statistics import Difference, paired_difference, spread, success_rate
+from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
+from vstestbed.studies.bench import BesideFloor
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = REPOSITORY / "docs" / "sources"
+
+
+def pages() -> list[Path]:
+    """The pages that have a source, relative to the repository."""
+    return sorted(path.relative_to(SOURCES) for path in SOURCES.rglob("*.md") if not path.name.startswith("_"))
+
+
+def rendered(page: Path, kept: Kept) -> str:
+    """The text of a page."""
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(SOURCES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
+    made.globals.update(
+        fields=parameters.fields,
+        puma_links=parameters.puma_links,
+        puma_joints=parameters.puma_joints,
+        arm_preset=parameters.arm_preset,
+        strain_waves=parameters.strain_waves,
+    )
+    made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
+    made.globals.update(preset=parameters.preset)
+    made.filters.update(judged=judged, g=parameters.plain)
+    made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
+    made.filters.update(
+        differs=differs,
+        shifted=shifted,
+        failed=failed,
+        failed_seeds=failed_seeds,
+        tasks=tasks,
+        least_gain=least_gain,
+        ratios=ratios,
+        each=each,
+        effects=effects,
+        same_starts=same_starts,
+        in_reach=in_reach,
+    )
+    return made.get_template(page.as_posix()).render()
+
+
+def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
+    """Name and description of the bundled scenarios with one of these robots."""
+    return [(s.name, s.description.strip()) for s in map(vs.load, bundled_scenarios()) if s.robot.kind in robots]
+
+
+def comparisons() -> list[tuple[str, str]]:
+    """Name and description of the bundled comparisons."""
+    return [(name, YAML(typ="safe").load(file).get("description", "")) for name, file in bundled_comparisons().items()]
+
+
+def judged(summary: Row) -> str:
+    """The error that decides a run's outcome, with its unit and limit: `0.13 px (0.2)`."""
+    error, unit, limit = summary["judged_error"], summary["judged_unit"], summary["judged_limit"]
+    if error is None:
+        return ""
+    factor, word = {"m": (1000, "mm"), "rad": (math.degrees(1), "deg")}.get(unit, (1, unit))
+    return f"{error * factor:.3g} {word} ({limit * factor:.3g})"
+
+
+def number(value: float | None, places: int = 1) -> str:
+    """A number to so many places; nothing for none."""
+    return "" if value is None or not math.isfinite(value) else f"{value:.{places}f}"
+
+
+def where(rows: Iterable[Row], **wanted: Any) -> list[Row]:
+    """The rows that have these values.
+
+    Raises:
+        ValueError: none has.
+    """
+    found = [row for row in rows if all(row.get(name.replace("__", ".")) == value for name, value in wanted.items())]
+    if not found:
+        raise ValueError(f"no run has {wanted}")
+    return found
+
+
+def each(rows: Iterable[Row], name: str) -> list[Any]:
+    """The values that a column has, in the order of their first rows."""
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def reached(rows: Iterable[Row], interval: bool = True) -> str:
+    """Runs that reached the goal, `19 of 20 [76, 99] %`, with the Wilson interval."""
+    good = [bool(row["success"]) for row in rows]
+    rate = success_rate(sum(good), len(good))
+    return f"{sum(good)} of {len(good)}" + (f" [{100 * rate.low:.0f}, {100 * rate.high:.0f}] %" if interval else "")
+
+
+def failed(rows: Iterable[Row], by: str = "seed") -> str:
+    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`."""
+    outcomes: dict[str, list[str]] = {}
+    for row in rows:
+        if not row["success"]:
+            outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
+    return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in outcomes.items())
+
+
+def failed_seeds(rows: Iterable[Row]) -> str:
+    """The seeds that did not reach the goal: `7, 15`."""
+    return ", ".join(str(row["seed"]) for row in rows if not row["success"]) or "none"
+
+
+def same_starts(rows: Iterable[Row], others: Iterable[Row]) -> list[Row]:
+    """The rows whose seed is one of the others'."""
+    seeds = {row["seed"] for row in others}
+    return [row for row in rows if row["seed"] in seeds]
+
+
+def in_reach(rows: Iterable[Row]) -> list[Row]:
+    """The rows whose start the robot reaches."""
+    return [row for row in rows if row["outcome"] != "unreachable"]
+
+
+def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
+    """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`."""
+    of = spread(_values(rows, name, factor, every))
+    texts = [number(value, places) for value in (of.median, of.q1, of.q3)]
+    return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
+
+
+def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = False) -> float:
+    """The median over the runs that reached the goal, or over all."""
+    return spread(_values(rows, name, factor, every)).median
+
+
+def worst(rows: Iterable[Row], name: str, factor: float = 1) -> float:
+    """The largest value of the runs that reached the goal."""
+    return max(_values(rows, name, factor))
+
+
+def least(rows: Iterable[Row], name: str, factor: float = 1) -> float:
+    """The smallest value of the runs that reached the goal."""
+    return min(_values(rows, name, factor))
+
+
+def span(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
+    """From the smallest to the largest value of the runs that reached the goal, or of all: `11.6 to 19.7`."""
+    values = list(_values(rows, name, factor, every))
+    low, high = number(min(values), places), number(max(values), places)
+    return low if low == high else f"{low} to {high}"
+
+
+def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1, every: bool = False) -> str:
+    """Mean of the paired differences of both's successful seeds, or of all, with its 95 % interval: `-0.9 [-1.5, -0.4]`."""
+    found = paired_difference(*_pairs(rows, others, name, every))
+    return f"{number(found.mean, places)} [{number(found.low, places)}, {number(found.high, places)}]"
+
+
+def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
+    """Median and quartiles of the paired differences of both's successful seeds: `-0.20 [-0.24, -0.16]`."""
+    of = spread([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
+    return f"{number(of.median, places)} [{number(of.q1, places)}, {number(of.q3, places)}]"
+
+
+def _pairs(rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False) -> tuple[list[float], list[float]]:
+    """The values of the seeds that both have."""
+    a, b = ({row["seed"]: row[name] for row in those if every or row["success"]} for those in (rows, others))
+    both = sorted(a.keys() & b.keys())
+    return [a[seed] for seed in both], [b[seed] for seed in both]
+
+
+def tasks(rows: Sequence[Row]) -> str:
+    """Laws by tasks, as in a comparison's `tasks.md`."""
+    names = list(rows[0])
+    axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
+    return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+
+
+def effects(rows: Sequence[Row]) -> str:
+    """Effects by laws: runs that reached the goal, change of the time to converge [s], median final error [mm]; as the grid of a report.
+
+    The first row has the median time, and the last column the mean change over all laws; a change is in bold where it is beyond chance
+    after Holm's correction over all cells, or over all rows of the last column.
+    """
+    names = list(rows[0])
+    found = Grid.of(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(names[1 : names.index("seed")])))
+    assert found is not None
+    changes, overall = found.changes(TIME), found.overall(TIME)
+    marked = real(changes) | real(overall)
+    most = max(len(c.success) for c in found.cells.values())
+
+    def change(at: object, d: Difference | None) -> str:
+        if d is None or not math.isfinite(d.mean):
+            return "-"
+        return f"**{d.mean:+.2f} s**" if at in marked else f"{d.mean:+.2f} s"
+
+    def cell(i: int, j: int) -> str:
+        c = found.cells[i, j]
+        good, n = int(c.success.sum()), len(c.success)
+        errors = [e for e in c.counted(ERROR) if math.isfinite(e)]
+        time_s = [t for t in c.counted(TIME) if math.isfinite(t)]
+        words = change((i, j), changes[i, j]) if (i, j) in changes else f"{median_of(time_s):.1f} s" if time_s else "-"
+        tail = f", {median_of(errors):.2g} mm" if errors else ""
+        return (f"{good} of {n}: " if good < n or n < most else "") + words + tail
+
+    columns = range(len(found.columns))
+    lines = ["| |" + "".join(f" `{name}` |" for name in found.columns) + f" {ALL} |", "|---" * (len(found.columns) + 2) + "|"]
+    for i, name in enumerate(found.rows):
+        lines.append(f"| {name} |" + "".join(f" {cell(i, j)} |" for j in columns) + f" {change(i, overall.get(i)) if i else ''} |")
+    return "\n".join(lines)
+
+
+def least_gain(rows: Iterable[Row], plain: Iterable[Row], name: str) -> float:
+    """The smallest factor by which a seed's value is less than that of the first variant among `plain`."""
+    first: dict[int, float] = {}
+    for row in plain:
+        first.setdefault(row["seed"], row[name])
+    return min(first[row["seed"]] / row[name] for row in rows)
+
+
+def ratios(timing: Row) -> tuple[float, ...]:
+    """Ratios of a benchmark to its floor, pair by pair, the smallest first."""
+    return BesideFloor(**timing).ratios
+
+
+def _values(rows: Iterable[Row], name: str, factor: float, every: bool = False) -> Iterator[float]:
+    for row in rows:
+        if (every or row["success"]) and row.get(name) is not None:
+            yield factor * row[name]

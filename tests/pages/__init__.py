@@ -1,1 +1,0 @@
-"""The pages of the documentation, made from their sources and from real runs: `python -m tests.pages`."""
