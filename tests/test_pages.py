@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 from collections.abc import Iterator
@@ -19,15 +20,14 @@ from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import app
 from vstestbed.cli.tools import settings_of
 
-PAGES = [
-    Path("README.md"),
-    *sorted(
-        p.relative_to(REPOSITORY)
-        for top in ("scenarios", "models", "vstestbed", "tests")
-        for p in (REPOSITORY / top).rglob("*.md")
-        if "pages" not in p.parts
-    ),
-]
+PAGES = sorted(
+    page.relative_to(REPOSITORY)
+    for pattern in ("*.md", *(f"{top}/**/*.md" for top in ("docs", "scenarios", "models", "vstestbed", "tests")))
+    for page in REPOSITORY.glob(pattern)
+    if SOURCES not in page.parents
+)
+READ = [page for page in PAGES if page.name not in ("CHANGELOG.md", "CONTRIBUTING.md")]
+"""Their commands are carried out: not those of the history, nor those with a contributor's own names."""
 COMMANDS: Any = typer.main.get_command(app)
 WHOLE = {"list", "schema", "doctor"}
 """Commands that need no more words; others without any are spoken of, not given."""
@@ -64,7 +64,7 @@ def sentences(text: str) -> Iterator[str]:
         yield from (one for one in re.split(r"(?<=[.:;])\s+", " ".join(paragraph.split())) if len(one) >= 60)
 
 
-@pytest.mark.parametrize("page", [*PAGES, Path("CHANGELOG.md")], ids=str)
+@pytest.mark.parametrize("page", PAGES, ids=str)
 def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides(page: Path) -> None:
     found = list(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
     assert not {one for one in found if found.count(one) > 1}
@@ -83,7 +83,7 @@ def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given(page: Pat
             assert files and all((REPOSITORY / "tests" / file).is_file() for file in files), row
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
+@pytest.mark.parametrize("page", READ, ids=str)
 def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
     for words in commands((REPOSITORY / page).read_text(encoding="utf-8")):
         name, *rest = words
@@ -100,7 +100,7 @@ def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
 def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("vstestbed.scenario.catalogue.schema_of", whole_schema)  # made once for all tests
-    given = {tuple(words) for page in PAGES for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}
+    given = {tuple(words) for page in READ for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}
     found = {words for words in given if words[0] in SHORT and not words[-1].endswith((".xml", ".py"))}
     assert found
     for words in sorted(found):
@@ -121,5 +121,15 @@ def test_links_of_a_page_lead_somewhere(page: Path) -> None:
             assert not place or place in headings | set(re.findall(r'<a id="([^"]+)">', aim)), link
 
 
-def test_the_readme_is_short() -> None:
-    assert len((REPOSITORY / "README.md").read_text(encoding="utf-8").splitlines()) <= 160
+def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
+    index = (REPOSITORY / "docs/README.md").read_text(encoding="utf-8")
+    for page in PAGES:
+        if page.parts[0] in ("docs", "scenarios", "models") and page != Path("docs/README.md"):
+            back = (REPOSITORY / page).read_text(encoding="utf-8").splitlines()[2]
+            assert re.fullmatch(r"\[\w+\]\((\.\./)+(docs/)?README\.md(#\w+)?\)", back), (page, back)
+            assert f"({Path(os.path.relpath(page, 'docs')).as_posix()})" in index, page
+
+
+@pytest.mark.parametrize(("page", "lines"), [("README.md", 160), ("scenarios/README.md", 150), ("docs/README.md", 100)])
+def test_the_first_pages_are_short(page: str, lines: int) -> None:
+    assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines

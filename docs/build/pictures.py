@@ -1,6 +1,6 @@
 """Makes the pages' pictures again: `python -m docs.build.pictures [NAME ...] [--studies] [--out DIR]`.
 
-Without names: all that show films (a minute each), and the grids of kept comparisons (seconds); `--studies`: the figures of studies, too,
+Without names: all that show films (a minute each), and the figures of kept results (seconds); `--studies`: the figures of studies, too,
 some of which take half an hour. Each picture goes into `docs/media/`, or into DIR.
 """
 
@@ -25,6 +25,7 @@ import numpy as np
 import polars as pl
 
 import vstestbed as vs
+from docs.build import latency
 from docs.build.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.comparison import grid as effects
@@ -68,6 +69,8 @@ STUDIES: dict[str, tuple[str, str]] = {
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
 GRIDS = ("realism_arm", "realism_camera", "realism_pictures", "realism_omni", "realism_car", "realism_craft")
 """Comparisons of effects and laws, whose figures are drawn of the same kept results as the pages' tables, in seconds."""
+LATENCY = "latency_laws"
+"""The figure of three laws over latency, of kept results, too."""
 SHOWN_S = Fraction(18, 5)
 CAMERA = "camera_effects"
 CAMERA_EFFECTS: dict[str, dict[str, object]] = {
@@ -199,6 +202,12 @@ def grid_of(name: str, folder: Path) -> Image:
     return figure(folder / f"{name}.png")
 
 
+def latency_laws(name: str, folder: Path) -> Image:
+    """Time to converge over latency, and gain limits over delay, of kept results."""
+    latency.draw(folder / f"{name}.png")
+    return figure(folder / f"{name}.png")
+
+
 def figure(path: Path) -> Image:
     """A figure, scaled down to FIGURE pixels where it is wider."""
     whole = cv2.imread(str(path))
@@ -243,18 +252,18 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, *STUDIES])}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *STUDIES])}")
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
     given = parser.parse_args()
-    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
-            of_runs = grid_of if name in GRIDS else study
+            of_runs = grid_of if name in GRIDS else latency_laws if name == LATENCY else study
             made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
