@@ -252,10 +252,12 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join([*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *STUDIES])}")
+    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *STUDIES]
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
     given = parser.parse_args()
+    make_folder(given.out)
     names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:

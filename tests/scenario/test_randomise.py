@@ -13,7 +13,6 @@ from scipy import stats
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.core.named_files import folder
 from vstestbed.env.rollout import Rollout
 from vstestbed.scenario.distributions import Chosen, Gaussian, Integer, LogUniform, Uniform
 from vstestbed.scenario.load import for_another_folder
