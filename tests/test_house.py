@@ -107,7 +107,7 @@ def test_what_the_loop_passes_on_is_small():
     from vstestbed.features.observation import Goal, Observation
     from vstestbed.laws import Command
     from vstestbed.robots import Allocation, Reading
-    from vstestbed.robots.orders import Order
+    from vstestbed.robots.allocation import Order
     from vstestbed.sim.base import Truth
     from vstestbed.tasks.frame import Cycle, Frame
 

@@ -35,13 +35,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from vstestbed import camera, features, laws, robots, targets, tasks, testing, vision
+    from vstestbed import camera, effects, features, laws, robots, targets, tasks, testing, vision
     from vstestbed.camera import CAMERAS, Calibration, Camera
     from vstestbed.core import errors
     from vstestbed.core.geometry import Array, Pose
     from vstestbed.core.outcome import Outcome
     from vstestbed.core.planar import GroundPose
     from vstestbed.core.spec import spec
+    from vstestbed.effects import EFFECTS, EffectBase
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation, Sight
     from vstestbed.laws import LAWS, Command, Law, LawBase
@@ -53,9 +54,7 @@ if TYPE_CHECKING:
     from vstestbed.scenario.load import load
     from vstestbed.scenario.noise import Noise
     from vstestbed.scenario.scenario import Scenario
-    from vstestbed.sim.clock import Clock
     from vstestbed.sim.scene.world import World
-    from vstestbed.sim.timing import Timing
     from vstestbed.studies.comparison import compare
     from vstestbed.studies.run_folder import run_into
     from vstestbed.studies.tuning import tune
@@ -66,6 +65,8 @@ if TYPE_CHECKING:
     from vstestbed.tasks.metrics import METRICS
     from vstestbed.tasks.monitors import MONITORS
     from vstestbed.tasks.stop import Stop
+    from vstestbed.timing.clock import Clock
+    from vstestbed.timing.plan import Timing
     from vstestbed.vision import DETECTORS, KEYPOINTS, Detection, Detector, DetectorBase
     from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase
 
@@ -78,6 +79,7 @@ _HOMES = {
     "vstestbed.studies.comparison": ("compare",),
     "vstestbed.studies.run_folder": ("run_into",),
     "vstestbed.studies.tuning": ("tune",),
+    "vstestbed.effects": ("EFFECTS", "EffectBase"),
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation", "Sight"),
     "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
@@ -89,9 +91,9 @@ _HOMES = {
     "vstestbed.scenario.load": ("load",),
     "vstestbed.scenario.noise": ("Noise",),
     "vstestbed.scenario.scenario": ("Scenario",),
-    "vstestbed.sim.clock": ("Clock",),
+    "vstestbed.timing.clock": ("Clock",),
     "vstestbed.sim.scene.world": ("World",),
-    "vstestbed.sim.timing": ("Timing",),
+    "vstestbed.timing.plan": ("Timing",),
     "vstestbed.targets": ("TARGETS", "Target"),
     "vstestbed.targets.motion": ("MOTIONS", "MotionBase"),
     "vstestbed.tasks": ("GOALS", "Task", "TaskBase"),
@@ -102,13 +104,14 @@ _HOMES = {
     "vstestbed.vision": ("DETECTORS", "KEYPOINTS", "Detection", "Detector", "DetectorBase"),
     "vstestbed.vision.perturb": ("PERTURBATIONS", "PerturbationBase"),
 }
-_ROOMS = ("camera", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
+_ROOMS = ("camera", "effects", "features", "laws", "robots", "targets", "tasks", "testing", "vision")
 _MODULES = {"errors": "vstestbed.core.errors"} | {room: f"vstestbed.{room}" for room in _ROOMS}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "CAMERAS",
     "DETECTORS",
+    "EFFECTS",
     "FEATURES",
     "GOALS",
     "KEYPOINTS",
@@ -130,6 +133,7 @@ __all__ = [
     "Detection",
     "Detector",
     "DetectorBase",
+    "EffectBase",
     "Feature",
     "Frame",
     "Goal",
@@ -160,6 +164,7 @@ __all__ = [
     "camera",
     "compare",
     "dump",
+    "effects",
     "errors",
     "features",
     "laws",

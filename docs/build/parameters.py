@@ -15,25 +15,24 @@ import numpy as np
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
 from vstestbed.core.named_files import model_path
 from vstestbed.core.registry import blocks_in
-from vstestbed.robots.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.effects.battery import Battery
+from vstestbed.effects.floor import UnevenFloor
+from vstestbed.effects.rotors import MotorSpread, RotorInertia
+from vstestbed.effects.strain_wave import CURVES
+from vstestbed.effects.tyres import Tyres
+from vstestbed.effects.vibration import Vibration
+from vstestbed.effects.wheels import WheelSpread
 from vstestbed.robots.attitude import Imu
-from vstestbed.robots.battery import Battery
 from vstestbed.robots.car import Car, CarLimits, CarParameters, Compass
 from vstestbed.robots.flight import Gains
 from vstestbed.robots.flight_sensors import Flow
-from vstestbed.robots.motor_spread import MotorSpread
 from vstestbed.robots.omni import Omni, OmniParameters
 from vstestbed.robots.puma560 import DH, Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
-from vstestbed.robots.rotor_inertia import RotorInertia
 from vstestbed.robots.rotors import QuadrotorParameters
-from vstestbed.robots.strain_wave import CURVES
-from vstestbed.robots.tyres import Tyres
-from vstestbed.robots.uneven_floor import UnevenFloor
-from vstestbed.robots.vibration import Vibration
-from vstestbed.robots.wheels import WheelSpread
-from vstestbed.robots.worn_vehicle import WornVehicle
+from vstestbed.robots.vehicle import WornVehicle
 from vstestbed.scenario.catalogue import default_of
 from vstestbed.scenario.dump import flow_text
 

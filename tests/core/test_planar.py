@@ -6,7 +6,7 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.planar import GroundPose, motion_between, moved, place_of, pose_on_ground
-from vstestbed.robots.ground import PLANE, GroundBox, GroundStart
+from vstestbed.robots.vehicle import PLANE, GroundBox, GroundStart
 
 RNG = np.random.default_rng(0)
 

@@ -7,7 +7,7 @@ from vstestbed.core.geometry import Pose, inverse, transform
 from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.features.line import LineFeature, floor_plane, floor_point, line_interaction, line_on_floor
 from vstestbed.robots import Mount
-from vstestbed.robots.ground import PLANE
+from vstestbed.robots.vehicle import PLANE
 
 MOUNTS = {
     "straight down": Pose(xyz=(0.5, 0, 0.3), rpy_deg=(180, 0, -90)).T,

@@ -12,7 +12,7 @@ from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import LineFollowing
 from vstestbed.robots import Mount
-from vstestbed.robots.ground import PLANE
+from vstestbed.robots.vehicle import PLANE
 from vstestbed.targets.ground_lines import GroundLines
 from vstestbed.targets.route import CircularRoute, Piece, Straight, Track
 

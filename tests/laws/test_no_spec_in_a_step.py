@@ -14,13 +14,13 @@ import vstestbed as vs
 from tests.catalogue.test_catalogue import LAW_PARAMETERS, SMALL_PICTURES
 from vstestbed.core import spec
 from vstestbed.core.named_files import folder
+from vstestbed.effects.aerodynamics import RotorDrag
 from vstestbed.features import FEATURES
 from vstestbed.laws import LAWS, Predictive
 from vstestbed.laws.feedforward import FEEDFORWARDS
 from vstestbed.laws.solve import Solve
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.robots import Quadrotor
-from vstestbed.robots.aerodynamics import RotorDrag
 from vstestbed.robots.rotors import X4
 from vstestbed.testing.laws import quick
 

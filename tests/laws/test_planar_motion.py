@@ -6,7 +6,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import exp, inverse, transform
 from vstestbed.robots import Mount
-from vstestbed.robots.ground import PLANE
+from vstestbed.robots.vehicle import PLANE
 
 STEP_S = 0.1
 """As in the book's omnidirectional example: steps of .1 s at gain 1."""

@@ -10,7 +10,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.planar import composed, moved, pose_on_ground, relative
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.robots.ground import PLANE
+from vstestbed.robots.vehicle import PLANE
 
 CAMERA = Perspective(mount=Pose(xyz=(0.2, 0, 0.8), rpy_deg=(-90, 0, -90)))
 POINTS = np.array([[0.0, 0.3, 0.0], [0.0, -0.3, 0.4]])

@@ -15,7 +15,7 @@ from vstestbed.robots.puma560 import SPEED_LIMITS, Puma560
 from vstestbed.sim.base import Plant
 from vstestbed.sim.ideal import IdealPlant
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.timing import Planned, Shutter
+from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.vision.base import Detection
 from vstestbed.vision.oracle import Oracle
 

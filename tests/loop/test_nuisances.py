@@ -21,8 +21,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Picture
+from vstestbed.imaging.sensor import Drift
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.render.noise import Drift
 
 QUICK = {"law.gain": 2.0, "stop.converged.error_px": 0.5}
 SHADOW = {  # between the light, straight above and behind, and the board; the shadow crosses the board within four seconds

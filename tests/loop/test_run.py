@@ -17,12 +17,12 @@ import vstestbed as vs
 from vstestbed.core.geometry import Array
 from vstestbed.loop import plants as loop
 from vstestbed.loop.log_file import read_log
-from vstestbed.robots.orders import Stop
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.studies.run_folder import run_into
 from vstestbed.tasks import GOALS
 from vstestbed.tasks.frame import Frame
+from vstestbed.timing.setpoints import Stop
 
 PACKAGE = Path(vs.__file__).parent
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")

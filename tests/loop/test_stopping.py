@@ -16,9 +16,9 @@ from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.ego_motion import Arrival, Exposure
 from vstestbed.robots import Allocation, Mount
+from vstestbed.robots.allocation import Order
 from vstestbed.robots.arm import Arm
 from vstestbed.robots.flight import HOLD_S, FlightEstimate, FlightReading
-from vstestbed.robots.orders import Order
 from vstestbed.vision.base import TruthView
 
 ROBOTS = ("arm_ibvs", "arm_panda", "omni_ibvs", "car_pbvs", "quadrotor_hover", "ibvs_book")

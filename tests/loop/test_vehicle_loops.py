@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.robots.attitude import GRAVITY
+from vstestbed.core.quantity import GRAVITY
 from vstestbed.robots.base import Reading
 from vstestbed.robots.car import Car
 from vstestbed.vision.floor_pose import LANDMARKS_S

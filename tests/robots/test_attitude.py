@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from vstestbed.robots.attitude import GRAVITY, Attitude, Filter, heading_rate, level, step, to_body, to_level
+from vstestbed.core.quantity import GRAVITY
+from vstestbed.robots.attitude import Attitude, Filter, heading_rate, level, step, to_body, to_level
 
 DT = 0.001
 STILL = (0.0, 0.0, 0.0)

@@ -10,9 +10,9 @@ from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
 from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor
 from vstestbed.robots.flight import HOLD, Failsafe
 from vstestbed.robots.free import Box, FreeStart
-from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.puma560 import JointAngles, JointBox, PumaStart
 from vstestbed.robots.quadrotor import FlightBox, FlightPose, FlightStart
+from vstestbed.robots.vehicle import GroundBox, GroundStart
 
 GROUND = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=30), random=GroundBox(x=1, y=1))
 ROBOTS = {

@@ -11,7 +11,7 @@ from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading
 from vstestbed.robots.car import BUGGY, Car, CarLimits, Compass
-from vstestbed.robots.ground import GroundBox, GroundStart
+from vstestbed.robots.vehicle import GroundBox, GroundStart
 
 CAR = Car()
 MOUNT = Mount.of(Pose(xyz=(0.2, 0.1, 0.5), rpy_deg=(-90, 0, -90)).T)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from vstestbed.core.outcome import Outcome
+from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import FOLLOWS, HOLDS
 from vstestbed.robots.flight import DOWN_S, HOLD, HOLD_S, OFF, SINKS, Failsafe, FlightEstimate, FlightReading, descend
-from vstestbed.robots.orders import Order
 
 SETPOINT = np.array([0.5, 0.1, -0.2, 0.3])
 BASIS = np.eye(6)[:, [0, 1, 2, 5]]

@@ -7,7 +7,8 @@ import pytest
 
 from tests.robots.flying import DT, Flown, Log, Response, perfect
 from vstestbed.core.geometry import Array
-from vstestbed.robots.attitude import GRAVITY, Filter, level, to_body
+from vstestbed.core.quantity import GRAVITY
+from vstestbed.robots.attitude import Filter, level, to_body
 from vstestbed.robots.flight import HOLD, MAX_TILT_RATE, Gains, aim, attitude_loop, rate_loop
 from vstestbed.robots.rotors import X4, mix, speed_control
 

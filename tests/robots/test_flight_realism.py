@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.robots.airframe import Airframe
-from vstestbed.robots.flight_realism import FIELD, LAB
-from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.effects.airframe import Airframe, FlightEffects
+from vstestbed.robots.quadrotor import FIELD, LAB, Quadrotor
 
 ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "stop.duration_s": 0.6}
 
 
-def test_without_blocks_there_is_no_disturbance():
+def test_without_blocks_nothing_acts():
     robot = Quadrotor()
-    assert robot.disturbance(np.random.default_rng(0)) is None
+    assert robot.acting == ()
     assert robot.log(robot.supervisor(False, 1.0, 1.0)).columns[-1] == "supervisor"
 
 
@@ -23,7 +22,7 @@ def test_without_blocks_there_is_no_disturbance():
 def test_a_preset_fills_all_blocks(level, blocks):
     robot = Quadrotor(realism=level)
     assert {name: getattr(robot, name) for name in LAB} == blocks
-    assert isinstance(robot.disturbance(np.random.default_rng(0)), Airframe)
+    assert [type(effect) for effect in robot.acting] == [FlightEffects]
 
 
 def test_one_block_leaves_the_draws_of_the_others():
@@ -31,9 +30,8 @@ def test_one_block_leaves_the_draws_of_the_others():
     both, one = Quadrotor(realism="lab"), Quadrotor(vibration={})  # pyright: ignore[reportArgumentType] - a block as YAML has it
     felt = []
     for robot in (both, one):
-        disturbance = robot.disturbance(np.random.default_rng(4))
-        assert disturbance is not None
-        felt.append(disturbance.felt({"accelerometer": [0.0] * 3, "gyro": [0.0] * 3})["accelerometer"])
+        airframe = Airframe(robot.parameters, robot, np.random.default_rng(4))
+        felt.append(airframe.felt({"accelerometer": [0.0] * 3, "gyro": [0.0] * 3})["accelerometer"])
     assert felt[0] == felt[1]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from vstestbed.core.planar import moved, pose_on_ground
 from vstestbed.robots.base import Reading, RobotState, Supervisor
-from vstestbed.robots.ground import VehicleLog
+from vstestbed.robots.vehicle import VehicleLog
 
 ORIGIN = np.zeros(3)
 NO_READING = Reading(np.zeros(0), np.zeros(0))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.robots.attitude import GRAVITY, level, to_body
+from vstestbed.core.quantity import GRAVITY
+from vstestbed.robots.attitude import level, to_body
 from vstestbed.robots.flight_sensors import READING_S, VELOCITIES, Filtered, Flow, Groundspeed, step
 
 DT = 0.001

@@ -8,8 +8,8 @@ from vstestbed.core.geometry import Pose, exp, inverse
 from vstestbed.core.planar import GroundPose, moved, pose_on_ground
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading
-from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import PLATFORM, WHEELS, Omni
+from vstestbed.robots.vehicle import GroundBox, GroundStart
 
 BASE = Omni()
 PERIOD = 0.04

@@ -11,8 +11,8 @@ import pytest
 import vstestbed as vs
 from tests.sim.two_mass import arm
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.robots.joint_effects import Gears
-from vstestbed.robots.link_errors import GeometryError
+from vstestbed.effects.joints import Gears
+from vstestbed.effects.links import GeometryError
 
 SOFT = {"stiffness_nmprad": [25000, 25000, 10000, 0, 0, 0]}
 

@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import brief_mapping, to_mapping
 from vstestbed.core.spec import spec
-from vstestbed.robots.joint_effects import CurrentLoops
+from vstestbed.effects.joints import CurrentLoops
 from vstestbed.robots.realism import Level, Realistic
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vstestbed.core.outcome import Outcome
+from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import FOLLOWS, HOLDS, STANDS_RADPS, STOPS, Reading, Supervisor
-from vstestbed.robots.orders import Order
 
 BASIS, AT_REST = np.eye(6)[:, :2], Reading(np.zeros(2), np.zeros(2))
 ORDER = Order(np.array([0.5, 0.1]), BASIS @ [0.5, 0.1])

@@ -10,15 +10,15 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
+from vstestbed.effects.body import Loosen, Set
+from vstestbed.effects.floor import UnevenFloor
+from vstestbed.effects.tyres import Tyres
+from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.base import Reading
-from vstestbed.robots.body import Loosen, Set
 from vstestbed.robots.car import Car, CarLimits
-from vstestbed.robots.ground import GroundBox, GroundStart
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.realism import Level
-from vstestbed.robots.tyres import Tyres
-from vstestbed.robots.uneven_floor import UnevenFloor
-from vstestbed.robots.wheels import WHEELS, WheelSpread
+from vstestbed.robots.vehicle import GroundBox, GroundStart
 
 BOX = GroundStart(nominal=GroundPose(x=1.0), random=GroundBox(x=1.0, y=1.0, heading_deg=20.0))
 

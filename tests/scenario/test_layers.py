@@ -10,7 +10,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.registry import to_mapping
-from vstestbed.robots.joint_effects import CurrentLoops
+from vstestbed.effects.joints import CurrentLoops
 from vstestbed.robots.realism import Level
 from vstestbed.scenario.dump import changes
 from vstestbed.scenario.load import parse

@@ -10,8 +10,8 @@ import pytest
 
 import vstestbed as vs
 from tests.sim.two_mass import MASS, REACH, arm, plant_of
-from vstestbed.robots.joint_effects import CurrentLoops, Gears
-from vstestbed.robots.link_errors import Payload
+from vstestbed.effects.joints import CurrentLoops, Gears
+from vstestbed.effects.links import Payload
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.plant import MujocoPlant
 

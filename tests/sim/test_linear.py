@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.sim.two_mass import ROTOR, arm, inertia
-from vstestbed.robots.joint_effects import Gears
+from vstestbed.effects.joints import Gears
 from vstestbed.sim.linear import linear_arm
 
 

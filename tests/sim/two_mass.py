@@ -14,11 +14,11 @@ from vstestbed.robots import Mjcf
 from vstestbed.robots.mjcf import ArmStart, Positions
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.clock import Clock
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS
+from vstestbed.timing.clock import Clock
 
 ROTOR, REACH, MASS = 0.3, 0.6, 2.0
 """Inertia of the rotor [kg m^2]; place and mass of the load [m, kg]."""

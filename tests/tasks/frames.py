@@ -13,8 +13,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
 from vstestbed.loop.judge import Judge
 from vstestbed.robots import Allocation
-from vstestbed.robots.allocation import Limit
-from vstestbed.robots.orders import Order
+from vstestbed.robots.allocation import Limit, Order
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Frame, FrameTiming, ImageError
 from vstestbed.tasks.monitor import TaskMonitor

@@ -7,10 +7,10 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 
 from vstestbed.camera.base import Camera, Image, Look, Panel, Picture, Window
 from vstestbed.camera.calibration import Calibration
-from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.wide import Catadioptric, Fisheye, Radial, SphericalCamera
 from vstestbed.core.spec import OneOf
+from vstestbed.imaging.depth import DEPTH_SENSORS, DepthImage, DepthSensor
 
 CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, SphericalCamera, default="perspective")
 

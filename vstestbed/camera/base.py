@@ -12,17 +12,16 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
-from vstestbed.camera.depth_sensor import DEPTH_SENSORS, DepthImage, DepthSensor
-from vstestbed.camera.exposure import ExposureControl, ExposureSetting
-from vstestbed.camera.optics import Optics
-from vstestbed.camera.sensor_noise import SensorNoise
-from vstestbed.camera.stream import STREAMS, VideoStream
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose
+from vstestbed.core.geometry import Array, DepthImage, Image, Pose
 from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
 from vstestbed.core.spec import spec
+from vstestbed.imaging.depth import DEPTH_SENSORS, DepthSensor
+from vstestbed.imaging.exposure import ExposureControl, ExposureSetting
+from vstestbed.imaging.optics import Optics
+from vstestbed.imaging.sensor import SensorNoise
+from vstestbed.imaging.stream import STREAMS, VideoStream
 
-Image = NDArray[np.uint8]
 Window = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; right and bottom are exclusive."""
 Look = tuple[tuple[Window, ...], ...]

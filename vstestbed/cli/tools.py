@@ -31,6 +31,7 @@ class Listed(str, Enum):
 
     scenarios = "scenarios"
     robots = "robots"
+    effects = "effects"
     cameras = "cameras"
     targets = "targets"
     features = "features"
@@ -107,6 +108,8 @@ def list_(
             typer.echo(f"{name.value}:")
         entries = _entries(name)
         width = max((len(entry) for entry, _ in entries), default=0)
+        if not entries:
+            typer.echo(f"{'' if room else '  '}none; a plugin may add some")
         for entry, text in entries:
             typer.echo(f"{'' if room else '  '}{entry:{width}}  {text}")
 

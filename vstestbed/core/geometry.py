@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import model_validator
 
 from vstestbed.core.quantity import Angles, Position
@@ -67,6 +68,12 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
     return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType] - three, as `rad` has
 
 
+Image = NDArray[np.uint8]
+"""A picture (H, W, 3), RGB."""
+DepthImage = NDArray[np.float32]
+"""Depths (H, W) [m] along the axis."""
+Images = tuple[Image | None, ...]
+"""The pictures of all panels of a camera; None of a panel that is not drawn."""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
 
@@ -334,3 +341,8 @@ def turn_between(T_a: Array, T_b: Array) -> float:
     """Angle [rad] of the rotation between two poses (4, 4)."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (T_a[:3, :3].T @ T_b[:3, :3]).tolist()
     return math.atan2(math.hypot(zy - yz, xz - zx, yx - xy), xx + yy + zz - 1)
+
+
+def pixel_grid(width: int, height: int) -> Array:
+    """The pixels (u, v) of a picture, shape (H, W, 2)."""
+    return np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)

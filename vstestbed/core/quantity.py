@@ -167,6 +167,8 @@ Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], 
 
 Coefficient = Annotated[float, Within(-1e6, 1e6, "", "more than any calibrated lens has")]
 """A coefficient of a lens's distortion."""
+GRAVITY = 9.81
+"""Acceleration of free fall [m/s^2]."""
 Mass = Annotated[float, Gt(0), Within(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
 """A mass [kg]."""
 Seed = Annotated[int, Ge(0), Within(0, 2**63 - 1, "", "what the tables of results hold")]

@@ -248,6 +248,8 @@ class OneOf(Room):
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
         self._is_built()
+        if not self.members:  # until a plugin adds one
+            return core_schema.no_info_plain_validator_function(self._none)
         # Discriminated by `kind`: an error is then one of the block that was meant, not one of each kind.
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
         union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
@@ -256,8 +258,14 @@ class OneOf(Room):
     def _is_built(self) -> None:
         self._left_out.add("")
 
+    def _none(self, value: Any) -> Any:
+        words = f"must not be given: there is no kind of {self.what}; a plugin may add one (`--plugin FILE.py`)"
+        raise PydanticCustomError("block", "{words}", {"words": words})
+
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         """Pydantic's hook for the JSON Schema: a block of one of the kinds, or a shorthand (a bare word, a number)."""
+        if not self.members:
+            return {"not": {}}
         blocks = handler(schema)["oneOf"]
         # In the classes `kind` has a default and would be optional: without it, a block that needs a kind would pass the schema.
         needs = {} if self.default or self.fields else {"required": ["kind"]}

@@ -25,7 +25,7 @@ from vstestbed.loop.ego_motion import Arrival, CommandHistory, Exposure, OwnRate
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
-from vstestbed.robots.orders import Order
+from vstestbed.robots.allocation import Order
 from vstestbed.scenario.randomise import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError

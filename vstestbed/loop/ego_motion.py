@@ -10,10 +10,10 @@ import numpy as np
 from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.robots import Mount, Reading, Robot
-from vstestbed.robots.orders import Order
+from vstestbed.robots.allocation import Order
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.setpoints import Between, Blend
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.timing.setpoints import Between, Blend
 from vstestbed.vision.base import TruthView
 
 # What reaches the control step with a picture: the exposure, and the moment at which it arrives.

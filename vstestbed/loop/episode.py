@@ -24,15 +24,15 @@ from vstestbed.loop.plants import plant_of, shown_clean, take_goal_images
 from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
+from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import RobotLog, RobotState, Supervisor
-from vstestbed.robots.orders import Order
 from vstestbed.scenario.randomise import LINK_STREAM, drawn
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
-from vstestbed.sim.delay_line import DelayLine
-from vstestbed.sim.link import directions
 from vstestbed.tasks.frame import Cycle, Frame
 from vstestbed.tasks.monitors import OwnMonitor
+from vstestbed.timing.clock import DelayLine
+from vstestbed.timing.link import directions
 from vstestbed.vision.base import goal_of_points, points_of
 
 # The witness: completes the controller's cycle to a frame, with the truth that the controller never sees.
@@ -59,7 +59,7 @@ class Witness:
         self._goal = (
             Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if scenario.detector.rows is not None else None
         )
-        self._own = len(self._robot_log.columns) + len(self.task.columns)
+        self._own = len(scenario.own_columns)
 
     def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
         """The cycle, of the exposure `shot`, with the truth then, and the robot's and the task's own columns."""
@@ -71,7 +71,7 @@ class Witness:
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
         frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
         values = self.task.measure(frame)
-        row[:] = (*self._robot_row(frame, shot), *values)
+        row[:] = (*self._robot_row(frame, shot), *truth.effects, *values)
         return frame
 
     def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:

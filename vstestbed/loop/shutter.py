@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Picture
 from vstestbed.core.geometry import Array
+from vstestbed.imaging.flicker import STEADY
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Reading
 from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.delay_line import DelayLine
-from vstestbed.sim.link import BurstyLink
-from vstestbed.sim.scene.flicker import STEADY
-from vstestbed.sim.time_stamps import CameraStamps, RobotStamps
-from vstestbed.sim.timing import Planned, Shutter
+from vstestbed.timing.clock import DelayLine
+from vstestbed.timing.link import BurstyLink
+from vstestbed.timing.plan import Planned, Shutter
+from vstestbed.timing.stamps import CameraStamps, RobotStamps
 from vstestbed.vision.base import TruthView
 
 # What an oracle sees through a rolling shutter: each marker when the row that it is in is exposed.

@@ -4,14 +4,13 @@ from collections.abc import Callable, Mapping
 
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.robots.allocation import Actuation, Allocation, Mount
+from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.base import Reading, Robot
 from vstestbed.robots.car import Car
 from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
-from vstestbed.robots.orders import Order
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 

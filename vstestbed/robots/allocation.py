@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.timing.setpoints import Stop
 
 Limit = Literal["", "speed", "joint_limit", "singular"]
 ALL_SIX = np.eye(6)
@@ -89,12 +90,21 @@ class Actuation:
         friction: joints keep their damping and Coulomb friction.
         gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
         servos: take the place of the file's actuators on their joints.
+        gravity_error: share of the weight that a gravity compensation leaves uncarried, of which the servos do not know; None: none.
     """
 
     prefix: str | None
     friction: bool
     gravity_compensated: bool
     servos: tuple[Servo, ...] = ()
+    gravity_error: float | None = None
+
+    @property
+    def carried(self) -> float:
+        """The share of a body's weight that the drives' gravity compensation carries; 0 for drives without one."""
+        if self.gravity_error is not None:
+            return 1.0 - self.gravity_error
+        return 1.0 if self.gravity_compensated else 0.0
 
     def gains(self) -> dict[str, dict[str, float | None]]:
         """Of the servos that take the file's place, by joint: `servo_kp` [Nm/rad, N/m], `servo_kv` [Nm s/rad, N s/m], `servo_torque`.
@@ -106,3 +116,44 @@ class Actuation:
             return {}
         torques = {s.joint: s.torque if s.torque is not None and np.isfinite(s.torque) else None for s in made}
         return {"servo_kp": {s.joint: s.kp for s in made}, "servo_kv": {s.joint: s.kv for s in made}, "servo_torque": torques}
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What the robot is to do: a velocity, or a stop with its reason. All numbers are finite, and those of a stop are at rest.
+
+    Attributes:
+        setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist); of a stop the one at which the robot
+            comes to rest (of a car: no speed, the steering as it was).
+        twist: the camera twist (6,) that the setpoint realises by the robot's own model [m/s, rad/s]; of a stop zero.
+        rates: the robot's own velocities (n,) that it orders (`OwnModel`); None: those of `twist`.
+        stop: "" for a velocity, `stop`, or `off`: see `Stop`.
+        reason: why the robot stops, or has another velocity than the law's; "" while it follows the law.
+        latched: the supervisor has taken the robot from the law for good: nothing but `Controller.reset` gives it back.
+    """
+
+    setpoint: Array
+    twist: Array
+    rates: Array | None = None
+    stop: Stop = ""
+    reason: str = ""
+    latched: bool = False
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it is a stop."""
+        return bool(self.stop)
+
+    @classmethod
+    def of(cls, allocation: Allocation) -> Order:
+        """The law's own, within the robot's limits."""
+        return cls(allocation.setpoint, allocation.twist, allocation.rates)
+
+    def copy(self) -> Order:
+        """The same in arrays of its own: the reader of a cycle may write to those of the cycle."""
+        rates = None if self.rates is None else self.rates.copy()
+        return replace(self, setpoint=self.setpoint.copy(), twist=self.twist.copy(), rates=rates)
+
+    def halted(self, reason: str, latched: bool = False, stop: Stop = "stop") -> Order:
+        """A stop in its place."""
+        return Order(np.zeros_like(self.setpoint), np.zeros(6), None, stop, reason, latched)

@@ -20,15 +20,13 @@ from __future__ import annotations
 import math
 from typing import Literal, NamedTuple
 
-from vstestbed.core.quantity import Bias, GainOrZero, PositiveGain, Sigma
+from vstestbed.core.quantity import GRAVITY, Bias, GainOrZero, PositiveGain, Sigma
 from vstestbed.core.spec import spec
+from vstestbed.effects.base import Vector
 
-GRAVITY = 9.81
-"""[m/s^2], as in the scenes."""
 LEAST_PULL, MOST_PULL = 0.5 * GRAVITY, 1.5 * GRAVITY
 """Between these specific forces the accelerometer is taken to indicate the vertical [m/s^2]."""
 
-Vector = tuple[float, float, float]
 Level = tuple[float, float, float, float, float, float, float, float, float]
 """R_level_body (3, 3) row by row: from body axes to the level frame, which has z up and the body's heading; its yx is always 0.
 

@@ -12,14 +12,10 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.robots.allocation import Actuation, Allocation, Mount
-from vstestbed.robots.body import Change
-from vstestbed.robots.disturbance import Disturbance
-from vstestbed.robots.mechanics import Mechanics
-from vstestbed.robots.orders import Order
+from vstestbed.effects.base import Effect
+from vstestbed.effects.body import Change
+from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.tyres import Tyres
-from vstestbed.robots.uneven_floor import UnevenFloor
 
 # A robot's sensor reading at one instant.
 
@@ -263,8 +259,8 @@ class Robot(Protocol):
         ...
 
     @property
-    def mechanics(self) -> Mechanics | None:
-        """How an arm's true joints and links differ from those of its file; None: they do not."""
+    def acting(self) -> tuple[Effect, ...]:
+        """Its imperfections, in the order in which they change its model and act."""
         ...
 
     @property
@@ -295,16 +291,6 @@ class Robot(Protocol):
     @property
     def draws_heading(self) -> bool:
         """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
-        ...
-
-    @property
-    def tyres(self) -> Tyres | None:
-        """Of a vehicle: tyres that slip; None: its wheels have the contacts of its file."""
-        ...
-
-    @property
-    def uneven_floor(self) -> UnevenFloor | None:
-        """Of a vehicle: the floor that its wheels meet; None: the plane that is drawn."""
         ...
 
     def configuration(self) -> Array:
@@ -351,10 +337,6 @@ class Robot(Protocol):
 
         The columns are independent: n is at most six, also for an arm of seven joints, whose `allocate` resolves the redundancy.
         """
-        ...
-
-    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
-        """What acts on a floating base, its actuators and sensors in one run beside what its file has; None for nothing."""
         ...
 
     def noise(self, rng: np.random.Generator) -> Any:
@@ -459,3 +441,8 @@ def without_drawn(block: Mapping[str, Any], changes: Mapping[str, object]) -> di
 def _started(robot: R, **changes: object) -> R:
     any_robot: Any = robot  # a dataclass, which a protocol cannot say
     return replace(any_robot, start=replace(robot.start, **changes))
+
+
+def longest_step(robot: Robot) -> float:
+    """The longest default physics step of a robot [s]."""
+    return min(robot.largest_step_s, robot.needed_step_s)

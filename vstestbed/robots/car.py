@@ -20,19 +20,18 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import moved
-from vstestbed.core.quantity import AngleWidth, Mass, Narrower, PositiveLength, PositiveRate, PositiveSpeed
+from vstestbed.core.quantity import GRAVITY, AngleWidth, Mass, Narrower, PositiveLength, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
+from vstestbed.effects.base import Effect
+from vstestbed.effects.body import Change, Couple, Loosen, Scale, Set, Stretch
+from vstestbed.effects.floor import UnevenFloor
+from vstestbed.effects.tyres import Tyres
+from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Limit, Mount
-from vstestbed.robots.attitude import GRAVITY
 from vstestbed.robots.base import Reading
-from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
-from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
-from vstestbed.robots.tyres import Tyres
-from vstestbed.robots.vehicle_presets import CAR
-from vstestbed.robots.wheels import WHEELS
-from vstestbed.robots.worn_vehicle import WornVehicle
+from vstestbed.robots.vehicle import PLANE, GroundStart, WornVehicle
 
 # Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
 #
@@ -371,6 +370,26 @@ class CarServos:
     drive: float = 0.0
 
 
+CAR: Mapping[Level, Mapping[str, object]] = {
+    "lab": {
+        "tyres": Tyres(stiffness=12.0, relaxation_m=0.1),
+        "steering_play_deg": 0.5,
+        "drive_lag_s": 0.05,
+        "wheel_spread": WheelSpread(sigma=0.001),
+        "uneven_floor": UnevenFloor(rms_m=0.0005, correlation_m=0.3),
+    },
+    "field": {
+        "tyres": Tyres(stiffness=6.0, relaxation_m=0.25),
+        "rolling_resistance": 0.03,
+        "steering_play_deg": 2.0,
+        "drive_lag_s": 0.2,
+        "wheel_spread": WheelSpread(sigma=0.005),
+        "uneven_floor": UnevenFloor(rms_m=0.005, correlation_m=0.5),
+    },
+}
+"""Imperfections of a level; their values are chosen, models/README.md says from what."""
+
+
 @spec
 class Car(WornVehicle):
     """A buggy, of 60 kg by default, with Ackermann steering and rear drive.
@@ -437,6 +456,11 @@ class Car(WornVehicle):
         if self.steering_play_deg:
             found.append(Loosen("steering", math.radians(self.steering_play_deg)))
         return tuple(found)
+
+    @property
+    def acting(self) -> tuple[Effect, ...]:
+        """Its tyres before the others."""
+        return (*((self.tyres,) if self.tyres is not None else ()), *super().acting)
 
     @property
     def ends_m(self) -> tuple[float, float]:

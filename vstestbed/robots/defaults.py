@@ -10,14 +10,11 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.effects.base import Effect
+from vstestbed.effects.body import Change
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
 from vstestbed.robots.base import Base, Reading, RobotLog, Supervisor, without_drawn
-from vstestbed.robots.body import Change
-from vstestbed.robots.disturbance import Disturbance
-from vstestbed.robots.mechanics import Mechanics
 from vstestbed.robots.own_model import CAMERA, OwnModel
-from vstestbed.robots.tyres import Tyres
-from vstestbed.robots.uneven_floor import UnevenFloor
 
 
 class _Moves(Protocol):
@@ -48,8 +45,6 @@ class RobotBase:
     drawn_fields: ClassVar[tuple[str, ...]] = ()
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
-    tyres: Tyres | None = None
-    uneven_floor: UnevenFloor | None = None
     stop_s: ClassVar[float] = 0.25
     """How long it takes to stop [s], from any speed: at most a speed limit over it is the deceleration."""
 
@@ -104,9 +99,9 @@ class RobotBase:
         return np.inf
 
     @property
-    def mechanics(self) -> Mechanics | None:
-        """None: they are those of its file."""
-        return None
+    def acting(self) -> tuple[Effect, ...]:
+        """None."""
+        return ()
 
     def drawn(self, rng: np.random.Generator) -> Any:
         """Itself."""
@@ -156,10 +151,6 @@ class RobotBase:
 
     def check_mount(self, xyz: tuple[float, ...]) -> None:
         """Any place will do."""
-
-    def disturbance(self, rng: np.random.Generator) -> Disturbance | None:
-        """Nothing."""
-        return None
 
     def noise(self, rng: np.random.Generator) -> Any:
         """The generator itself."""

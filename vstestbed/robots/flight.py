@@ -25,11 +25,12 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, clip
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
+from vstestbed.core.quantity import GRAVITY, GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.robots.attitude import GRAVITY, Level, Vector, to_body
+from vstestbed.effects.base import Vector
+from vstestbed.robots.allocation import Order
+from vstestbed.robots.attitude import Level, to_body
 from vstestbed.robots.base import FOLLOWS, HOLDS, Reading, Supervisor
-from vstestbed.robots.orders import Order
 from vstestbed.robots.rotors import X4, QuadrotorParameters
 
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)

@@ -9,9 +9,10 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from annotated_types import Gt, Le
 
-from vstestbed.core.quantity import PositiveGain, PositiveTime, Sigma
+from vstestbed.core.quantity import GRAVITY, PositiveGain, PositiveTime, Sigma
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.robots.attitude import GRAVITY, Imu, Level, Vector, to_body, to_level
+from vstestbed.effects.base import Vector
+from vstestbed.robots.attitude import Imu, Level, to_body, to_level
 from vstestbed.robots.flight import Instruments
 
 # Ground-speed estimation: a noisy velocity sensor, filtered for use at the control rate.

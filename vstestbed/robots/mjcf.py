@@ -16,11 +16,11 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angle, OneForAll, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
+from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
+from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation, Mount, Servo
 from vstestbed.robots.base import Reading
 from vstestbed.robots.chain import JointChain, reader
-from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple
-from vstestbed.robots.link_errors import GeometryError
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.real_arm import RIGID, RealArm
 from vstestbed.robots.realism import Level
@@ -176,10 +176,10 @@ class Mjcf(RealArm):
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
         """What each motor moves at the nominal start [kg m^2, kg]."""
         at = tuple(self.configuration().tolist())
-        if self.mechanics is None or self.mechanics.rotors is None:
+        if self.elastic is None or self.elastic.rotors is None:
             return reader().inertia_at(self.file, chain.names, at)
         links, _ = reader().inertias_at(self.file, chain.names, at)
-        return tuple((links.diagonal() + self.mechanics.rotors).tolist())
+        return tuple((links.diagonal() + self.elastic.rotors).tolist())
 
     def _check_drives(self, chain: JointChain) -> None:
         for name, drive in zip(chain.names, chain.drives, strict=True):
@@ -202,7 +202,7 @@ class Mjcf(RealArm):
     def actuator_set(self) -> Actuation:
         """The servos: added, or the file's own."""
         ideal, chain = self.actuation == "ideal", self.chain
-        return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain)))
+        return self.compensated(Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain))))
 
     def _servos(self, chain: JointChain) -> list[Servo]:
         speeds, torques = self.speed_limits, self.torque_limits or chain.torque.tolist()

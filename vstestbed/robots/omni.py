@@ -31,18 +31,16 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
-from vstestbed.core.quantity import Mass, Narrower, PositiveLength, PositiveRate
+from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate
 from vstestbed.core.spec import spec
+from vstestbed.effects.body import Change, Scale, Set, Stretch
+from vstestbed.effects.floor import UnevenFloor
+from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.attitude import GRAVITY
 from vstestbed.robots.base import Reading
-from vstestbed.robots.body import Change, Scale, Set, Stretch
-from vstestbed.robots.ground import PLANE, GroundStart
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
-from vstestbed.robots.vehicle_presets import OMNI
-from vstestbed.robots.wheels import WHEELS
-from vstestbed.robots.worn_vehicle import WornVehicle
+from vstestbed.robots.vehicle import PLANE, GroundStart, WornVehicle
 
 # An omnidirectional base's physical parameters: the kinematics of its wheels, and what they change in models/omni*.xml.
 
@@ -198,6 +196,23 @@ PLATFORM = OmniParameters()
 
 LAG_PERIOD_S = 0.004
 """Period in which the drive's lag is computed [s]."""
+
+
+OMNI: Mapping[Level, Mapping[str, object]] = {
+    "lab": {
+        "rolling_resistance": 0.01,
+        "drive_lag_s": 0.03,
+        "wheel_spread": WheelSpread(sigma=0.001),
+        "uneven_floor": UnevenFloor(rms_m=0.0002, correlation_m=0.3),
+    },
+    "field": {
+        "rolling_resistance": 0.03,
+        "drive_lag_s": 0.1,
+        "wheel_spread": WheelSpread(sigma=0.004),
+        "uneven_floor": UnevenFloor(rms_m=0.001, correlation_m=0.3),
+    },
+}
+"""Imperfections of a level; their values are chosen, models/README.md says from what."""
 
 
 @spec

@@ -19,9 +19,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
+from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
+from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation
-from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple
-from vstestbed.robots.link_errors import GeometryError
 from vstestbed.robots.real_arm import RIGID, RealArm
 from vstestbed.robots.realism import Level
 
@@ -242,7 +242,7 @@ class Puma560(RealArm):
     @property
     def actuator_set(self) -> Actuation:
         """The servo amplifiers of the chosen actuation."""
-        return ACTUATIONS[self.actuation]
+        return self.compensated(ACTUATIONS[self.actuation])
 
     def configuration(self) -> Array:
         """Joint angles of the nominal start, shape (6,) [rad]."""

@@ -14,14 +14,26 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
+from vstestbed.effects.base import Effect
+from vstestbed.effects.joints import (
+    DRIVES_STEP_S,
+    FINEST,
+    CurrentLoops,
+    ElasticJoints,
+    Encoders,
+    Gears,
+    Motors,
+    Ripple,
+    each,
+    quickest,
+)
+from vstestbed.effects.links import DisplacedLinks, GeometryError, Payload
+from vstestbed.effects.strain_wave import StrainWave
+from vstestbed.robots.allocation import Actuation
 from vstestbed.robots.arm import Arm
 from vstestbed.robots.base import Reading
 from vstestbed.robots.chain import reader
-from vstestbed.robots.joint_effects import CurrentLoops, Encoders, Gears, Ripple, each
-from vstestbed.robots.link_errors import GeometryError, Payload
-from vstestbed.robots.mechanics import DRIVES_STEP_S, FINEST, Mechanics, quickest
 from vstestbed.robots.realism import Realistic
-from vstestbed.robots.strain_wave import StrainWave
 
 SHORTEST_STEP_S = 1e-4
 """Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
@@ -81,7 +93,7 @@ class RealArm(Realistic, Arm):
 
     def _check_effects(self) -> None:
         """Refuse numbers that do not fit the joints, and effects on drives that are ideal."""
-        self.mechanics  # noqa: B018 - refuses what does not fit
+        self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(self.joints)), np.zeros(len(self.joints)), self.slides)
         for field in ("drives", "ripple", "gravity_error"):
@@ -89,29 +101,31 @@ class RealArm(Realistic, Arm):
                 raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
 
     @cached_property
-    def mechanics(self) -> Mechanics | None:  # pyright: ignore[reportIncompatibleMethodOverride] - computed once
-        """All imperfections in plain numbers; None where there are none that the simulator must build."""
-        blocks = (self.gears, self.ripple, self.drives, self.geometry_error, self.gravity_error, self.payload)
-        if all(block is None for block in blocks):
+    def elastic(self) -> ElasticJoints | None:
+        """Its gears in plain numbers; None where it has none."""
+        gears = self.gears
+        if gears is None:
             return None
-        n, slides = len(self.joints), self.slides
-        ripple, gears = self.ripple or Ripple(), self.gears or Gears(stiffness_nmprad=(0.0,))
         k, stages, rotors = self._springs(gears)
-        return Mechanics(
-            joints=self.joints,
-            stiffness=k,
-            damping=k * gears.damping_s,
-            play=gears.play(k, slides),
-            cogging=each("ripple.cogging_nm", ripple.cogging_nm, slides),
-            cycles=each("ripple.cycles", ripple.cycles, slides),
-            ripple=ripple.share,
-            stages=stages,
-            rotors=rotors,
-            drives=self.drives,
-            links=None if self.geometry_error is None else self.geometry_error.displacements(n),
-            gravity=None if self.gravity_error is None else 1.0 - self.gravity_error,
-            payload=self.payload,
-        )
+        return ElasticJoints(self.joints, k, k * gears.damping_s, gears.play(k, self.slides), stages, rotors)
+
+    @cached_property
+    def acting(self) -> tuple[Effect, ...]:  # pyright: ignore[reportIncompatibleMethodOverride] - computed once
+        """Motors, gears, links, payload, and further ones."""
+        found: list[Effect] = []
+        if self.ripple is not None or self.drives is not None:
+            ripple, slides = self.ripple or Ripple(), self.slides
+            cogging = each("ripple.cogging_nm", ripple.cogging_nm, slides)
+            found.append(Motors(cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives))
+        if self.elastic is not None:
+            found.append(self.elastic)
+        if self.geometry_error is not None and (D := self.geometry_error.displacements(len(self.joints))) is not None:
+            found.append(DisplacedLinks(self.joints, D))
+        return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
+
+    def compensated(self, actuators: Actuation) -> Actuation:
+        """A choice of actuators with the error of their gravity compensation."""
+        return actuators if self.gravity_error is None else replace(actuators, gravity_error=self.gravity_error)
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
         """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where there are none of its own."""
@@ -140,10 +154,10 @@ class RealArm(Realistic, Arm):
 
     @cached_property
     def _gears_step_s(self) -> float:
-        assert self.mechanics is not None and self.model is not None
+        assert self.elastic is not None and self.model is not None
         M, rotors = reader().inertias_at(self.model, self.joints, tuple(self.configuration().tolist()))
-        rotors = rotors if self.mechanics.rotors is None else self.mechanics.rotors
-        k = self.mechanics.stiffest
+        rotors = rotors if self.elastic.rotors is None else self.elastic.rotors
+        k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = "must be 0 for {joint}, which has no rotor that could move by itself; give it an `armature` in its file{or_here}"
             raise self._too_stiff(i, float(k[i]), words)

@@ -12,6 +12,7 @@ from pydantic_core import ArgsKwargs
 
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.spec import spec
+from vstestbed.effects.base import Further
 from vstestbed.robots.defaults import RobotBase
 
 Level = Literal["none", "lab", "field"]
@@ -31,6 +32,7 @@ class Realistic(RobotBase):
     in the same `replace` as another level.
 
     Args:
+        effects: further imperfections, of kinds that plugins add; e.g. `[]`.
         realism: imperfections that are not given: `none`, those of a well-kept robot in a `lab`, or those of one in the `field`, worn and
             badly calibrated; e.g. `lab`.
         filled: the level whose values the scenario of a run states; another `realism` replaces them, so leave it out; e.g. `lab`.
@@ -39,6 +41,7 @@ class Realistic(RobotBase):
         presets: by level, the fields that it fills and their values.
     """
 
+    effects: Further = ()
     realism: Level = "none"
     filled: Level | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {}

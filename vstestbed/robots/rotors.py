@@ -19,10 +19,10 @@ from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import clip
-from vstestbed.core.quantity import Mass, Narrower, PositiveLength, PositiveRate, PositiveTime
+from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.robots.attitude import GRAVITY, Vector
-from vstestbed.robots.body import Change, Set
+from vstestbed.effects.base import Four, Vector
+from vstestbed.effects.body import Change, Set
 
 YAW_SHARE = 0.6
 """Share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust."""
@@ -32,8 +32,6 @@ LEAST_TURN = 10.0
 """Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
 HUB_M = 0.075
 """Radius of the hub, where the arms begin [m]."""
-ROTOR_M = 0.045
-"""Height of the rotors over the centre of mass [m], by models/quadrotor.xml."""
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 """Moments of inertia about x, y and z [kg m^2]."""
 
@@ -162,8 +160,6 @@ def _at(x: int, y: int, out: float, z: float) -> Vector:
 
 X4 = QuadrotorParameters()
 """The X-4 Flyer, of models/quadrotor.xml."""
-
-Four = tuple[float, float, float, float]
 
 
 def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four, bool]:

@@ -18,10 +18,10 @@ from vstestbed.laws import Law
 from vstestbed.laws.points import at_goal
 from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
-from vstestbed.sim.timing import Timing
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Task
 from vstestbed.tasks.stop import Stop
+from vstestbed.timing.plan import Timing
 from vstestbed.vision import DETECTORS, Detector
 
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30

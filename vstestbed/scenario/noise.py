@@ -11,7 +11,7 @@ from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Narrower, Pixels, Sigma
 from vstestbed.core.spec import kind_of, spec
-from vstestbed.sim.render.noise import Drift
+from vstestbed.imaging.sensor import Drift
 from vstestbed.targets import Target
 from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
 

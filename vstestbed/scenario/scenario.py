@@ -17,7 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.robots.base import stated, undrawn
+from vstestbed.robots.base import longest_step, stated, undrawn
 from vstestbed.scenario.checks import (
     check_carrier,
     check_clocks,
@@ -39,15 +39,15 @@ from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
 from vstestbed.sim.base import camera_start, flange_for, posture_at, target_start
-from vstestbed.sim.clock import Clock, longest_step
 from vstestbed.sim.scene.world import World
-from vstestbed.sim.timing import Timing
 from vstestbed.targets import TARGETS, Target
 from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.tasks import GOALS, Setup, Task
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.tasks.stop import Stop
+from vstestbed.timing.clock import Clock
+from vstestbed.timing.plan import Timing
 from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.derotate import Derotation
 from vstestbed.vision.perturb import Perturbed
@@ -259,9 +259,10 @@ class Scenario:
 
     @cached_property
     def own_columns(self) -> tuple[str, ...]:
-        """The robot's and the task's own columns of the log."""
+        """The robot's, its effects' and the task's own columns of the log."""
         supervisor = self.robot.supervisor(self.goal.lands, *self.stop.lost_after)
-        return self.robot.log(supervisor).columns + self.goal.monitor(self.setup, supervisor).columns
+        of_effects = tuple(name for effect in self.robot.acting for name in effect.columns)
+        return self.robot.log(supervisor).columns + of_effects + self.goal.monitor(self.setup, supervisor).columns
 
     @property
     def sights(self) -> tuple[tuple[float, float, float], ...]:

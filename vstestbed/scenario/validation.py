@@ -12,6 +12,7 @@ from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.refusals import converted, findings
 from vstestbed.core.registry import ROOMS, to_mapping
 from vstestbed.core.spec import OneOf, refresh_specs
+from vstestbed.effects import EFFECTS
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
 from vstestbed.laws import LAWS
@@ -35,6 +36,7 @@ T = TypeVar("T")
 KINDS: dict[str, OneOf] = {
     "robots": ROBOTS,
     "cameras": CAMERAS,
+    "effects": EFFECTS,
     "targets": TARGETS,
     "markers": MARKERS,
     "motions": MOTIONS,

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, DepthImage, Image, Look, Picture
 from vstestbed.core.errors import UnreachableError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.imaging.shutter import Contribution, Rows
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Reading
-from vstestbed.robots.orders import Stop
-from vstestbed.sim.row_weights import Contribution, Rows
 from vstestbed.targets.base import Target
+from vstestbed.timing.setpoints import Stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +32,7 @@ class Truth:
         contact: what a part of the robot other than its feet touches, as `forearm and floor`; "" where nothing does. feet: the same of
             its feet.
         act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
+        effects: values of the columns of the robot's effects.
     """
 
     T_world_camera: Array
@@ -46,6 +47,7 @@ class Truth:
     feet: str
     act: Array
     wind: Array
+    effects: tuple[float, ...] = ()
 
 
 class Renderer(Protocol):

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from vstestbed.camera import Camera
+from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
-from vstestbed.robots.setpoints import Interpolation
+from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import Plant
-from vstestbed.sim.clock import Clock, longest_step
-from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
+from vstestbed.timing.clock import Clock
+from vstestbed.timing.setpoints import Interpolation
 from vstestbed.vision.perturb import Perturbed
 
 
@@ -66,8 +67,8 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
+    from vstestbed.imaging.chain import imaging_of
     from vstestbed.sim.render.image_sensor import ImageSensor, depth_camera
-    from vstestbed.sim.render.imaging import imaging_of
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
 

@@ -9,17 +9,16 @@ import numpy as np
 from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.imaging.shutter import Contribution
 from vstestbed.robots.base import Reading
-from vstestbed.robots.orders import Orders, Stop
-from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
 from vstestbed.sim.gl_probe import may_end_here
 from vstestbed.sim.hands import hold_plate, moved_path
 from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.row_weights import Contribution
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
+from vstestbed.timing.setpoints import Interpolation, Orders, Stop
 
 NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import model_path
+from vstestbed.effects.base import StateIndices
 from vstestbed.robots import Robot
 from vstestbed.sim.scene.attach import add_robot
-from vstestbed.sim.scene.stage import StateIndices
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def linear_arm(robot: Robot) -> LinearArm:
     scene.compiler.degree = False
     add_robot(scene, robot, "robot/", None)
     model = scene.compile()
-    data, at = mujoco.MjData(model), StateIndices.of(model, robot, "robot/")
+    data, at = mujoco.MjData(model), StateIndices.of(model, robot.joints, robot.actuators, "robot/")
     data.qpos[at.qpos] = data.qpos[at.motor_qpos] = robot.configuration()
     mujoco.mj_forward(model, data)
     soft = at.motor_qvel != at.qvel
@@ -48,14 +48,13 @@ def linear_arm(robot: Robot) -> LinearArm:
     n, N, M = len(at.qvel), len(z), np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     spring, damper = np.zeros((N, N)), np.diag(model.dof_damping[z])
-    mechanics = robot.mechanics
-    if mechanics is not None:
-        k = mechanics.tangent((data.qfrc_bias - data.qfrc_gravcomp)[at.qvel])
+    load = (data.qfrc_bias - data.qfrc_gravcomp)[at.qvel]
+    for k, c in filter(None, (effect.springs(load) for effect in robot.acting)):
         for i, joint in enumerate(np.flatnonzero(soft)):
             pair = np.zeros(N)
             pair[joint], pair[n + i] = -1.0, 1.0
             spring += k[joint] * np.outer(pair, pair)
-            damper += mechanics.damping[joint] * np.outer(pair, pair)
+            damper += c[joint] * np.outer(pair, pair)
     motors = (z[:, None] == at.motor_qvel[None, :]).astype(float)
     actuators = [model.actuator(f"robot/{name}").id for name in robot.actuators]
     kp, kv = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -14,23 +14,17 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground, relative
+from vstestbed.effects.base import Actor, StateIndices
+from vstestbed.imaging.shutter import Contribution
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
-from vstestbed.robots.orders import Orders, Stop
-from vstestbed.robots.setpoints import Interpolation
 from vstestbed.sim.base import Truth
 from vstestbed.sim.gl_probe import may_end_here
 from vstestbed.sim.hands import Push, hold_plate, moved_path
-from vstestbed.sim.motor_torques import motor_loops
 from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.row_weights import Contribution
-from vstestbed.sim.scene.attach import compensated
-from vstestbed.sim.scene.disturbed import Disturbed
-from vstestbed.sim.scene.relief import AROUND, RELIEF
-from vstestbed.sim.scene.stage import Stage, StateIndices
-from vstestbed.sim.scene.tyre_forces import TyreForces
-from vstestbed.sim.scene.wind import WindField
+from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
+from vstestbed.timing.setpoints import Interpolation, Orders, Stop
 
 # What a robot touches.
 
@@ -48,8 +42,7 @@ class RobotContacts:
         self._feet = np.zeros(model.ngeom, dtype=bool)
         self._feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
-        floors = ("floor", RELIEF, AROUND)
-        self._floors = [geom for name in floors if (geom := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name)) >= 0]
+        self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
 
     def touching(self, data: mujoco.MjData) -> tuple[str, str]:
@@ -91,13 +84,13 @@ class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
     Args:
-        stage: the scene. rng: generator of the noise. disturbed: adds to what the sensors meet; None for nothing.
+        stage: the scene. rng: generator of the noise. actors: add to what the sensors meet.
     """
 
-    def __init__(self, stage: Stage, rng: np.random.Generator, disturbed: Disturbed | None = None):
+    def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
         self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at = stage.at if self._robot.joints else None
-        self._noise, self._disturbed = self._robot.noise(rng), disturbed
+        self._noise, self._felt = self._robot.noise(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
         for name in self._robot.sensors:
             sensor = stage.model.sensor(f"robot/{name}")
@@ -125,8 +118,8 @@ class SensorReader:
         if step != self._read_at:
             values = self._values.tolist()
             sensors = {name: values[where] for name, where in self._sensors}
-            if self._disturbed is not None:
-                sensors = self._disturbed.felt(sensors)
+            for felt in self._felt:
+                sensors = felt(sensors)
             self._reading, self._read_at = self._robot.measured(*self._motors(), sensors, self._noise), step
         return self._reading
 
@@ -134,6 +127,8 @@ class SensorReader:
 # An arm put where it is shown its goal: by its true geometry, which is not the one that it computes with.
 
 
+EXACT_M = 1e-6
+"""Entries of two poses that differ by less are the same: the arm's own model is exact."""
 ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
 
@@ -147,12 +142,14 @@ def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
         UnreachableError: the arm does not get there.
     """
     robot = stage.parts.robot
-    if robot.mechanics is None or robot.mechanics.links is None or stage.parts.target.on_gripper:
+    if not robot.joints or stage.parts.target.on_gripper:
         return q
     for _ in range(ROUNDS):
         stage.place(stage.data.time, stage.target_pose(), q)
         own = robot.flange_pose(q)
         true = stage.camera_pose() @ stage.mount_inverse
+        if np.abs(true - own).max() < EXACT_M:
+            return q
         q = robot.configuration_at(T_world_flange @ inverse(true) @ own, q)
     return q
 
@@ -174,7 +171,8 @@ def check_static_load(stage: Stage) -> None:
     if stage.root is not None or not robot.joints:
         return
     # at rest the bias is gravity alone
-    weight = (data.qfrc_bias if compensated(robot) else data.qfrc_bias - data.qfrc_gravcomp)[stage.at.qvel]
+    drives = robot.actuator_set
+    weight = (data.qfrc_bias if drives is not None and drives.carried else data.qfrc_bias - data.qfrc_gravcomp)[stage.at.qvel]
     holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
         return
@@ -185,12 +183,10 @@ def check_static_load(stage: Stage) -> None:
         f"asks {robot.joints[joint]} for {abs(weight[joint]):.4g} {unit} to hold the arm at its start, and its motor and friction have "
         f"{holds[joint]:.4g} {unit}: it would fall"
     )
-    payload = None if robot.mechanics is None else robot.mechanics.payload
-    if payload is None:
-        raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
-    most = _most_kg(weight, weight - payload.mass_kg * _weight_of_a_kilogram(stage), holds, payload.mass_kg)
-    remedy = f"at most {_down(most):g} kg here" if most > 0 else "another start, for it falls without a payload, too"
-    raise UnreachableError("robot.payload.mass_kg", f"{words}; works: {remedy}", payload.mass_kg)
+    for effect in robot.acting:
+        if remedy := effect.remedy(stage.body, weight, holds):
+            raise UnreachableError(remedy.field, f"{words}; works: {remedy.words}", remedy.value)
+    raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
 
 
 def _largest_torques(stage: Stage) -> Array:
@@ -209,35 +205,7 @@ def _largest_torque(model: mujoco.MjModel, joint: int, motors: NDArray[np.int_])
     return min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most
 
 
-def _weight_of_a_kilogram(stage: Stage) -> Array:
-    """What a kilogram of the payload asks of each joint (n,) [Nm/kg, N/kg]: -J^T g, with the Jacobian J of its centre."""
-    model, data = stage.model, stage.data
-    J = np.zeros((3, model.nv))
-    mujoco.mj_jacBodyCom(model, data, J, None, model.body("robot/payload").id)
-    return -(J.T @ model.opt.gravity)[stage.at.qvel]
-
-
-def _most_kg(weight: Array, without: Array, holds: Array, mass_kg: float) -> float:
-    """The largest payload m for which |without + (weight - without) m / mass_kg| <= holds in every joint; 0 where none is held."""
-    if (np.abs(without) > holds).any():
-        return 0.0
-    each = (weight - without) / mass_kg
-    with np.errstate(divide="ignore", invalid="ignore"):
-        most = (holds - np.sign(each) * without) / np.abs(each)
-    return float(np.nanmin(np.where(each == 0, np.inf, most)))
-
-
-def _down(value: float) -> float:
-    """A number under the value, of three digits: one that was rounded up would be too much."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
-    return float(f"{np.floor(value / unit) * unit:.3g}")
-
-
 # The equilibrium in which a robot begins: its servos carry its weight, and its gears are wound up by it.
-
-
-NO_LOAD = 1e-6
-"""Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
 
 
 def settle(stage: Stage) -> None:
@@ -250,20 +218,14 @@ def settle(stage: Stage) -> None:
         UnreachableError: an arm's motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
-    model, data, at = stage.model, stage.data, stage.at
-    mechanics = stage.parts.robot.mechanics
+    model, data, robot = stage.model, stage.data, stage.parts.robot
     stage.rest()
     mujoco.mj_forward(model, data)
     check_static_load(stage)
     load = data.qfrc_bias - data.qfrc_gravcomp
-    if mechanics is not None and at.motor_qpos is not at.qpos:
-        soft = mechanics.stiffness > 0
-        asked = load[at.qvel][soft]
-        torsion = mechanics.torsion(load[at.qvel])[soft]
-        play = np.where(np.abs(asked) > NO_LOAD, np.sign(asked) * mechanics.play[soft] / 2, 0.0)
-        data.qpos[at.motor_qpos[soft]] += torsion + play
-        load[at.motor_qvel] = load[at.qvel]
-    if mechanics is not None and mechanics.gravity is not None:
+    for effect in robot.acting:
+        effect.settle(stage.body, load)
+    if robot.actuator_set is not None and robot.actuator_set.gravity_error is not None:
         load[:] = 0.0
     for i in range(model.nu):
         if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
@@ -300,7 +262,7 @@ class LeadVehicle:
         self._stage, self._motion, self._root = stage, motion, stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        self._at = StateIndices.of(stage.model, self._robot, "leader/")
+        self._at = StateIndices.of(stage.model, self._robot.joints, self._robot.actuators, "leader/")
         self._memory: Any = self._robot.begin()
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
@@ -361,18 +323,19 @@ class MujocoPlant:
         self._eye = eye
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
-        # A stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
-        wind = WindField(world.wind, stage.model, rng.spawn(1)[0]) if robot.base == "floating" else None
-        self._wind_field = None if world.wind.still else wind
-        disturbance = robot.disturbance(rng.spawn(1)[0])
-        self._disturbed = None if disturbance is None else Disturbed(stage, disturbance)
-        self._sensors, self._ctrl = SensorReader(stage, rng, self._disturbed), stage.data.ctrl
+        # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
+        made = [effect.actor(stage.body, rng.spawn(1)[0]) for effect in (*world.acting, *robot.acting)]
+        self._actors = [actor for actor in made if actor is not None]
+        self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
         self._memory: Any = robot.begin()
         self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s, led)
         self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
-        self._tyres = TyreForces(stage, robot.tyres) if robot.tyres else None
+        acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
+        self._each_step = [actor.act for actor in acting if not actor.with_controller]
+        self._each_period = [actor.act for actor in acting if actor.with_controller]
+        self._driven = [actor.driven for actor in self._actors if type(actor).driven is not Actor.driven]
         self._start()
         self._loops = [(every, act, every * self.step_s) for every, act in self._acting()]
 
@@ -382,17 +345,16 @@ class MujocoPlant:
             yield self._leader.steps, self._leader.drive
         if self._control_steps:
             yield self._control_steps, self._control
-        if self._tyres:
-            yield 1, self._tyres.act
-        yield from motor_loops(self._stage)
+        for act in self._each_step:
+            yield 1, lambda dt, act=act: act(self._steps * self.step_s, dt)
 
     def _start(self) -> None:
         """Place everything at its start, in equilibrium."""
         q, T = self._stage.parts.start
         self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
         settle(self._stage)
-        if self._disturbed is not None:
-            self._disturbed.start()
+        for actor in self._actors:
+            actor.start()
         if self._robot.base == "planar" or self._leader:
             self._stand()
 
@@ -411,7 +373,7 @@ class MujocoPlant:
                 # What settled is the height; x, y and heading are the scenario's, whatever the settling did to them.
                 T, settled = T_start.copy(), root.pose(data)
                 T[2, 3] = settled[2, 3] if stands else T[2, 3]
-                if root is stage.root and self._robot.uneven_floor is not None:
+                if root is stage.root and any(effect.uneven for effect in self._robot.acting):
                     T[:3, :3] = T_start[:3, :3] @ (inverse(pose_on_ground(place_of(settled))) @ settled)[:3, :3]  # with its tilt there
                 root.put(data.qpos, T)
         data.qvel[:] = 0.0
@@ -421,11 +383,12 @@ class MujocoPlant:
         self._sensors.restart()
 
     def _stepped(self, steps: int) -> bool:
-        """Advance without controllers, on tyres where the robot has such; False when MuJoCo reports an instability."""
-        if self._tyres is None:
+        """Advance without controllers, with what acts at each step; False when MuJoCo reports an instability."""
+        if not self._each_step:
             return self._stage.step(steps)
         for _ in range(steps):
-            self._tyres.act(self.step_s)
+            for act in self._each_step:
+                act(0.0, self.step_s)
             if not self._stage.step(1):
                 return False
         return True
@@ -464,7 +427,8 @@ class MujocoPlant:
         q, qd, ctrl = *self._sensors.joints(), self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy())
+        effects = tuple(value for actor in self._actors for value in actor.row())
+        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy(), effects)
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
         """What stands now before each of points (N, 3)."""
@@ -544,15 +508,17 @@ class MujocoPlant:
         return True
 
     def _control(self, dt: float) -> None:
-        """One period of the robot's onboard controller, and of the wind that acts on it."""
+        """One period of the robot's onboard controller, and of what acts at its rate."""
         step, stage = self._steps, self._stage
-        if self._wind_field is not None:
-            self._wind_field.blow(step * self.step_s, dt)
+        for act in self._each_period:
+            act(step * self.step_s, dt)
         setpoint = self._orders.at(step)
         if setpoint is not None:
             reading = self._sensors.read(step)
             self._memory, orders = self._robot.actuate(self._memory, setpoint, reading, dt)
-            self._ctrl[stage.at.ctrl] = orders if self._disturbed is None else self._disturbed.act(orders, dt)
+            for driven in self._driven:
+                orders = driven(orders, dt)  # pyright: ignore[reportArgumentType] - plain floats, of a craft
+            self._ctrl[stage.at.ctrl] = orders
 
     @property
     def weight_n(self) -> float:

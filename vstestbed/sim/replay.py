@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array
+from vstestbed.imaging.chain import imaging_of
+from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
-from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.render.imaging import ImagedView, imaging_of
-from vstestbed.sim.render.noise import NO_DRIFT, Drift, ImageNoise
+from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, View, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts

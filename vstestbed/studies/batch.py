@@ -32,9 +32,9 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
-from vstestbed.sim.timing import Timing
 from vstestbed.tasks.base import PLANE_INPUTS
 from vstestbed.tasks.monitor import REST
+from vstestbed.timing.plan import Timing
 from vstestbed.vision import Oracle
 from vstestbed.vision.homography import left_open, relative_view
 

@@ -363,8 +363,8 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
-    g_linear, mechanics = _linear(at_goal, delay_frames), at_goal.robot.mechanics
-    elastic = mechanics is not None and bool(mechanics.stiffness.any())
+    g_linear, robot = _linear(at_goal, delay_frames), at_goal.robot
+    elastic = any(effect.springs(np.zeros(len(robot.joints))) for effect in robot.acting)
     lags = () if elastic else _lags(at_goal, delay_frames)  # at a resonance two shares of a command do not describe a joint
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
     # the bracket is centred on the better prediction

@@ -14,7 +14,7 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
 from vstestbed.robots import Allocation
-from vstestbed.robots.orders import Order
+from vstestbed.robots.allocation import Order
 from vstestbed.sim.base import Truth
 
 

@@ -21,9 +21,9 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.timing import Timing
 from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
+from vstestbed.timing.plan import Timing
 
 # What every image feature must do.
 

@@ -11,17 +11,15 @@ from typing import Annotated, Any, ClassVar, Literal, Protocol
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, Image, Images
 from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
+from vstestbed.imaging.sensor import GREY
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Weights of red, green and blue in the grey of a colour (ITU-R BT.601)."""
-GREY = 128.0
-"""The grey level that a change of contrast leaves as it is."""
 Share = Annotated[float, Ge(0), Le(1)]
 Probability = Annotated[float, Ge(0), Lt(1)]
 
@@ -222,7 +220,6 @@ class Outliers(PerturbationBase):
 
 CONTRACT = Contract(Perturbation, base=PerturbationBase, words={"changes": ("picture", "pixels")})
 PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
-Images = tuple[Image | None, ...]
 
 
 class Perturbed:

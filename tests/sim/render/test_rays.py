@@ -15,10 +15,10 @@ import vstestbed as vs
 from vstestbed.camera import Camera, Catadioptric, Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, Pose, inverse, transform
+from vstestbed.imaging.sensor import ImageNoise
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim import gl_probe as gl
-from vstestbed.sim.render.noise import ImageNoise
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention

@@ -15,8 +15,8 @@ from vstestbed.core.geometry import FLIP, Pose, transform
 from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS, forward
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
-from vstestbed.sim.clock import Clock
 from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.timing.clock import Clock
 
 MOUNT = {"xyz": [0.03, -0.02, 0.1], "rpy_deg": [20, -30, 50]}
 TILTED = {"xyz": [1.2, 0.1, 0.8], "rpy_deg": [10, 70, -20]}

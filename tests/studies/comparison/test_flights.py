@@ -15,8 +15,8 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from tests.studies.comparison.test_campaign import logs, timeless
 from tests.shortcuts import run_here
+from tests.studies.comparison.test_campaign import logs, timeless
 from vstestbed.laws import IBVS
 from vstestbed.laws.views import has_batch
 from vstestbed.scenario.dump import dump

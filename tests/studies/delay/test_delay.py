@@ -16,7 +16,6 @@ from vstestbed.cli.studies import _summary_line
 from vstestbed.core.errors import ParameterError
 from vstestbed.loop.stability import closed_form, gain_limit, led_form
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.time_stamps import CameraStamps
 from vstestbed.studies.delay import (
     OFF,
     OFF_WITH_FRICTION,
@@ -30,6 +29,7 @@ from vstestbed.studies.delay import (
     measure_lags,
     prepared,
 )
+from vstestbed.timing.stamps import CameraStamps
 
 PERIOD = 0.04
 

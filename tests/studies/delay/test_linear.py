@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from vstestbed.effects.joints import Gears
 from vstestbed.loop.stability import closed_form, gain_limit
-from vstestbed.robots.joint_effects import Gears
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.linear import LinearArm, linear_arm
 from vstestbed.studies.delay import displaced, find_limits, growth, linear_gain_limit, prepared, sampled

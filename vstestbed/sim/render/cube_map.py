@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Perspective, Window
 from vstestbed.camera.wide import CUBE
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, pixel_grid
 
 # Pinhole images as OpenGL renders them, from which the image of any other lens is resampled.
 
@@ -61,7 +61,7 @@ def pinhole_of(camera: Perspective) -> Pinhole:
     """The camera's own image; of a distorted lens, a pinhole image that covers its whole field of view."""
     if camera.distortion is None:
         return Pinhole(camera.width, camera.height, camera.f, (float(camera.centre[0]), float(camera.centre[1])))
-    grid = pixel_grid(camera)
+    grid = pixel_grid(camera.width, camera.height)
     # The border is enough: distortion maps the inside of the image to the inside of its border.
     border = np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
     return covering(camera.normalise(border) * camera.f, camera.f)
@@ -71,14 +71,9 @@ def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.f
     """Maps for cv2.remap: the place in the rendered image of each pixel of the camera; None for an undistorted lens."""
     if camera.distortion is None:
         return None
-    grid = pixel_grid(camera)
+    grid = pixel_grid(camera.width, camera.height)
     px = camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape) * camera.f + pinhole.centre
     return px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
-
-
-def pixel_grid(camera: Camera | Pinhole) -> Array:
-    """The pixels (u, v) of a camera's image, shape (H, W, 2)."""
-    return np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
 
 
 NOWHERE = -10.0
@@ -161,7 +156,7 @@ def cube_of(camera: Camera) -> Cube:
     length f has f / cos a pixels to the radian across a ray a off its axis, and the lens at most 1 / (angle to the next
     pixel), so that f is the largest of (cos a) / (that angle) over the face's pixels.
     """
-    rays = camera.ray(pixel_grid(camera))
+    rays = camera.ray(pixel_grid(camera.width, camera.height))
     names = tuple(CUBE)
     seen = np.isfinite(rays[..., 0])
     along = np.stack([rays @ CUBE[name][:, 2] for name in names])

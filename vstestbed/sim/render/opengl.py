@@ -16,13 +16,13 @@ from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Look, Perspective, Window
-from vstestbed.camera.depth_sensor import EDGE
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, pixel_grid
 from vstestbed.core.lacks import lack_of
+from vstestbed.imaging.depth import EDGE
+from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
-from vstestbed.sim.render.cube_map import cube_of, drawn_for, pixel_grid, resampling_maps
-from vstestbed.sim.row_weights import Rows
+from vstestbed.sim.render.cube_map import cube_of, drawn_for, resampling_maps
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 
@@ -260,7 +260,8 @@ class OpenGLRenderer:
     @cached_property
     def _sky_m(self) -> Array:
         """Depth of the sky (H, W) [m], which MuJoCo draws as a solid; beyond it nothing is drawn."""
-        model, xy = self._model, (pixel_grid(self._pinhole_lens) - self._pinhole_lens.centre) / self._pinhole_lens.f
+        model, lens = self._model, self._pinhole_lens
+        xy = (pixel_grid(lens.width, lens.height) - lens.centre) / lens.f
         reach = SKY * float(model.vis.map.zfar * model.stat.extent)
         return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import FLIP, Array, lengths
+from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.render.still import Lamp
-from vstestbed.sim.row_weights import Rows
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.colour import noise_rows

@@ -13,12 +13,11 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import model_path
+from vstestbed.effects.base import RobotModel
+from vstestbed.effects.body import Change, Couple, Loosen, Scale, Set, Stretch
 from vstestbed.robots import Robot
 from vstestbed.robots.allocation import Servo
-from vstestbed.robots.body import Change, Couple, Loosen, Scale, Set, Stretch
-from vstestbed.sim.scene.gears import add_rotors
 from vstestbed.sim.scene.groups import OF_FILES
-from vstestbed.sim.scene.links import add_payload, displace_links
 from vstestbed.sim.scene.model_files import carry_files, read_model
 
 # Puts a robot's actuators into its model: a profile of its file, or servos made for it.
@@ -37,32 +36,12 @@ def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
         _keep(model, chosen.prefix)
     for servo in chosen.servos:
         _add(model, servo)
-    if carried := compensated(robot):
+    if carried := chosen.carried:
         for body in model.bodies:
             body.gravcomp = carried
     for joint in model.joints:
         if not chosen.friction:
             joint.frictionloss, joint.damping = 0.0, np.zeros(3)
-    if robot.mechanics is not None:
-        if robot.mechanics.drives is not None:
-            idle(model, robot)
-        add_rotors(model, robot.mechanics)
-
-
-def compensated(robot: Robot) -> float:
-    """The share of a body's weight that the drives' gravity compensation carries; 0 for drives without one."""
-    chosen, mechanics = robot.actuator_set, robot.mechanics
-    if mechanics is not None and mechanics.gravity is not None:
-        return mechanics.gravity
-    return 1.0 if chosen is not None and chosen.gravity_compensated else 0.0
-
-
-def idle(model: mujoco.MjSpec, robot: Robot) -> None:
-    """Leave a robot's servos without force, for `sim/motor_torques.py`; integrals of commands and gains stay where they are."""
-    for actuator in model.actuators:
-        if actuator.name in robot.actuators:
-            actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
-            actuator.gainprm[0] = 0.0
 
 
 def _keep(model: mujoco.MjSpec, prefix: str) -> None:
@@ -206,7 +185,9 @@ def _stretch(model: mujoco.MjSpec, geom: mujoco.MjsGeom, factors: np.ndarray, sh
 AUTO = mujoco.mjtJacobian.mjJAC_AUTO
 
 
-def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float | None) -> tuple[mujoco.MjsBody, Array]:
+def add_robot(
+    scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float | None, assets: dict[str, bytes] | None = None
+) -> tuple[mujoco.MjsBody, Array]:
     """The body that carries the camera, and the pose (4, 4) of the flange in it.
 
     Args:
@@ -214,6 +195,7 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
         robot: to be attached; the ideal camera is a mocap body, which has no mass and is placed by the plant.
         prefix: of all its names (`robot/`, `leader/`).
         friction: of the floor, where the scenario sets it.
+        assets: receives files in memory, which the scene is given last: MuJoCo warns of models that are attached to one with assets.
 
     Raises:
         ParameterError: the robot's model has no site `flange`.
@@ -223,19 +205,30 @@ def add_robot(scene: mujoco.MjSpec, robot: Robot, prefix: str, friction: float |
     T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
     model = _spec(robot.model, robot.body_changes)
     choose_servos(model, robot)
-    if robot.mechanics is not None and robot.mechanics.links is not None:
-        displace_links(model, _compiled(robot.model, robot.body_changes), robot.mechanics)
-        T_body_flange = robot.mechanics.links[-1] @ T_body_flange
     _share_options(scene, model, friction)
+    edited = RobotModel(
+        spec=model,
+        scene=scene,
+        compiled=functools.partial(_compiled, robot.model, robot.body_changes),
+        actuators=robot.actuators,
+        flange=_flange_body(model, robot.flange),
+        T_body_flange=T_body_flange,
+        carried=robot.actuator_set.carried if robot.actuator_set else 0.0,
+        assets={} if assets is None else assets,
+    )
+    for effect in robot.acting:
+        effect.edit(edited)
     files = carry_files(model, Path(robot.model), scene, prefix)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
     if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
         scene.assets = {**scene.assets, **files}
-    site = scene.site(f"{prefix}{robot.flange}")
-    flange = site.parent if site else scene.body(f"{prefix}{robot.flange}")
-    if robot.mechanics is not None and robot.mechanics.payload is not None:
-        add_payload(flange, f"{prefix}payload", T_body_flange, robot.mechanics.payload, compensated(robot))
-    return flange, T_body_flange
+    return _flange_body(scene, f"{prefix}{robot.flange}"), edited.T_body_flange
+
+
+def _flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
+    """The body that carries the camera: that of the site of this name, or the body itself."""
+    site = spec.site(name)
+    return site.parent if site else spec.body(name)
 
 
 def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float | None) -> None:

@@ -27,7 +27,6 @@ from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP
 from vstestbed.sim.scene.light import light_scene
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
-from vstestbed.sim.scene.relief import lay
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
@@ -181,7 +180,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         scene.geom(plane).pos = [0, 0, parts.world.floor_z]
     scenery = parts.world.scenery
     carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
-    body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction)
+    body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction, carried)
     housing = 1.0 if parts.robot.model else FREE_HOUSING
     if parts.target.on_gripper:
         _show_hand(scene)
@@ -191,12 +190,11 @@ def compose(parts: Parts) -> mujoco.MjSpec:
         _add_camera(body, T_body_flange @ parts.camera.mount.T, parts.camera, housing)
         if parts.robot.base == "planar":
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
-        carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction)[0] if parts.leader else None
+        carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
-    carried |= lay(scene, parts.robot.uneven_floor, parts.world.floor_z)
     scene.assets = {**scene.assets, **carried}  # last: MuJoCo warns of models that are attached to one with assets
     return scene
 

@@ -10,11 +10,10 @@ import mujoco
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import model_path
+from vstestbed.effects.base import ASSETS
 from vstestbed.targets.picture import as_png
 
 JPEG = ".jpg", ".jpeg"
-ASSETS = "assets"
-"""Folder beside model.xml for its asset files."""
 
 
 def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str) -> dict[str, bytes]:

@@ -14,9 +14,11 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Speed, Time, Velocity
+from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Time
 from vstestbed.core.spec import Shorthand, spec
-from vstestbed.sim.scene.flicker import STEADY, Flicker
+from vstestbed.effects.base import Effect
+from vstestbed.effects.wind import Wind
+from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 from vstestbed.targets.picture import picture_name, place_of_picture, read_rgb
 
@@ -283,55 +285,6 @@ class Plate:
 
 
 @spec
-class Gust:
-    """A gust that comes and goes: v(t) = velocity/2 (1 - cos(2 pi (t - from)/duration)), the discrete gust of flight testing.
-
-    Args:
-        from_s, duration_s: when it begins, and how long it lasts [s].
-        velocity_mps: at its peak, along world axes [m/s].
-
-    Reference: MIL-F-8785C 1980, section 3.7.1.3 (a whole period of it).
-    """
-
-    from_s: Time
-    duration_s: PositiveTime = 3.0
-    velocity_mps: Velocity = (5.0, 0.0, 0.0)
-
-    def at(self, t: float) -> Array:
-        """Its velocity (3,) at a time [s]."""
-        share = (t - self.from_s) / self.duration_s
-        return np.array(self.velocity_mps) * (0.5 - 0.5 * math.cos(2 * math.pi * share)) if 0 < share < 1 else np.zeros(3)
-
-
-@spec
-class Wind:
-    """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each axis.
-
-    Args:
-        mean_mps: along world axes [m/s].
-        gusts: added to the mean while they last.
-        turbulence_mps: standard deviation of the turbulence [m/s].
-        turbulence_s: its correlation time [s]: L/V of Dryden's longitudinal spectrum.
-
-    Reference: Dryden's spectra as in MIL-F-8785C 1980; a hovering craft meets the longitudinal one at V = 0 only by the mean wind.
-    """
-
-    mean_mps: Velocity = (0.0, 0.0, 0.0)
-    gusts: Annotated[tuple[Gust, ...], Len(0, 100)] = ()
-    turbulence_mps: Speed = 0.0
-    turbulence_s: PositiveTime = 1.0
-
-    @property
-    def still(self) -> bool:
-        """No wind at all."""
-        return not (any(self.mean_mps) or self.gusts or self.turbulence_mps)
-
-    def at(self, t: float) -> Array:
-        """Mean and gusts (3,) at a time [s]."""
-        return sum((gust.at(t) for gust in self.gusts), np.array(self.mean_mps))
-
-
-@spec
 class Scenery:
     """Tables, walls, floors and lights by an MJCF file, which stand still; `sim/scene/scenery.py` says what becomes of its parts.
 
@@ -388,6 +341,11 @@ class World:
                 check_scenery(self.scenery.file, self.scenery.pose.T, self.floor_z)
             except ParameterError as error:
                 raise ParameterError("scenery", error.problem, error.found) from None
+
+    @property
+    def acting(self) -> tuple[Effect, ...]:
+        """What of the world acts on a robot."""
+        return (self.wind,)
 
     @property
     def hides(self) -> bool:

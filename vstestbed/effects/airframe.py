@@ -1,0 +1,290 @@
+"""The imperfections of one quadrotor in one run: its blocks (`flight_realism`) as forces, torques, orders and vibration.
+
+It knows the truth, which the simulator gives it, and the flight loops (`flight`) know nothing of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
+from vstestbed.effects.base import Actor, EffectBase, Four, RobotBody, Vector
+from vstestbed.effects.battery import Battery
+from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, inertia_torque
+from vstestbed.effects.vibration import Vibration
+
+
+class BodyState(NamedTuple):
+    """The truth of a robot's base at one instant.
+
+    Attributes:
+        air: velocity of its origin against the air, base axes (3,) [m/s]. rates: angular velocity, base axes (3,) [rad/s].
+        act: activations of its actuators (nu,).
+        below: how far straight below each of `Airframe.probes` something is, inf over nothing [m].
+    """
+
+    air: Vector
+    rates: Vector
+    act: Sequence[float]
+    below: Sequence[float]
+
+
+class Effort(NamedTuple):
+    """What the imperfections do for one control period.
+
+    Attributes:
+        force, torque: on the base, about its origin, base axes (3,) [N, Nm]. orders: what reaches the actuators (nu,).
+    """
+
+    force: Vector
+    torque: Vector
+    orders: Sequence[float]
+
+
+ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
+"""Where front, right, back and left are, along x and y, in arms."""
+DRAWN_AHEAD = 64
+"""For how many instants noise is drawn at once."""
+NOTHING: Vector = (0.0, 0.0, 0.0)
+ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
+
+
+class _Blocks(Protocol):
+    """The blocks of a craft that flies; None where it has no such imperfection."""
+
+    @property
+    def ground_effect(self) -> GroundEffect | None: ...
+    @property
+    def rotor_drag(self) -> RotorDrag | None: ...
+    @property
+    def downwash(self) -> Downwash | None: ...
+    @property
+    def rotor_inertia(self) -> RotorInertia | None: ...
+    @property
+    def battery(self) -> Battery | None: ...
+    @property
+    def vibration(self) -> Vibration | None: ...
+    @property
+    def motors(self) -> MotorSpread | None: ...
+
+
+@dataclass(frozen=True, eq=False)
+class FlightEffects(EffectBase):
+    """All of a craft's blocks together: the thrust of a rotor is multiplied by several of them.
+
+    Attributes:
+        craft: its parameters. blocks: its blocks.
+    """
+
+    craft: _Craft
+    blocks: _Blocks
+
+    def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor:
+        """Forces on the base, at the rate of the onboard controller."""
+        return OnBase(body, Airframe(self.craft, self.blocks, rng))
+
+
+class Airframe:
+    """The imperfections of one craft in one run in plain floats, since it is computed at the rate of the onboard controller.
+
+    Args:
+        craft: its parameters. given: its blocks. rng: draws what differs from run to run, each block from a stream of its own.
+
+    Attributes:
+        probes: points in the base frame (k, 3) [m] below which the free height is measured; () for none.
+    """
+
+    def __init__(self, craft: _Craft, given: _Blocks, rng: np.random.Generator):
+        self._craft, self._given = craft, given
+        spread, gusts, noise = rng.spawn(3)
+        self._thrust, self._limit = given.motors.drawn(spread) if given.motors else (ALIKE, ALIKE)
+        self._gusts, self._noise = _normal(gusts, 4), _normal(noise, 6)
+        self._rough: Sequence[float] = gusts.standard_normal(4).tolist()
+        self._angles: Four = _four(noise.uniform(0.0, 2 * math.pi, 4).tolist())
+        self._W: Four = _four([craft.hover] * 4)
+        self._charge, self._voltage = 1.0, 0.0
+        if given.battery:
+            self._charge = given.battery.charge
+            self._voltage = given.battery.voltage(self._charge, given.battery.power((math.sqrt(craft.hover),) * 4, craft))
+        self._drag = given.rotor_drag.coefficient * craft.thrust_coefficient / craft.rotor_radius_m if given.rotor_drag else 0.0
+        self._spin = given.rotor_inertia.of(craft) if given.rotor_inertia else 0.0
+        self.probes: Sequence[Vector] = _probes(craft) if given.ground_effect or given.downwash else ()
+
+    def act(self, state: BodyState, orders: Sequence[float], dt: float) -> Effort:
+        """Force, torque and orders for the next control period."""
+        self._W = _four([x if x > 0 else 0.0 for x in state.act])
+        speeds = _four([math.sqrt(x) for x in self._W])
+        reached = self._driven(orders, speeds, dt)
+        force, torque = self._lifted(state, dt)
+        if self._drag:
+            force, torque = _added((force, torque), self._dragged(state, speeds))
+        if self._spin:
+            half = 0.5 / self._craft.rotor_lag_s
+            turning = _four([half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in zip(reached, self._W, speeds, strict=True)])
+            x, y, z = inertia_torque(self._spin, state.rates, speeds, turning)
+            torque = torque[0] + x, torque[1] + y, torque[2] + z
+        if self._given.vibration:
+            self._angles = _four([(phi + w * dt) % (2 * math.pi) for phi, w in zip(self._angles, speeds, strict=True)])
+        return Effort(force, torque, reached)
+
+    def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
+        """The IMU's readings with the vibration, and the battery's `voltage` [V]."""
+        if self._given.vibration:
+            shaken, turned = self._given.vibration.at(self._angles, self._W, self._craft.hover, next(self._noise))
+            sensors["accelerometer"] = [x + d for x, d in zip(sensors["accelerometer"], shaken, strict=True)]
+            sensors["gyro"] = [x + d for x, d in zip(sensors["gyro"], turned, strict=True)]
+        if self._given.battery:
+            sensors["voltage"] = [self._voltage]
+        return sensors
+
+    def _driven(self, orders: Sequence[float], speeds: Four, dt: float) -> Four:
+        """What the motors make of the orders (4,): less by a battery's voltage, and each up to its own limit."""
+        battery, share, most = self._given.battery, 1.0, self._craft.limit
+        if battery:
+            power = battery.power(speeds, self._craft)
+            self._voltage = battery.voltage(self._charge, power)
+            self._charge = battery.drained(self._charge, power / self._voltage, dt)
+            share = battery.share(self._voltage, self._craft)
+        return _four([min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)])
+
+    def _lifted(self, state: BodyState, dt: float) -> tuple[Vector, Vector]:
+        """Force and torque of what the thrusts are more than those of the model's file."""
+        ground, wash, given = self._given.ground_effect, self._given.downwash, self._given
+        if not (ground or wash or given.motors):
+            return NOTHING, NOTHING
+        b, R, arm = self._craft.thrust_coefficient, self._craft.rotor_radius_m, self._craft.arm_m
+        if wash:
+            self._blow(wash, dt)
+        up = x = y = 0.0
+        for i in range(4):
+            usual = b * self._W[i]
+            thrust = usual * self._thrust[i]
+            if self.probes:
+                thrust *= _near_ground(ground, wash, state, i, R, thrust, self._rough[i])
+            more = thrust - usual
+            up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
+        return (0.0, 0.0, up), (x, y, 0.0)
+
+    def _blow(self, wash: Downwash, dt: float) -> None:
+        """The next fluctuations x (4,) of the returning wake."""
+        keep = math.exp(-dt / wash.turbulence_s)
+        fresh = math.sqrt(1.0 - keep * keep)
+        self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
+
+    def _dragged(self, state: BodyState, speeds: Four) -> tuple[Vector, Vector]:
+        """Force and torque of the rotors' drag at their hubs."""
+        (vx, vy, _), (wx, wy, wz), arm, h = state.air, state.rates, self._craft.arm_m, ROTOR_M
+        fx = fy = turn = 0.0
+        for i in range(4):
+            x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
+            px, py = -k * (vx + wy * h - wz * y), -k * (vy + wz * x - wx * h)
+            fx, fy, turn = fx + px, fy + py, turn + x * py - y * px
+        return (fx, fy, 0.0), (-h * fy, h * fx, turn)
+
+
+def _near_ground(
+    ground: GroundEffect | None, wash: Downwash | None, state: BodyState, i: int, radius: float, thrust: float, rough: float
+) -> float:
+    """By what the ground, and the wake from it, multiply the thrust [N] of rotor i, the mean over its probes."""
+    near = [nearness(z, radius) for z in state.below[4 * i : 4 * i + 4]]
+    gain = 1.0
+    if ground:
+        speed = math.hypot(state.air[0], state.air[1])
+        gain = 0.25 * sum([ground.gain(n, radius, thrust, speed) for n in near])
+    return gain + (wash.turbulence * 0.25 * sum(near) * rough if wash else 0.0)
+
+
+def _probes(craft: _Craft) -> tuple[Vector, ...]:
+    """Four points of each disc, of front, right, back and left in turn, at R / sqrt(2) from its hub, in the base frame (16, 3) [m]."""
+    d, r = craft.arm_m, craft.rotor_radius_m / math.sqrt(2)
+    return tuple(
+        (x * d + r * u, y * d + r * v, ROTOR_M) for x, y in zip(ALONG, ACROSS, strict=True) for u, v in zip(ALONG, ACROSS, strict=True)
+    )
+
+
+def _added(a: tuple[Vector, Vector], b: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
+    """The sum of two forces with their torques."""
+    (f, t), (g, u) = a, b
+    return (f[0] + g[0], f[1] + g[1], f[2] + g[2]), (t[0] + u[0], t[1] + u[1], t[2] + u[2])
+
+
+def _normal(rng: np.random.Generator, n: int) -> Iterator[list[float]]:
+    """Normal numbers (n,), one instant after the other."""
+    while True:
+        yield from rng.standard_normal((DRAWN_AHEAD, n)).tolist()
+
+
+def _four(values: Sequence[float]) -> Four:
+    a, b, c, d = values
+    return a, b, c, d
+
+
+# The same in MuJoCo: the true state of the base in, forces on it out.
+
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class OnBase(Actor):
+    """A floating robot with its imperfections.
+
+    Args:
+        body: the robot, with the free joint `root`. airframe: its imperfections.
+    """
+
+    def __init__(self, body: RobotBody, airframe: Airframe):
+        model, data = body.model, body.data
+        self._model, self._data, self._airframe = model, data, airframe
+        self._body, dof = model.body("robot/base").id, int(model.joint("robot/root").dofadr[0])
+        # Views of MuJoCo's own memory, taken once: each takes as long as ten operations on floats.
+        self._velocity, self._applied = data.qvel[dof : dof + 6], data.qfrc_applied[dof : dof + 6]
+        self._place, self._turn, self._wind = data.xpos[self._body], data.xmat[self._body], model.opt.wind
+        self._activations, self._acting = data.act, body.at.act.tolist()
+        self._probes, self._below, self._next = airframe.probes, [math.inf] * len(airframe.probes), 0
+        self._from, self._geom = np.zeros(3), np.zeros(1, dtype=np.int32)
+
+    def start(self) -> None:
+        """Measure all heights: the craft is at its start."""
+        for i in range(len(self._probes)):
+            self._look(i, self._turn.tolist())
+
+    def driven(self, orders: Sequence[float], dt: float) -> Sequence[float]:
+        """Put force and torque on the base for the next control period; what the controller's orders (nu,) become."""
+        R = self._turn.tolist()
+        if self._probes:  # one ray a period: of 16 the oldest is as old as 16 ms, in which a craft that lands sinks 5 mm
+            self._look(self._next, R)
+            self._next = (self._next + 1) % len(self._probes)
+        (x, y, z), (p, q, r), reached = self._airframe.act(self._state(R), orders, dt)
+        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own. `xfrc_applied`, where
+        # a person's push acts, stays free.
+        a, b, c, d, e, f, g, h, i = R
+        self._applied[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z, p, q, r
+        return reached
+
+    def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
+        """What the sensors meet."""
+        return self._airframe.felt(sensors)
+
+    def _state(self, R: list[float]) -> BodyState:
+        vx, vy, vz, p, q, r = self._velocity.tolist()
+        wx, wy, wz = self._wind.tolist()
+        a, b, c, d, e, f, g, h, i = R
+        x, y, z, all_act = vx - wx, vy - wy, vz - wz, self._activations.tolist()
+        air = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+        return BodyState(air, (p, q, r), [all_act[k] for k in self._acting], self._below)
+
+    def _look(self, number: int, R: list[float]) -> None:
+        """Cast the ray from a probe straight down, with the base's orientation R (9,)."""
+        import mujoco
+
+        x, y, z = self._probes[number]
+        a, b, c, d, e, f, g, h, i = R
+        self._from[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+        self._from += self._place
+        hit = mujoco.mj_ray(self._model, self._data, self._from, DOWN, None, 1, self._body, self._geom)
+        self._below[number] = hit if hit >= 0 else math.inf

@@ -1,0 +1,221 @@
+"""The contract of an effect: what it changes in a robot's model, what it does while a run lasts, what it writes into the log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from annotated_types import Len
+from numpy.typing import NDArray
+
+from vstestbed.core.geometry import Array
+from vstestbed.core.registry import Contract
+from vstestbed.core.spec import OneOf
+
+if TYPE_CHECKING:
+    import mujoco
+
+Vector = tuple[float, float, float]
+Four = tuple[float, float, float, float]
+"""Of rotors front, right, back, left."""
+ASSETS = "assets"
+"""Folder, in a scene, of the files in memory."""
+RANGE_GROUP = 5
+"""Geoms that range finders alone meet, which nothing draws."""
+MOTOR = "rotor_"
+"""Before the name of a joint: that of the joint of its motor, where an effect has parted the two."""
+
+
+@dataclass(frozen=True)
+class StateIndices:
+    """Indices of one robot's quantities in the state of a scene that may hold two robots.
+
+    Attributes:
+        qpos, qvel: of its measured joints, in the order of `Robot.joints`, in `data.qpos` and `data.qvel`.
+        ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, which is quicker, where they adjoin.
+        motor_qpos, motor_qvel: of what its encoders read and its servos turn: `rotor_<joint>`, which an effect has added, else the joint.
+            Without any such joint they are `qpos` and `qvel` themselves.
+        act: of those actuators that have an activation (an integrating servo, a rotor), in `data.act`.
+    """
+
+    qpos: NDArray[np.int_]
+    qvel: NDArray[np.int_]
+    motor_qpos: NDArray[np.int_]
+    motor_qvel: NDArray[np.int_]
+    ctrl: NDArray[np.int_] | slice
+    act: NDArray[np.int_]
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, joints: Sequence[str], actuators: Sequence[str], prefix: str) -> StateIndices:
+        """The indices of the robot under a prefix (`robot/`, `leader/`)."""
+        # By name, not by number: attached models are renumbered, and a joint's number is not its place in qpos once a free joint,
+        # which takes seven places, comes before it.
+        found = [model.joint(prefix + name) for name in joints]
+        numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
+        activations = model.actuator_actadr[numbers]
+        qpos, qvel = (np.array(at, dtype=int) for at in ([j.qposadr[0] for j in found], [j.dofadr[0] for j in found]))
+        motor_qpos, motor_qvel = qpos, qvel
+        named = {model.joint(i).name for i in range(model.njnt)}
+        parted = [f"{prefix}{MOTOR}{name}" in named for name in joints]
+        if any(parted):
+            names = [f"{prefix}{MOTOR if apart else ''}{name}" for name, apart in zip(joints, parted, strict=True)]
+            motors = [model.joint(name) for name in names]
+            motor_qpos, motor_qvel = (np.array(at, dtype=int) for at in ([j.qposadr[0] for j in motors], [j.dofadr[0] for j in motors]))
+        return cls(
+            qpos=qpos,
+            qvel=qvel,
+            motor_qpos=motor_qpos,
+            motor_qvel=motor_qvel,
+            ctrl=_slice_of(model.actuator_ctrladr[numbers]),
+            act=activations[activations >= 0],  # MuJoCo's -1: an actuator without one
+        )
+
+
+def _slice_of(indices: NDArray[np.int_]) -> NDArray[np.int_] | slice:
+    """The slice of indices that follow each other, else the indices themselves."""
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
+
+
+@dataclass
+class RobotModel:
+    """A robot while its scene is composed, before it is attached to it.
+
+    Attributes:
+        spec: its own model, in which names have no prefix. scene: the scene, with the geom `floor`.
+        compiled: its file's model compiled without effects, in which all orientations are quaternions.
+        actuators: names of those that the robot uses. flange: the body that carries the camera.
+        T_body_flange: pose of the flange in it (4, 4); an effect may replace it.
+        carried: the share of a body's weight that the drives' gravity compensation carries [1].
+        assets: files in memory that an effect adds to the scene, by their paths.
+    """
+
+    spec: mujoco.MjSpec
+    scene: mujoco.MjSpec
+    compiled: Callable[[], mujoco.MjModel]
+    actuators: tuple[str, ...]
+    flange: mujoco.MjsBody
+    T_body_flange: Array
+    carried: float
+    assets: dict[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobotBody:
+    """A robot in the running scene, where all its names have the prefix `robot/`. It is the truth: an effect is no part of the controller.
+
+    Attributes:
+        model, data: MuJoCo's. at: where its joints and actuators are. step_s: of the physics [s].
+        joints, actuators: names without the prefix.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    at: StateIndices
+    step_s: float
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
+
+
+class Actor:
+    """What an effect does while a run lasts. The plant calls those methods that a subclass has of its own.
+
+    Attributes:
+        with_controller: `act` is called once a period of the robot's onboard controller, before it, and not before each physics step.
+    """
+
+    with_controller: ClassVar[bool] = False
+
+    def start(self) -> None:
+        """The robot is at its start, in equilibrium."""
+
+    def act(self, t: float, dt: float) -> None:
+        """Apply forces for the next dt [s] from the time t [s] on; also while vehicles settle on their springs before the start."""
+
+    def driven(self, orders: Sequence[float], dt: float) -> Sequence[float]:
+        """What reaches the actuators (nu,) of an onboard controller's orders (nu,), for its next period of dt [s]."""
+        return orders
+
+    def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
+        """What the robot's sensors meet: the perfect readings by name, with what the effect adds to them. Once an instant."""
+        return sensors
+
+    def row(self) -> Sequence[float]:
+        """Values of the effect's columns at the present instant."""
+        return ()
+
+
+class Remedy(NamedTuple):
+    """What would work where a robot's motors cannot hold it at its start: the field, in words what to give there, its present value."""
+
+    field: str
+    words: str
+    value: float
+
+
+class Effect(Protocol):
+    """An imperfection of a robot's body or its drives; `EffectBase` has defaults for everything, which do nothing.
+
+    Attributes:
+        columns: of the log, with the values of `Actor.row`.
+        uneven: the robot stands as the ground tilts it, which is no plane.
+    """
+
+    columns: ClassVar[tuple[str, ...]]
+    uneven: ClassVar[bool]
+
+    def edit(self, robot: RobotModel) -> None:
+        """Change the robot's model when the scene is composed. ParameterError where its file does not allow it."""
+        ...
+
+    def settle(self, body: RobotBody, load: Array) -> None:
+        """Put what it has added into equilibrium, under what gravity asks of each degree of freedom, load (nv,) [Nm, N].
+
+        It may change the load: the servos start with it.
+        """
+        ...
+
+    def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
+        """What it does in one run; None where nothing. rng: a stream of its own."""
+        ...
+
+    def springs(self, load: Array) -> tuple[Array, Array] | None:
+        """Stiffness and damping (n,) between each motor and its joint, for small motions about a load (n,) [Nm]; None without springs."""
+        ...
+
+    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy | None:
+        """What would work where the weight (n,) is more than each joint holds (n,) [Nm, N]; None where it does not add to the weight."""
+        ...
+
+
+class EffectBase:
+    """An effect that does nothing."""
+
+    columns: ClassVar[tuple[str, ...]] = ()
+    uneven: ClassVar[bool] = False
+
+    def edit(self, robot: RobotModel) -> None:
+        """Nothing."""
+
+    def settle(self, body: RobotBody, load: Array) -> None:
+        """Nothing."""
+
+    def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
+        """None."""
+        return None
+
+    def springs(self, load: Array) -> tuple[Array, Array] | None:
+        """None."""
+        return None
+
+    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy | None:
+        """None."""
+        return None
+
+
+EFFECTS = OneOf("effect", contract=Contract(Effect, EffectBase))
+"""Kinds of further effects of a robot, in its list `effects`; those of the package are blocks of the robots that have them."""
+Further = Annotated[tuple[Annotated[Effect, EFFECTS], ...], Len(0, 20)]

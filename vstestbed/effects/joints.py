@@ -1,0 +1,407 @@
+"""What the drives of an arm's joints lack of ideal ones: stiff gears without play, smooth torque, exact encoders, torque at once."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from annotated_types import Ge, Le, Len
+from numpy.typing import NDArray
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import Frequency, OneForAll, PositiveTime
+from vstestbed.core.spec import spec
+from vstestbed.effects.base import MOTOR, Actor, EffectBase, RobotBody, RobotModel
+
+if TYPE_CHECKING:
+    import mujoco
+
+Springs = Annotated[tuple[Annotated[float, Ge(0), Le(1e9)], ...], Len(0, 7), OneForAll()]
+Torques = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
+SmallAngles = Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()]
+Cycles = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
+Counts = Annotated[tuple[Annotated[int, Ge(0), Le(2**31)], ...], Len(1, 7), OneForAll()]
+MilliSeconds = Annotated[float, Ge(0), Le(0.1)]
+
+
+def each(field: str, given: Sequence[float], slides: NDArray[np.bool_], turns: bool = True) -> Array:
+    """A value for each joint (n,): one that is given alone holds for all hinges, and of an angle (`turns`) not for joints that slide.
+
+    Raises:
+        ParameterError: another number of values, or an angle for a joint that slides.
+    """
+    n = len(slides)
+    if len(given) not in (1, n):
+        raise ParameterError(field, f"must be one value for all joints, or {n}, one for each", list(given))
+    values = np.resize(np.array(given, dtype=float), n)
+    if not turns:
+        return values
+    if len(given) == n and values[slides].any():
+        raise ParameterError(field, "must be 0 for a joint that slides", list(given))
+    return np.where(slides, 0.0, values)
+
+
+@spec
+class Gears:
+    """Elastic gears with play: a joint is two masses, the rotor of its motor and the link, with a spring and a damper between them.
+
+    J theta'' = tau - f,  M(q) q'' + ... = f,  f = k s + c (theta' - q'),  s = theta - q beyond the play: 0 within +-b/2, with
+    the rotor's inertia J (the armature of the file, times the squared gear ratio), its angle theta on the joint's side, and
+    c = k damping_s. Motor, its friction, servo and encoder are on the rotor's side, as in industrial arms; the camera is behind the
+    spring. A link alone, of inertia M, vibrates at sqrt(k/M) before a rotor that stands and at sqrt(k (1/J + 1/M)) before a free one,
+    with the damping ratio w damping_s / 2 at w. The damping acts within the play, too, as that of the lubricant.
+
+    The stiffness of `strain_wave` grows with the torque, in stages: k is its first one, and s bends at the stages' ends.
+
+    Reference: Spong 1987, Modeling and control of elastic joint robots, doi:10.1115/1.3143860.
+
+    Args:
+        stiffness_nmprad: stiffness k of each joint, one for all or one for each; 0: rigid (N/m where the joint slides); default: that of
+            `robot.strain_wave` [Nm/rad]; e.g. `[25000, 25000, 10000, 0, 0, 0]`.
+        damping_s: c / k of all joints [s].
+        backlash_deg: b, the whole play of each joint, as its link moves before a rotor that stands, one for all or one for each [deg].
+    """
+
+    stiffness_nmprad: Springs = ()
+    damping_s: MilliSeconds = 0.0005
+    backlash_deg: SmallAngles = (0.0,)
+
+    def play(self, k: Array, slides: NDArray[np.bool_]) -> Array:
+        """Play (n,) [rad] of joints of stiffness k (n,), of which some slide; one that is given alone holds for the elastic ones.
+
+        Raises:
+            ParameterError: another number of values, or play in a rigid joint.
+        """
+        play = np.radians(each("gears.backlash_deg", self.backlash_deg, slides))
+        if len(self.backlash_deg) > 1 and play[k == 0].any():
+            words = "must be 0 for a rigid joint; works: a stiffness for it in gears.stiffness_nmprad"
+            raise ParameterError("gears.backlash_deg", words, list(self.backlash_deg))
+        return np.where(k > 0, play, 0.0)
+
+
+@spec
+class Ripple:
+    """Cogging of the motors, a torque that depends on the rotor's angle theta alone, and the ripple of the torque that they give.
+
+    tau = (1 + share sin(cycles theta)) tau_servo + cogging_nm sin(cycles theta), all on the joint's side of the gears.
+
+    Reference: Jahns & Soong 1996, Pulsating torque minimization techniques for permanent magnet AC motor drives,
+    doi:10.1109/41.491356.
+
+    Args:
+        cogging_nm: amplitude of the cogging torque of each joint, one for all or one for each [Nm]; e.g. `0.5`.
+        share: ripple of the torque as a share of it [1].
+        cycles: cycles in a turn of the joint: those in a turn of the motor times the gear ratio, one for all or one for each [1].
+    """
+
+    cogging_nm: Torques = (0.0,)
+    share: Annotated[float, Ge(0), Le(0.5)] = 0.0
+    cycles: Cycles = (600.0,)
+
+
+@spec
+class Encoders:
+    """What the encoders read: the angle in whole counts, with the error of a graduation that is not centred on its shaft.
+
+    q = c round(p / c),  p = theta + e sin(turns theta),  c = 2 pi / counts;  q' = c round(p' window_s / c) / window_s: the counts of a
+    window, as counters measure speed. e [rad] is the eccentricity over the graduation's radius, divided by `turns`. The servos have
+    the angle without these errors. Joints that slide are read exactly.
+
+    The kinematic error of a strain wave gear between an encoder on the motor and the link has the same form: twice in a turn of the
+    motor, so that `turns` is twice the ratio (Tuttle & Seering 1996, doi:10.1109/70.499819), with half of the catalogue's positioning
+    accuracy as e.
+
+    Args:
+        counts: in a turn of the joint, those in a turn of the encoder times `turns`, one for all or one for each; 0: no steps [1].
+        eccentricity_deg: e, amplitude of the error on the joint's side, one for all or one for each [deg].
+        turns: of the encoder in a turn of the joint: 1 on the joint, the gear ratio on the motor; one for all or one for each [1].
+        window_s: in which counts are a speed [s].
+    """
+
+    counts: Counts = (0,)
+    eccentricity_deg: SmallAngles = (0.0,)
+    turns: Cycles = (1.0,)
+    window_s: PositiveTime = 0.01
+
+    def read(self, q: Array, qd: Array, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Measured positions and velocities (n,) each of joints at q, qd (n,) [rad, rad/s]."""
+        e, N = np.radians(each("encoders.eccentricity_deg", self.eccentricity_deg, slides)), each("encoders.turns", self.turns, slides)
+        p, pd = q + e * np.sin(N * q), qd * (1 + e * N * np.cos(N * q))
+        counts = each("encoders.counts", self.counts, slides)
+        step = 2 * np.pi / np.where(counts > 0, counts, 1.0)
+        speed_step = step / self.window_s
+        return np.where(counts > 0, step * np.round(p / step), p), np.where(counts > 0, speed_step * np.round(pd / speed_step), pd)
+
+
+@spec
+class CurrentLoops:
+    """Current loops: the motor's torque follows the servo's with a lag of the first order and a delay.
+
+    tau' = (u(t - delay_s) - tau) 2 pi bandwidth_hz, with the servo's torque u within its limits. The servo then is a sampled one, at
+    the physics step, of 1 ms at most. Its velocity loop has a crossover at kv over the rotor's inertia; where lag, delay and sampling
+    take its phase margin, it oscillates.
+
+    Args:
+        bandwidth_hz: at which the torque has fallen by 3 dB [Hz].
+        delay_s: between the servo's torque and the motor's, in whole physics steps [s].
+    """
+
+    bandwidth_hz: Frequency = 500.0
+    delay_s: MilliSeconds = 0.0
+
+
+# Elastic gears in an arm's model: a rotor beside each elastic joint, and a spring with play and damping between the two.
+
+
+NO_LOAD = 1e-6
+"""Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
+ROTOR_KG, ROTOR_KGM2 = 1e-6, 1e-9
+"""Mass and inertia of the rotor's body, which MuJoCo asks for. The rotor's true inertia is the armature of its hinge: it counts for its own
+turning alone. As the inertia of a body the squared gear ratio would be in it for all joints before it, too, where the motor's rotor counts
+as it is (Spong 1987, assumption 2, doi:10.1115/1.3143860)."""
+
+
+def _add_spring(model: mujoco.MjSpec, name: str, prefix: str, free: float, stiffness: float, damping: float = 0.0) -> None:
+    """A spring between the rotor of a joint and its link, which acts where they differ by more than `free` [rad]."""
+    spring = model.add_tendon(name=f"{prefix}{name}", springlength=[-free, free])
+    spring.stiffness[0], spring.damping[0] = stiffness, damping
+    spring.wrap_joint(f"{MOTOR}{name}", 1.0)
+    spring.wrap_joint(name, -1.0)
+
+
+def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
+    """The rotor of a joint, turning about the joint's own axis on the same parent."""
+    import mujoco
+
+    link = model.joint(name)
+    body = link.parent.parent.add_body(name=f"{MOTOR}{name}", pos=link.parent.pos, quat=link.parent.quat, mass=ROTOR_KG)
+    body.inertia, body.explicitinertial = [ROTOR_KGM2] * 3, True
+    body.ipos = link.pos  # on the axis: its weight turns nothing
+    _copy_orientation(link.parent, body)
+    rotor = body.add_joint(name=f"{MOTOR}{name}", type=link.type, pos=link.pos, axis=link.axis, armature=link.armature)
+    rotor.damping, rotor.frictionloss = link.damping, link.frictionloss
+    rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
+    rotor.actfrclimited, rotor.actfrcrange = link.actfrclimited, link.actfrcrange
+    rotor.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+    link.armature, link.frictionloss, link.damping = 0.0, 0.0, [0.0] * len(link.damping)
+    link.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    for actuator in model.actuators:
+        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == name:
+            actuator.target = rotor.name
+
+
+def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
+    """A body's orientation as its file writes it: as a quaternion, as Euler angles, ..."""
+    for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
+        setattr(body.alt, field, getattr(source.alt, field))
+
+
+# Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticJoints(EffectBase):
+    """`Gears` of an arm of n joints in plain numbers.
+
+    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that
+    grows is a tendon more, whose rest lengths reach to the stage's beginning. Armature, friction, torque limit and actuators of an elastic
+    joint go to the side of its rotor, the joint `rotor_<joint>`.
+
+    Attributes:
+        joints: names in the file.
+        stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.
+        stages: (n, m, 2), beyond which torsion the stiffness of a gear grows by how much [rad, Nm/rad]; in the order of the torsion.
+        rotors: inertia of the motors' rotors on the joint's side (n,) [kg m^2]; None: as the file has it.
+    """
+
+    joints: tuple[str, ...]
+    stiffness: Array
+    damping: Array
+    play: Array
+    stages: Array | None = None
+    rotors: Array | None = None
+
+    def edit(self, robot: RobotModel) -> None:
+        """Divide each elastic joint into rotor and link, with a spring between the two."""
+        model = robot.spec
+        for i, name in enumerate(self.joints):
+            if self.rotors is not None:
+                model.joint(name).armature = self.rotors[i]
+            if self.stiffness[i] > 0:
+                _add_rotor(model, name)
+                play = self.play[i] / 2
+                _add_spring(model, name, "gear_", play, self.stiffness[i], self.damping[i])
+                for j, (torsion, more) in enumerate([] if self.stages is None else self.stages[i].tolist(), start=2):
+                    _add_spring(model, name, f"gear_{j}_", play + torsion, more)
+
+    def settle(self, body: RobotBody, load: Array) -> None:
+        """Wind the gears up by the load, which then is the rotors'."""
+        soft, at = self.stiffness > 0, body.at
+        if not soft.any():
+            return
+        asked = load[at.qvel][soft]
+        play = np.where(np.abs(asked) > NO_LOAD, np.sign(asked) * self.play[soft] / 2, 0.0)
+        body.data.qpos[at.motor_qpos[soft]] += self.torsion(load[at.qvel])[soft] + play
+        load[at.motor_qvel] = load[at.qvel]
+
+    def springs(self, load: Array) -> tuple[Array, Array] | None:
+        """The gears' own."""
+        return (self._under(load)[1], self.damping) if self.stiffness.any() else None
+
+    @property
+    def stiffest(self) -> Array:
+        """Stiffness of the gears under a large torque (n,) [Nm/rad]."""
+        return self.stiffness if self.stages is None else self.stiffness + self.stages[:, :, 1].sum(axis=1)
+
+    def torsion(self, torque: Array) -> Array:
+        """Torsion of the gears (n,) [rad] under a torque (n,) [Nm], beyond their play; 0 where they are rigid."""
+        return self._under(torque)[0]
+
+    def _under(self, torque: Array) -> tuple[Array, Array]:
+        k, left = self.stiffness.copy(), np.abs(torque)
+        at, torsion = np.zeros(len(k)), np.zeros(len(k))
+        for stage in () if self.stages is None else self.stages.transpose(1, 2, 0):
+            held = k * (stage[0] - at)  # the torque at which this stage begins, beyond that of the former one
+            beyond = (left > held) & (stage[1] > 0)
+            torsion, left = torsion + np.where(beyond, stage[0] - at, 0.0), left - np.where(beyond, held, 0.0)
+            at, k = np.where(beyond, stage[0], at), k + np.where(beyond, stage[1], 0.0)
+        rest = np.divide(left, k, out=np.zeros(len(k)), where=k > 0)
+        return np.sign(torque) * (torsion + rest), k
+
+
+FINEST = 0.5
+"""Largest w h of an eigenfrequency w at a physics step h. The spring's force is that of the beginning of a step: the vibration then is
+(w h)^2 / 24 too quick, 1 % here, and it grows from w h = 2 on."""
+
+
+def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
+    """The highest eigenfrequency of the two-mass joints, servos off [rad/s], and the joint that moves most in it; (0, 0) if all are rigid.
+
+    det([[K, -K], [-K, K]] - w^2 [[M, 0], [0, J]]) = 0; a rigid joint's rotor is part of its link.
+
+    Args:
+        M: inertia of the links (n, n). rotors: J, (n,). stiffness: diagonal of K, (n,), 0 for a rigid joint.
+    """
+    soft = np.flatnonzero(stiffness > 0)
+    if not len(soft):
+        return 0.0, 0
+    n, k = len(stiffness), stiffness[soft]
+    mass, spring = np.zeros((n + len(soft),) * 2), np.zeros((n + len(soft),) * 2)
+    mass[:n, :n] = M + np.diag(np.where(stiffness > 0, 0.0, rotors))
+    mass[n:, n:] = np.diag(rotors[soft])
+    at = n + np.arange(len(soft))
+    spring[soft, soft], spring[at, at] = k, k
+    spring[soft, at], spring[at, soft] = -k, -k
+    L_inverse = np.linalg.inv(np.linalg.cholesky(mass))
+    w2, modes = np.linalg.eigh(L_inverse @ spring @ L_inverse.T)
+    mode = L_inverse.T @ modes[:, -1]
+    return math.sqrt(max(float(w2[-1]), 0.0)), int(soft[np.argmax(np.abs(mode[soft] - mode[at]))])
+
+
+# Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
+
+
+DRIVES_STEP_S = 0.001
+"""Largest physics step with current loops, which sample the servo at it [s]: half a millisecond on average beside a lag of as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motors(EffectBase):
+    """`Ripple` and `CurrentLoops` of an arm of n joints in plain numbers.
+
+    Attributes:
+        cogging, cycles: amplitude of the cogging torque and cycles in a turn of the joint (n,) [Nm, 1]. ripple: of the torque [1].
+        loops: the current loops; None: the torque follows at once.
+    """
+
+    cogging: Array
+    cycles: Array
+    ripple: float
+    loops: CurrentLoops | None
+
+    def edit(self, robot: RobotModel) -> None:
+        """With current loops MuJoCo's servos are left without force; integrals of commands and gains stay where they are."""
+        import mujoco
+
+        if self.loops is not None:
+            for actuator in robot.spec.actuators:
+                if actuator.name in robot.actuators:
+                    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+                    actuator.gainprm[0] = 0.0
+
+    def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
+        """The motors' torques."""
+        return MotorTorques(body, self) if self.loops is not None or self.ripple > 0 or self.cogging.any() else None
+
+
+class MotorTorques(Actor):
+    """Applies the torques of an arm's motors to its rotors, where they are not simply MuJoCo's servos.
+
+    Ripple and cogging are added to MuJoCo's torque of the step before. With current loops MuJoCo's servos are out of force, but for the
+    integrals of their commands: u = kp (act - theta) + kv (v - theta') within the limits, where v is the command of a servo without
+    integral, delayed by whole steps and smoothed by the lag; over a step h of constant u the mean torque is
+    u + (tau - u) (1 - exp(-h / T)) T / h with T = 1 / (2 pi bandwidth).
+    """
+
+    def __init__(self, body: RobotBody, motors: Motors):
+        import mujoco
+
+        model, at = body.model, body.at
+        self._data, self._motors, self._qpos, self._qvel = body.data, motors, at.motor_qpos, at.motor_qvel
+        self._actuators = np.array([model.actuator(f"robot/{name}").id for name in body.actuators])
+        self._ctrl = model.actuator_ctrladr[self._actuators]
+        self._kp, self._kv = -model.actuator_biasprm[self._actuators, 1], -model.actuator_biasprm[self._actuators, 2]
+        self._integrates = model.actuator_dyntype[self._actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        self._act = np.where(self._integrates, model.actuator_actadr[self._actuators], 0)
+        self._most = _limits(model, self._actuators)
+        self._ripples = motors.ripple > 0 or bool(motors.cogging.any())
+        if motors.loops is not None:
+            h = body.step_s
+            T = 1 / (2 * math.pi * motors.loops.bandwidth_hz)
+            self._left = math.exp(-h / T)
+            self._mean = (1 - self._left) * T / h
+            self._delay = round(motors.loops.delay_s / h)
+
+    def start(self) -> None:
+        """The motors have the torques of the equilibrium."""
+        if self._motors.loops is not None:
+            self._tau = self._servos()
+            self._late = deque([self._tau] * self._delay)
+
+    def act(self, t: float, dt: float) -> None:
+        """Apply the torques of the coming physics step."""
+        m = self._motors
+        tau = self._smoothed() if m.loops is not None else 0.0
+        if self._ripples:
+            wave = np.sin(m.cycles * self._data.qpos[self._qpos])
+            given = tau if m.loops is not None else self._data.actuator_force[self._actuators]
+            tau = tau + (m.ripple * given + m.cogging) * wave
+        self._data.qfrc_applied[self._qvel] = tau
+
+    def _servos(self) -> Array:
+        """The servos' torques now, within their limits (n,)."""
+        data, kv = self._data, self._kv
+        at, speed = data.qpos[self._qpos], data.qvel[self._qvel]
+        held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
+        u = np.where(self._integrates, held - kv * speed, kv * (data.ctrl[self._ctrl] - speed))
+        return np.clip(u, -self._most, self._most)
+
+    def _smoothed(self) -> Array:
+        """The motors' mean torques over the coming step (n,)."""
+        self._late.append(self._servos())
+        u = self._late.popleft()
+        mean = u + (self._tau - u) * self._mean
+        self._tau = u + (self._tau - u) * self._left
+        return mean
+
+
+def _limits(model: mujoco.MjModel, actuators: Array) -> Array:
+    """Largest torque of each actuator (n,): its own, and its joint's [Nm]."""
+    joints = model.actuator_trnid[actuators, 0]
+    own = np.where(model.actuator_forcelimited[actuators].astype(bool), model.actuator_forcerange[actuators, 1], np.inf)
+    return np.minimum(own, np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf))

@@ -1,0 +1,171 @@
+"""An arm's true links in its model: displaced where its geometry is wrong, with the load at its flange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Le, Len
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
+from vstestbed.core.quantity import Mass, Position, PositiveLength
+from vstestbed.core.spec import spec
+from vstestbed.effects.base import EffectBase, Remedy, RobotBody, RobotModel
+
+# What an arm does not know of its own body: errors of its geometry, and a load at its flange.
+
+
+PAYLOAD = "payload"
+Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
+
+
+@spec
+class GeometryError:
+    """The true geometry of the arm differs from the one that it computes with: the next joint, or the flange, is displaced on its link.
+
+    T_i = A_i(q_i) D_i, with the nominal motion A_i of joint i and the displacement D_i in the frame of its link (of the Puma, standard
+    Denavit-Hartenberg frame i: errors of a and alpha are those along and about x, those of d and theta along and about z of frame
+    i - 1, D_i = A_i(0)^-1 Tz(dd) Rz(dtheta) A_i(0)). To first order the flange's twist error is sum Ad(T_i,flange^-1) d_i, with
+    T_i,flange from behind link i's displacement to the flange.
+
+    Reference: Hayati & Mirmirani 1985, Improving the absolute positioning accuracy of robot manipulators, Journal of Robotic
+    Systems 2(4), 397-413.
+
+    Args:
+        sigma_m: standard deviation of each link's displacement along each of its axes [m]; drawn with the scenario's seed.
+        sigma_deg: the same about each axis [deg].
+        offsets: the displacement of each link, x, y, z and roll, pitch, yaw, where it is not drawn; e.g.
+            `[{xyz: [0.001, 0, 0]}, {}, {}, {}, {}, {rpy_deg: [0, 0, 0.1]}]`.
+        drawn_offsets: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out.
+    """
+
+    sigma_m: Annotated[float, Ge(0), Le(0.1)] = 0.0
+    sigma_deg: Annotated[float, Ge(0), Le(10)] = 0.0
+    offsets: Offsets = ()
+    drawn_offsets: Offsets = ()
+
+    def __post_init__(self) -> None:
+        """Refuse offsets that are listed and drawn."""
+        if self.draws and self.offsets:
+            words = "must be empty with sigma_m or sigma_deg > 0, which draw them, also those of a preset; works: both 0 beside the list"
+            raise ParameterError("offsets", words)
+
+    @property
+    def draws(self) -> bool:
+        """Whether displacements are drawn."""
+        return self.sigma_m > 0 or self.sigma_deg > 0
+
+    def drawn(self, n: int, rng: np.random.Generator) -> GeometryError:
+        """The same with displacements of n links drawn from `rng`; without drawn ones where both sigmas are 0."""
+        if not self.draws:
+            return self if not self.drawn_offsets else replace(self, drawn_offsets=())
+        xyz, rpy = (np.round(scale * rng.standard_normal((n, 3)), 9).tolist() for scale in (self.sigma_m, self.sigma_deg))
+        return replace(self, drawn_offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
+
+    def displacements(self, n: int) -> Array | None:
+        """D_i (n, 4, 4); None without any.
+
+        Raises:
+            ParameterError: another number of links.
+        """
+        offsets = self.offsets or self.drawn_offsets
+        if not offsets:
+            return None
+        if len(offsets) != n:
+            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(offsets))
+        return np.array([pose.T for pose in offsets])
+
+
+@dataclass(frozen=True, eq=False)
+class DisplacedLinks(EffectBase):
+    """`GeometryError` of an arm in plain numbers.
+
+    Attributes:
+        joints: names in the file. D: displacement of the next joint, or the flange, in the frame of each link (n, 4, 4).
+    """
+
+    joints: tuple[str, ...]
+    D: Array
+
+    def edit(self, robot: RobotModel) -> None:
+        """Displace the body of each joint but the first by D of the link before it, in the frame of that link, and the flange.
+
+        Raises:
+            ParameterError: the file has a joint whose place cannot be changed alone.
+        """
+        import mujoco
+
+        compiled = robot.compiled()
+        for name, D in zip(self.joints[1:], self.D[:-1], strict=True):
+            body = robot.spec.joint(name).parent
+            if len(body.joints) > 1 or body.frame is not None:
+                where = "shares its body with another joint" if len(body.joints) > 1 else "is inside a <frame>"
+                words = f"cannot displace {name}, which {where} in the file; works: a body for each joint"
+                raise ParameterError("robot.geometry_error", words)
+            number = compiled.jnt_bodyid[compiled.joint(name).id]
+            R = np.zeros(9)
+            mujoco.mju_quat2Mat(R, compiled.body_quat[number])
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.body_pos[number]
+            T = D @ T
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+            body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
+        robot.T_body_flange = self.D[-1] @ robot.T_body_flange
+
+
+@spec
+class Payload(EffectBase):
+    """A load at the flange: a cube of uniform density that touches nothing.
+
+    A start at which the weight asks more of a joint than its motor and friction hold is refused.
+
+    Args:
+        mass_kg: its mass [kg]; e.g. `1.5`.
+        com_m: its centre in the flange's frame [m].
+        edge_m: length of its edges [m]; its moments of inertia are mass_kg edge_m^2 / 6.
+        declared: whether the gravity compensation of the drives, where they have one, carries it.
+    """
+
+    mass_kg: Mass
+    com_m: Position = (0.0, 0.0, 0.1)
+    edge_m: PositiveLength = 0.1
+    declared: bool = True
+
+    def edit(self, robot: RobotModel) -> None:
+        """A body without geoms at the flange."""
+        T = robot.T_body_flange
+        at = T[:3, :3] @ np.array(self.com_m) + T[:3, 3]
+        body = robot.flange.add_body(name=PAYLOAD, pos=at, quat=quaternion_wxyz(T[:3, :3]), mass=self.mass_kg)
+        body.inertia, body.explicitinertial = [self.mass_kg * self.edge_m**2 / 6] * 3, True
+        body.ipos = np.zeros(3)
+        body.gravcomp = robot.carried if self.declared else 0.0
+
+    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy:
+        """The largest payload that the motors hold there."""
+        import mujoco
+
+        # What a kilogram asks of each joint: -J^T g, with the Jacobian J of its centre.
+        model, J = body.model, np.zeros((3, body.model.nv))
+        mujoco.mj_jacBodyCom(model, body.data, J, None, model.body(f"robot/{PAYLOAD}").id)
+        a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
+        most = _most_kg(weight, weight - self.mass_kg * a_kilogram, holds, self.mass_kg)
+        words = f"at most {_down(most):g} kg here" if most > 0 else "another start, for it falls without a payload, too"
+        return Remedy("robot.payload.mass_kg", words, self.mass_kg)
+
+
+def _most_kg(weight: Array, without: Array, holds: Array, mass_kg: float) -> float:
+    """The largest payload m for which |without + (weight - without) m / mass_kg| <= holds in every joint; 0 where none is held."""
+    if (np.abs(without) > holds).any():
+        return 0.0
+    each = (weight - without) / mass_kg
+    with np.errstate(divide="ignore", invalid="ignore"):
+        most = (holds - np.sign(each) * without) / np.abs(each)
+    return float(np.nanmin(np.where(each == 0, np.inf, most)))
+
+
+def _down(value: float) -> float:
+    """A number under the value, of three digits: one that was rounded up would be too much."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
+    return float(f"{np.floor(value / unit) * unit:.3g}")

@@ -1,1 +1,0 @@
-"""Basins of attraction: the starts from which a law reaches its goal, computed for thousands of runs at once."""

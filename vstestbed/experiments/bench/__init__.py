@@ -1,1 +1,0 @@
-"""Speed: of a scenario against its floor, of the ideal loop, and of all that a user waits for."""

@@ -1,0 +1,190 @@
+"""How a camera's pictures are compressed on their way to the computer."""
+
+from __future__ import annotations
+
+from abc import ABC
+from typing import Annotated, Any, ClassVar, Literal, Protocol
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.geometry import Image
+from vstestbed.core.spec import OneOf, spec
+
+
+@spec
+class VideoStream(ABC):
+    """A lossy stream. Its delay is part of `camera.latency_s`; no packet is lost.
+
+    Colours of half the size (4:2:0) make the borders of a coloured marker a pixel's stairs, of which the detector `blobs` rejects small
+    markers: their shape is no ellipse, or their area not as predicted (`detector.area_tolerance`). Brightness, and with it the corners of
+    `tags`, is not affected.
+
+    Args:
+        colours: size of the two pictures of colour, `half` of the picture's in both directions (4:2:0) or `full` (4:4:4).
+    """
+
+    kind: Any
+    colours: Literal["half", "full"] = "half"
+    pairs: ClassVar[bool] = False
+    """Whether width and height must be even where colours have half the size."""
+
+    def check(self, width: int, height: int) -> None:
+        """Refuse a size [px] that it cannot have.
+
+        Raises:
+            ParameterError: with one that it can.
+        """
+        if self.pairs and self.colours == "half" and (width % 2 or height % 2):
+            field, size = ("width", width) if width % 2 else ("height", height)
+            raise ParameterError(field, f"must be even for stream {self.kind} with colours: half", size)
+
+
+@spec
+class JpegStream(VideoStream):
+    """Motion JPEG: each picture by itself, as USB cameras send it. Blocks of 8 x 8 px.
+
+    Cost of a picture of 640 x 480: 3 ms.
+
+    Args:
+        quality: of the IJG's encoder, 1 to 100 [1].
+    """
+
+    kind: Literal["jpeg"] = "jpeg"
+    quality: Annotated[int, Ge(1), Le(100)] = 80
+
+
+@spec
+class H264Stream(VideoStream):
+    """H.264 as network cameras send it, by x264 without pictures that wait for later ones: what is lost depends on what moves.
+
+    Every `group`th picture is coded by itself, the others as differences from the one before; after a picture of its own a still
+    scene may pulse. Cost of a picture of 640 x 480: 7 ms.
+
+    Args:
+        crf: constant rate factor, 0 to 51: the higher, the coarser; default 23 [1]; e.g. `30`.
+        bitrate_kbps: instead of crf, the average bit rate, which coarsens what moves fast [kbit/s]; e.g. `1000`.
+        group: pictures from one that is coded by itself to the next [1].
+    """
+
+    kind: Literal["h264"] = "h264"
+    crf: Annotated[int, Ge(0), Le(51)] | None = None
+    bitrate_kbps: Annotated[float, Ge(10), Le(1e6)] | None = None
+    group: Annotated[int, Ge(1), Le(10_000)] = 25
+    pairs: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse two measures of quality; without any the rate factor is 23, x264's own."""
+        if self.crf is not None and self.bitrate_kbps is not None:
+            raise ParameterError(
+                "bitrate_kbps", "must be left out where crf is given, for each of them sets the quality; give one", self.bitrate_kbps
+            )
+        if self.crf is None and self.bitrate_kbps is None:
+            object.__setattr__(self, "crf", 23)  # so that the scenario as run states it
+
+
+STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})
+
+
+# Lossy round trips of pictures: what the computer has of a camera's stream.
+
+
+BUFFER_S = 0.5
+"""How far the average bit rate may be exceeded: the encoder's buffer [s]."""
+
+
+class RoundTrip(Protocol):
+    """An encoder and its decoder."""
+
+    def of(self, image: Image) -> Image:
+        """The next picture (H, W, 3) uint8 RGB, coded and decoded."""
+        ...
+
+
+class Unchanged:
+    """No compression."""
+
+    def of(self, image: Image) -> Image:
+        """The same object."""
+        return image
+
+
+class JpegTrip:
+    """JPEG, each picture by itself."""
+
+    def __init__(self, stream: JpegStream):
+        import cv2
+
+        factors = {"half": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, "full": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444}
+        self._options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factors[stream.colours]]
+
+    def of(self, image: Image) -> Image:
+        """Coded and decoded."""
+        import cv2
+
+        _, packet = cv2.imencode(".jpg", image[..., ::-1], self._options)
+        return np.ascontiguousarray(np.asarray(cv2.imdecode(packet, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
+
+
+class H264Trip:
+    """H.264: the encoder remembers the pictures before.
+
+    Args:
+        stream: its settings. rate_hz: pictures per second, for the bit rate.
+
+    Raises:
+        EnvironmentLackError: PyAV has no x264 here.
+    """
+
+    def __init__(self, stream: H264Stream, rate_hz: float):
+        self._stream, self._rate_hz = stream, rate_hz
+        self._format = "yuv420p" if stream.colours == "half" else "yuv444p"
+        self._codecs = None
+
+    def of(self, image: Image) -> Image:
+        """Coded and decoded: a picture comes out for each that goes in."""
+        import av
+
+        if self._codecs is None:
+            self._codecs = self._opened(image.shape)
+        encoder, decoder = self._codecs
+        packets = encoder.encode(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=self._format))
+        frames = [frame for packet in packets for frame in decoder.decode(packet)]
+        return np.asarray(frames[-1].to_ndarray(format="rgb24"), np.uint8)
+
+    def _opened(self, shape: tuple[int, ...]):
+        """Encoder and decoder, each of one thread, so that the same pictures have the same bytes on every machine."""
+        from fractions import Fraction
+
+        import av
+        from av.codec.codec import UnknownCodecError
+
+        try:
+            encoder = av.VideoCodecContext.create("libx264", "w")
+        except UnknownCodecError as error:
+            raise EnvironmentLackError("PyAV has no x264 here, which camera.stream h264 needs", "use stream jpeg") from error
+        rate = Fraction(self._rate_hz).limit_denominator(1000)
+        encoder.height, encoder.width = shape[:2]
+        encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = self._format, rate, 1 / rate, 1
+        encoder.gop_size, encoder.options = self._stream.group, self._options()
+        decoder = av.VideoCodecContext.create("h264", "r")
+        decoder.thread_count = 1
+        decoder.flags |= av.codec.context.Flags.low_delay  # pyright: ignore[reportAttributeAccessIssue] - compiled
+        return encoder, decoder
+
+    def _options(self) -> dict[str, str]:
+        """Of x264: no pictures that wait for later ones."""
+        group = str(self._stream.group)
+        given = {"preset": "veryfast", "tune": "zerolatency", "keyint_min": group, "sc_threshold": "0"}
+        if self._stream.crf is not None:
+            return given | {"crf": str(self._stream.crf)}
+        bits = (self._stream.bitrate_kbps or 0.0) * 1000
+        return given | {"b": str(round(bits)), "maxrate": str(round(bits)), "bufsize": str(round(bits * BUFFER_S))}
+
+
+def round_trip(stream: VideoStream | None, rate_hz: float) -> RoundTrip:
+    """A new encoder and decoder of a stream; None: the pictures as they are."""
+    if isinstance(stream, JpegStream):
+        return JpegTrip(stream)
+    return H264Trip(stream, rate_hz) if isinstance(stream, H264Stream) else Unchanged()

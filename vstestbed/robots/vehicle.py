@@ -1,0 +1,223 @@
+"""Defaults of ground vehicles: start, planar motion, log.
+
+A vehicle's configuration is (x, y, heading), shape (..., 3), [m, m, rad]; its frame lies on the floor with x forward and z up.
+Its motion is u = (vx, vy, wz) of that frame in its own axes, shape (..., 3), [m/s, m/s, rad/s].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Self, TypeVar
+
+import numpy as np
+from annotated_types import Ge, Le
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
+from vstestbed.core.quantity import AngleWidth, Distance, Narrower, Time
+from vstestbed.core.spec import spec
+from vstestbed.effects.base import Effect
+from vstestbed.effects.floor import UnevenFloor
+from vstestbed.effects.wheels import WheelSpread
+from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor
+from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.realism import Realistic
+
+PLANE = np.zeros((6, 3))
+"""Selection matrix (6, 3): a planar motion (vx, vy, wz) as a body twist (v, w); its transpose projects a twist on the plane."""
+PLANE[[0, 1, 5], [0, 1, 2]] = 1.0
+
+
+@spec
+class GroundBox:
+    """The box round the nominal start from which random starts are drawn.
+
+    Args:
+        x, y: half widths along world axes [m].
+        heading_deg: half width in heading [deg].
+    """
+
+    x: Distance = 0.0
+    y: Distance = 0.0
+    heading_deg: Annotated[AngleWidth, Narrower(le=180)] = 0.0
+
+
+@spec
+class GroundStart:
+    """Where a vehicle starts: `nominal`, and the box round it from which `random` starts are drawn.
+
+    Args:
+        nominal: place and heading at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
+    """
+
+    nominal: GroundPose = GroundPose()
+    random: GroundBox | None = None
+    drawn_about: GroundPose | None = None
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
+        return self.nominal.place
+
+    def drawn(self, rng: np.random.Generator) -> GroundStart:
+        """A start whose nominal pose is drawn from the box, uniformly.
+
+        Raises:
+            ParameterError: there is no box.
+        """
+        at, box = self.nominal, self.random
+        if box is None:
+            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {x: .5, y: .5, heading_deg: 20}")
+        x, y, heading = (rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)).tolist()
+        return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
+
+    def at(self, place: Array) -> GroundStart:
+        """The same box round another nominal pose (x, y, heading), shape (3,) [m, m, rad]."""
+        x, y, heading = place.tolist()
+        return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=math.degrees(heading)), random=self.random)
+
+
+class Vehicle(RobotBase):
+    """Defaults of a vehicle: a planar base that starts on the floor, and the log of its dead reckoning."""
+
+    base: ClassVar[Base] = "planar"
+    start: GroundStart
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
+        return self.start.configuration()
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
+        return pose_on_ground(configuration)
+
+    def check_mount(self, xyz: tuple[float, ...]) -> None:
+        """The camera must be over the floor."""
+        if xyz[2] <= 0:
+            words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
+            raise ParameterError("camera.mount.xyz", words, xyz)
+
+    @property
+    def proprioception_names(self) -> tuple[str, ...]:
+        """Dead reckoning."""
+        return "odo_x", "odo_y", "odo_heading"
+
+    def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
+        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""
+        return np.zeros(3) if odometry is None else odometry
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """True place, estimated place, dead reckoning, slip, the supervisor's mode."""
+        return VehicleLog(supervisor, self.configuration())
+
+
+class VehicleLog(RobotLog):
+    """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
+
+    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead reckoning by encoders alone
+    from the true start; `slip_mps` and `slip_radps` are the rates at which odometry and truth diverge from frame to frame (wheels that
+    slide or turn on the spot, a wrong wheel radius).
+
+    Args:
+        supervisor: the vehicle's. start: the true start (x, y, heading), shape (3,) [m, m, rad].
+    """
+
+    columns = (
+        *(f"{name}_{part}" for name in ("base", "est", "odo") for part in ("x", "y", "heading")),
+        *("slip_mps", "slip_radps"),
+        *RobotLog.columns,
+    )
+
+    def __init__(self, supervisor: Supervisor, start: Array):
+        super().__init__(supervisor)
+        self._start, self._turn = start, (np.cos(start[2]), np.sin(start[2]))
+        self._before: RobotState | None = None
+
+    def row(self, state: RobotState) -> Array:
+        """Places and slip at one exposure."""
+        # Odometry counts from (0, 0, 0) in the vehicle's own frame at the start.
+        x, y, heading = state.odometry
+        c, s = self._turn
+        dead_reckoning = np.array([c * x - s * y, s * x + c * y, heading]) + self._start
+        # Of the first frame there is no step.
+        slip = (0.0, 0.0) if self._before is None else _slip(self._before, state)
+        self._before = state
+        return np.concatenate([place_of(state.T_world_base), state.place, dead_reckoning, slip, super().row(state)])
+
+    def proprioception(self, log: Mapping[str, Array]) -> dict[str, Array]:
+        """Dead reckoning from the start: the inverse of what `row` does with it."""
+        x, y, heading = (log[f"odo_{name}"] - at for name, at in zip(("x", "y", "heading"), self._start, strict=True))
+        c, s = self._turn
+        return {"odo_x": c * x + s * y, "odo_y": c * y - s * x, "odo_heading": heading}
+
+
+def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:
+    """Magnitudes of slip between two frames: linear [m/s] and angular [rad/s].
+
+    The true step minus the one by odometry, both in the vehicle's frame at the earlier frame.
+    """
+    duration = now.t - before.t
+    if duration <= 0:
+        return 0.0, 0.0
+    true = relative(place_of(before.T_world_base), place_of(now.T_world_base))
+    ahead, left, turn = true - relative(before.odometry, now.odometry)
+    return math.hypot(ahead, left) / duration, abs(float(wrapped(turn))) / duration
+
+
+# Imperfections that all vehicles have: wheels of unequal radius, rolling resistance, a drive with lag, an uneven floor.
+
+
+Rolling = Annotated[float, Ge(0), Le(0.5)]
+Lag = Annotated[Time, Narrower(le=5)]
+
+Value = TypeVar("Value", float, Array)
+
+
+@spec
+class WornVehicle(Vehicle, Realistic):
+    """A vehicle with imperfections, which its allocation and its odometry do not know: both go by the nominal vehicle.
+
+    Args:
+        wheel_spread: unequal radii of its wheels; none: all have the nominal one; e.g. `{sigma: 0.003}`.
+        rolling_resistance: torque on each wheel over its static load and radius [1]; none: that of its file; e.g. `0.02`.
+        drive_lag_s: time constant with which the drive follows the speed it is told, of first order [s]; none: it follows at once;
+            e.g. `0.1`.
+        uneven_floor: heights of the floor that its wheels meet; none: a plane; e.g. `{rms_m: 0.002}`.
+    """
+
+    wheel_spread: WheelSpread | None = None
+    rolling_resistance: Rolling | None = None
+    drive_lag_s: Lag | None = None
+    uneven_floor: UnevenFloor | None = None
+    drawn_fields: ClassVar[tuple[str, ...]] = ("wheel_spread.drawn_errors", "uneven_floor.drawn_seed")
+
+    @property
+    def acting(self) -> tuple[Effect, ...]:
+        """The floor that its wheels meet, and further ones."""
+        return (*((self.uneven_floor,) if self.uneven_floor is not None else ()), *self.effects)
+
+    @property
+    def draws(self) -> bool:
+        """Wheels whose errors are not listed, a floor whose seed is not given."""
+        wheels, floor = self.wheel_spread, self.uneven_floor
+        return (wheels is not None and wheels.sigma > 0) or (floor is not None and floor.seed is None)
+
+    def drawn(self, rng: np.random.Generator) -> Self:
+        """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with the other as without."""
+        wheels, floor = self.wheel_spread, self.uneven_floor
+        if wheels is None and floor is None:
+            return self
+        of_wheels, of_floor = rng.spawn(2)
+        return dataclasses.replace(self, wheel_spread=wheels and wheels.drawn(of_wheels), uneven_floor=floor and floor.drawn(of_floor))
+
+    def randomised(self, rng: np.random.Generator) -> Self:
+        """The same vehicle with a start drawn from the box. ParameterError without a box."""
+        return dataclasses.replace(self, start=self.start.drawn(rng))
+
+    def lagged(self, now: Value, order: Value, dt: float) -> Value:
+        """What the drive follows after dt [s] of an order, from what it follows now, (n,) each: y' = (order - y) / drive_lag_s, exactly."""
+        return order + (now - order) * math.exp(-dt / self.drive_lag_s) if self.drive_lag_s else order

@@ -1,1 +1,0 @@
-"""Detectors: from a picture to the pixels of markers."""

@@ -1,1 +1,0 @@
-"""Pose, homography and depth from pixels."""
