@@ -14,7 +14,7 @@ from vstestbed.targets.markers import Disc, Sphere
 from vstestbed.targets.points import Points
 from vstestbed.vision import centre_bias
 
-GOLDEN = json.loads((Path(__file__).parents[2] / "golden" / "interaction_matrices.json").read_text())
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 CAMERA = Perspective()
 
 
