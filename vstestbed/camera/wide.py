@@ -39,8 +39,6 @@ the front one comes to right, back, left; `up` and `down` stand at the front's u
 
 
 # Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees.
-
-
 RIM = 1e-9
 """Relative tolerance for rounding at the border of the image circle."""
 
@@ -120,8 +118,6 @@ def _within(value: Array, limits: tuple[float, float]) -> Array:
 
 
 # The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye model).
-
-
 KNOTS, ROUNDS = 257, 8
 """Size of the inverse's table, and Newton iterations: 3 reach rounding, 8 next to an angle where the polynomial has its maximum."""
 
@@ -198,8 +194,6 @@ class Fisheye(Radial):
 
 
 # The catadioptric camera: a lens facing a curved mirror, both modelled by one unit sphere (unified central model).
-
-
 @spec
 class Catadioptric(Radial):
     """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
@@ -252,8 +246,6 @@ class Catadioptric(Radial):
 
 
 # The spherical camera: every direction at once.
-
-
 FACE_DEG = 100.0
 """Field of view of each of the six pictures [deg]: 10 more than a cube's face, so that a marker at a seam, up to 5 degrees
 in radius, is whole in one of the two. More would cost pixels in the middle: a face has face_px / 2 / tan(FACE_DEG / 2) to

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 
 # The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
-
-
 basins = typer.Typer()
 
 
@@ -124,8 +122,6 @@ def _summary_text(mapped: Basin) -> str:
 
 
 # The command `sweep`: share of converged runs over two varied fields. Heavy imports are inside the function.
-
-
 convergences = typer.Typer()
 
 
@@ -191,8 +187,6 @@ renamed(convergences, "convergence", "sweep", sweep)
 
 
 # The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function.
-
-
 delays = typer.Typer()
 LAGGING = 0.95
 """A limit below this share of the theory for the delay alone shows the lag of the servos."""
@@ -265,8 +259,6 @@ renamed(delays, "delay", "gain-limit", gain_limit)
 
 
 # The command `tune`: search for the settings with which a scenario does best. Heavy imports are inside the function.
-
-
 tunings = typer.Typer()
 RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
 
@@ -352,8 +344,6 @@ def _text(result: TuningResult) -> str:
 
 
 # The command `bench`: where the time goes, and what became slower. Heavy imports are inside the functions.
-
-
 benchmarks = typer.Typer()
 
 

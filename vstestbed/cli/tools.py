@@ -206,8 +206,6 @@ renamed(tools, "flow", "optical-flow", optical_flow)
 
 
 # The command `new`: one file for a kind of one's own, which runs as it is.
-
-
 news = typer.Typer()
 TEMPLATES = Path(__file__).parent / "templates"
 

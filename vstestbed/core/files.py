@@ -140,8 +140,6 @@ def read_file(path: Path, works: str) -> bytes:
 
 
 # Folders of results: new ones never over older ones, and one writing process at a time.
-
-
 try:
     import fcntl
 except ImportError:  # Windows has no flock

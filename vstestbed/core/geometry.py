@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 
 # Roll, pitch and yaw of a rotation matrix, R = Rz(yaw) Ry(pitch) Rx(roll), and back: the convention of `Pose`.
-
-
 def rotation_from_rpy(rpy: Array) -> Array:
     """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)

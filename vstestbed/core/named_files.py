@@ -97,8 +97,6 @@ def kept_at(source: Path, what: str = "target") -> str:
 
 
 # The folders models/ and scenarios/: inside an installed package, or beside it in a checkout.
-
-
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -137,8 +135,6 @@ def _files(place: Path, changed_ns: int) -> dict[str, Path]:
 
 
 # Python files of others, loaded as modules: plugins, and policies.
-
-
 # The import of ONNX Runtime alone, also by a plugin or a policy, starts telemetry, which keeps a database in the user's cache.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 

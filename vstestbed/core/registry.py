@@ -82,8 +82,6 @@ def is_list(hint: Any) -> bool:
 
 
 # Specs as plain mappings, lists and scalars: with every default, or as people write them.
-
-
 def to_mapping(value: Any) -> Any:
     """A spec as plain mappings, lists and scalars with all defaults written out: the content of `scenario.yaml`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -159,8 +157,6 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 # Contract: what each member of a `OneOf` must have, checked once, when the member is registered.
 #
 # A plugin that lacks a method would otherwise run until the loop first calls that method, and end with a traceback there.
-
-
 @dataclass(frozen=True)
 class Contract:
     """What a class must have to be a member of a room.

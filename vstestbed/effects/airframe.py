@@ -225,8 +225,6 @@ def _four(values: Sequence[float]) -> Four:
 
 
 # The same in MuJoCo: the true state of the base in, forces on it out.
-
-
 DOWN = np.array([0.0, 0.0, -1.0])
 
 

@@ -156,8 +156,6 @@ class CurrentLoops:
 
 
 # Elastic gears in an arm's model: a rotor beside each elastic joint, and a spring with play and damping between the two.
-
-
 NO_LOAD = 1e-6
 """Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
 ROTOR_KG, ROTOR_KGM2 = 1e-6, 1e-9
@@ -202,8 +200,6 @@ def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
 
 
 # Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
-
-
 @dataclass(frozen=True, eq=False)
 class ElasticJoints(EffectBase):
     """`Gears` of an arm of n joints in plain numbers.
@@ -304,8 +300,6 @@ def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
 
 
 # Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
-
-
 DRIVES_STEP_S = 0.001
 """Largest physics step with current loops, which sample the servo at it [s]: half a millisecond on average beside a lag of as much."""
 

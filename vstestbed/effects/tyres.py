@@ -115,8 +115,6 @@ class Tyres(EffectBase):
 
 
 # Forces of slipping tyres (`effects/tyres.py`) on a vehicle's wheels, at each physics step.
-
-
 class TyreForces(Actor):
     """Applies the forces where the wheels touch the floor. Their contacts carry the load alone, without friction.
 

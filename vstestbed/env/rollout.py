@@ -103,8 +103,6 @@ class Reward:
 
 
 # The picture of an environment from outside, as in the film of a run.
-
-
 class Overview:
     """Draws one episode from outside, with the camera's own picture inset; the trail joins the frames that were drawn.
 

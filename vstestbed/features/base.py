@@ -108,8 +108,6 @@ def condition(L: Array, scale: Array, depth: Array) -> float:
 
 
 # Differences of angles, and a bounded inverse for angular rates where an angle is undefined.
-
-
 FLOOR = 1e-3
 """Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
 camera."""
@@ -176,8 +174,6 @@ def bounded_inverse(x: Array) -> Array:
 
 
 # A quantity together with its rate under a camera twist, so that a formula gives both s and its row of L.
-
-
 @dataclass(frozen=True, slots=True)
 class Rated:
     """A real or complex quantity and its derivative to the six velocities of the camera.

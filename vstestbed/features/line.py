@@ -129,8 +129,6 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 # Lines in the image as lines on the floor, for a camera with a known mount on a vehicle.
-
-
 def floor_plane(T_base_camera: Array) -> Array:
     """The floor as the plane A X + B Y + C Z + D = 0 in the camera frame, for a mount (4, 4) above it, shape (4,)."""
     # The third row of T_base_camera gives the height Z_base of a point (X, Y, Z, 1), which is 0 on the floor.
@@ -182,8 +180,6 @@ def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array |
 
 
 # The segment between two points in the image.
-
-
 _POINT = Point()
 
 

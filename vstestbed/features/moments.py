@@ -218,8 +218,6 @@ def place(m: MomentSet, row: str) -> Any:
 
 
 # Functions of a shape's moments that do not change with its place, size and rotation in the image.
-
-
 Invariant = Callable[[MomentSet], Any]
 
 
@@ -347,8 +345,6 @@ written in complex moments, in which an invariance is seen at once: the turns of
 
 
 # Moments of a shape in the image: where it is, how large, how it is turned, and how it is tilted.
-
-
 Row = Literal[  # fmt: skip - one name a line would hide the groups
     "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
 ]
@@ -533,8 +529,6 @@ def axis_error(e: Array, t: Array, t_star: Array) -> Array:
 
 
 # The ellipse that a disc, a ball or any other ellipse on a plane has as its image.
-
-
 OFF = 0.02
 """Distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else."""
 EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]

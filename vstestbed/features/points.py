@@ -55,8 +55,6 @@ class Point:
 
 
 # Image points in polar coordinates.
-
-
 @spec
 class Polar:
     """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
@@ -118,8 +116,6 @@ class Polar:
 
 
 # Points on the unit sphere around the camera's centre.
-
-
 @spec
 class Spherical:
     """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...

@@ -82,8 +82,6 @@ def rotation_interaction(theta_u: Array) -> Array:
 
 
 # The translation between two frames.
-
-
 @spec
 class Translation:
     """The translation t [m] of a pose: three rows, computed from the pose.
@@ -121,8 +119,6 @@ class Translation:
 
 
 # The depth of a point as a logarithm.
-
-
 @spec
 class LogDepth:
     """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.

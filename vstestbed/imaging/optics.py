@@ -124,8 +124,6 @@ def _check_focus(defocus: Defocus, focal_length_m: float | None) -> None:
 
 
 # The errors of a lens in a rendered picture: defocus by layers of depth, lateral colour, vignetting.
-
-
 Floats = NDArray[np.float32]
 FINE_PX, COARSE = 0.5, 0.1
 """Discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]."""

@@ -174,8 +174,6 @@ def plain(light: Floats, setting: ExposureSetting) -> NDArray[np.uint8]:
 
 
 # A mosaic of colour filters: one colour in each pixel of the sensor, the other two interpolated from its neighbours.
-
-
 class Mosaic:
     """The filters before a sensor's pixels, and their inverse as far as there is one.
 
@@ -208,8 +206,6 @@ def mosaic_of(sensor: SensorNoise | None) -> Mosaic | None:
 
 
 # Noise and gain drift of the image sensor, the same for every renderer.
-
-
 @spec
 class Drift:
     """Slow drift of the sensor's gains, with a = 2 pi t / period_s:

@@ -94,8 +94,6 @@ def contributions(weights: Array, light: Array, depth: float) -> tuple[Contribut
 
 
 # How long a shutter is open for one picture, and when the images are drawn of which the picture is composed.
-
-
 @dataclass(frozen=True)
 class Opening:
     """One opening of the shutter, in physics steps from the picture's middle.

@@ -135,8 +135,6 @@ def _daqp() -> Any:
 
 
 # Constraints on a robot's own velocities: joint limits, the picture's border, the target's plane, twist limits.
-
-
 NEARLY = 4.0
 """Smallest singular values beyond this multiple of the least allowed have no barrier: it could not bind within a frame."""
 INSIDE = 0.5

@@ -104,8 +104,6 @@ Projection = Annotated[Classical | Large, PROJECTIONS]
 
 
 # The shape of a law's command over time: a smooth start, a low-pass filter, and the last command where nothing can be measured.
-
-
 @dataclass(frozen=True, slots=True)
 class Shaped:
     """What the next command depends on.

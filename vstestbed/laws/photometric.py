@@ -61,8 +61,6 @@ def eliminated(H: Array, b: Array) -> tuple[Array, Array]:
 
 
 # M-estimators: weights by which least squares leaves outliers out.
-
-
 Robust = Literal["none", "huber", "tukey"]
 HUBER, TUKEY = 1.345, 4.685
 """Tuning constants with which either has 95 % of the efficiency of least squares on Gaussian errors."""
@@ -97,8 +95,6 @@ def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
 
 
 # Luminance as a feature: the grey levels of all pixels, their interaction matrix, and the normal equations that it gives.
-
-
 Grey = NDArray[np.float32]
 """Luminance (h, w) [grey levels, 0 to 255]."""
 Which = Literal["current", "desired", "mean"]

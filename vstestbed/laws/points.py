@@ -67,8 +67,6 @@ def check_goal(feature: Feature, goal: Goal) -> None:
 
 
 # What a frame does not show, carried over from the last one by the motion of the camera relative to the target.
-
-
 TRUST_S = 0.04
 """Time constant with which a marker that is not seen loses its weight against those that are seen [s]."""
 
@@ -152,8 +150,6 @@ def carried_pose(seen: Observation, last: Observation, way: Array, goal: Goal) -
 
 
 # A repulsive potential at the border of the image, for all image-based laws.
-
-
 NEAREST = 0.2
 """Least distance to the border, as a share of the margin, that enters the field: at the border itself the potential is infinite."""
 STEP = 1e-6

@@ -158,8 +158,6 @@ _MEASURES: dict[str, Callable[[Observation, Goal], float]] = {
 
 
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
-
-
 LAWS = OneOf(
     "law",
     IBVS,

@@ -135,8 +135,6 @@ class MotionSums:
 
 
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
-
-
 FIRST = 0.01
 """The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
 GROWTH = 2.0

@@ -209,8 +209,6 @@ def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
 
 
 # The servo camera's picture in the browser: reduced, with markers, goals and numbers drawn in, not more often than needed.
-
-
 WIDTH, EYE_HEIGHT = 400, 320
 """The picture in the panel is at most as large [px]."""
 FRUSTUM_WIDTH = 160
@@ -251,8 +249,6 @@ class Eye:
 
 
 # Curves that grow with a run: the judged error, the commanded twist, the joints; of bounded length.
-
-
 MOST = 1200
 """Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
 PLOT_HEIGHT = 150

@@ -199,8 +199,6 @@ def _round_step(step: float) -> float:
 
 
 # The controls of a scenario's fields: what they ask for goes to the inbox, what is in force comes back into them.
-
-
 Ask = Callable[[str, object], None]
 """Ask for a setting: path and value."""
 DIGITS = 9

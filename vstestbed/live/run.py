@@ -178,8 +178,6 @@ def _choices(hint: Any) -> Iterator[str]:
 
 
 # What pages ask for, handed to the thread that runs the simulation; nothing else passes between the two.
-
-
 Order = Callable[[], object]
 
 
@@ -229,8 +227,6 @@ class Served:
 
 
 # Play, pause, single steps, and the pace: simulated time against the clock on the wall.
-
-
 LATE_S = 0.25
 """How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
 MEASURED_S = 2.0

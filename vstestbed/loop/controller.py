@@ -102,8 +102,6 @@ class GuardedLaw:
 
 
 # The observer of a scenario.
-
-
 def observer_of(scenario: Scenario) -> Observer:
     """The observer of a scenario."""
     perturbed = scenario.perturbed()
@@ -125,8 +123,6 @@ def observer_of(scenario: Scenario) -> Observer:
 
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
-
-
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 """Why there is no measurement, where the law itself gives no reason."""
 GUESS = ": at the start they may be outside of it, hidden or too small"

@@ -123,8 +123,6 @@ def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[M
 
 
 # Where markers that are not seen were lost, by the truth: for the sentence of a run that ends as `target_lost`.
-
-
 SIDES = "left", "top", "right", "bottom"
 """The borders of a picture, as `Camera.borders` has them."""
 SMALL = 1.5

@@ -256,8 +256,6 @@ class Modes:
 
 
 # Metrics of runs in which pictures come out of order, or pictures and commands are lost in bursts.
-
-
 class LinkFigures:
     """Pictures that never arrived, pictures that were refused, commands that never arrived; none of a run without such effects."""
 

@@ -73,8 +73,6 @@ def _warn_once(found: str, why: str) -> None:
 
 
 # The goal's pictures, taken by the simulated camera at each goal view before the run, as a robot is taught its goal by showing.
-
-
 def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
     """The picture at each goal view; none where neither law nor detector needs them.
 

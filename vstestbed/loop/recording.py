@@ -249,8 +249,6 @@ def to_frame(columns: Block) -> polars.DataFrame:
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.
-
-
 LARGEST = 2**63
 """Whole numbers from here on fit no table."""
 Scalar = bool | int | float | str | None

@@ -219,8 +219,6 @@ class Session:
 
 
 # run(scenario): a session turned to its end.
-
-
 def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None, *, pictures: bool = False) -> Recording:
     """Simulate a scenario from its nominal start until an outcome.
 

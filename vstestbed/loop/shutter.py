@@ -74,8 +74,6 @@ class RowViews:
 
 
 # Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
-
-
 READING_S = 0.002
 """Time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints."""
 KEPT_S = 10.0

@@ -75,8 +75,6 @@ def share(realised: Array, commanded: Array, unit_m: float) -> float:
 
 
 # Inverse kinematics of an arm by Newton steps: the joint positions that put its flange somewhere, near those that it has.
-
-
 MOST_STEPS = 200
 LARGEST_STEP = 0.3
 """Largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess."""

@@ -133,8 +133,6 @@ def heading_rate(R: Level, rates: Vector) -> float:
 
 
 # The inertial measurement unit of the quadrotor.
-
-
 @spec
 class Imu:
     """Noise of each reading (at the control rate) and constant bias, in body axes.

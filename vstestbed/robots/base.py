@@ -45,8 +45,6 @@ class Reading:
 #
 # Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is decided here, and for a craft that must
 # set down besides in `failsafe`.
-
-
 FOLLOWS, HOLDS, STOPS = range(3)
 """Modes, as numbered in the log's column `supervisor`."""
 STANDS_RADPS = 0.02
@@ -121,8 +119,6 @@ class Supervisor:
 
 
 # The columns that only one kind of robot has in a log.
-
-
 @dataclass(frozen=True, slots=True)
 class RobotState:
     """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and nowhere else.
@@ -412,8 +408,6 @@ class Robot(Protocol):
 
 
 # The nominal start round which a seed has drawn another one: a run states both, and a further seed draws round the first.
-
-
 R = TypeVar("R", bound=Robot)
 WHERE = "drawn_about"
 """The field of a start block that states it; robots of a user's own may lack it."""

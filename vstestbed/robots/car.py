@@ -162,8 +162,6 @@ def drive(
 
 
 # A car's physical parameters: what they change in models/car.xml, and Ackermann steering for any track and wheelbase.
-
-
 GRIP = 0.8
 """Friction of the tyres on a dry floor (models/car.xml)."""
 ROLLING_NM = 1.32

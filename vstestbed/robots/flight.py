@@ -226,8 +226,6 @@ def rate_loop(
 
 
 # What a quadrotor's instruments read and its flight loops estimate, and the setpoints of its failsafe.
-
-
 HOLD = np.zeros(4)
 """The setpoint that levels the craft and holds it where it is."""
 
@@ -301,8 +299,6 @@ class FlightReading(Reading):
 # A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
 # levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
 # tracked. These end the task for good, since none of them is cured by seeing the target.
-
-
 HOLD_S = 2.0
 """How long the craft holds after an abort before it sinks [s]."""
 SINK_MPS = 0.4

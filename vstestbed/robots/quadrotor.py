@@ -127,8 +127,6 @@ class FlightRealism(Realistic):
 
 
 # Where a craft hovers at the start of a run.
-
-
 LOWEST_M = 0.2
 """The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
 
@@ -182,8 +180,6 @@ class FlightStart:
 
 
 # The columns of a quadrotor's log.
-
-
 ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")
 REFERENCE = ("ref_roll", "ref_pitch", "ref_wx", "ref_wy", "ref_wz")
 WIND = ("wind_x", "wind_y", "wind_z")

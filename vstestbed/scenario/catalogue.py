@@ -151,8 +151,6 @@ def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
 
 
 # Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
-
-
 MOST_NAMED = 6
 """Most paths that a message lists of a word that is a field of many blocks."""
 
@@ -293,8 +291,6 @@ def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
 
 
 # What the bundled scenarios and comparisons use: which kinds, which fields, and the values that people wrote there.
-
-
 @dataclass
 class Uses:
     """What is written in bundled files.
@@ -386,8 +382,6 @@ def _members(what: str) -> dict[str, type]:
 #
 # Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves room for such: a reader that does not
 # know it passes over it.
-
-
 LONGEST_EXAMPLE = 100
 """Longest example of a field, in characters of its YAML."""
 _NOTHING = ({}, [], "", None)

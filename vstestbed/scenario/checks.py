@@ -198,8 +198,6 @@ def check_mirror(camera: Camera, world: World) -> None:
 
 
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
-
-
 STEP = 1e-4
 """Motions to both sides by which an outline's directions are differentiated [m, rad]."""
 LEAST_TOLD = 1e-6
@@ -240,8 +238,6 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
 
 
 # Checks of what is measured against what the law and the task need: markers, a detector's own points, depths.
-
-
 BY_ESTIMATE = ("position_m", "rotation_deg")
 """Conditions of convergence by the robot's own estimate."""
 FIRST_POSE = 4

@@ -201,8 +201,6 @@ def _how_to_name(cls: type) -> str:
 
 
 # What was changed in a bundled scenario: the fields in which one differs from the bundled one of its name.
-
-
 OF_THE_RUN = ("name", "description", "plugins", "seed")
 """Fields that name a run or are shown elsewhere."""
 NOT_GIVEN = ("drawn_about",)

@@ -87,8 +87,6 @@ def _reading_order(mistake: Mistake) -> tuple[int, ...]:
 
 
 # Values by dotted path put over a scenario's mapping: `--set`, `overrides` in Python, a comparison's settings, what a seed draws.
-
-
 def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
     """Put values over a mapping, in place and in their order; the robot first loses what they take the place of as a whole.
 

@@ -156,8 +156,6 @@ def renderer_string() -> str:
 #
 # Python ends a daemon thread where it next takes the interpreter's lock. Within a step of the physics, or a cast of rays, whose C++ code
 # cannot be left like that, the process would crash.
-
-
 REST_S = 1.0
 """Longest wait for daemon threads at the end of the process [s]."""
 _daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()

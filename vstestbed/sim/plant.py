@@ -75,8 +75,6 @@ class RobotContacts:
 
 
 # Sensor readings of a robot: joints and MJCF sensors, with the noise of its sensor model.
-
-
 NONE = np.zeros(0)
 
 
@@ -125,8 +123,6 @@ class SensorReader:
 
 
 # An arm put where it is shown its goal: by its true geometry, which is not the one that it computes with.
-
-
 EXACT_M = 1e-6
 """Entries of two poses that differ by less are the same: the arm's own model is exact."""
 ROUNDS = 3
@@ -155,8 +151,6 @@ def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
 
 
 # Whether an arm's motors can hold it where it starts: an arm that cannot falls before its law has seen a picture.
-
-
 def check_static_load(stage: Stage) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
@@ -206,8 +200,6 @@ def _largest_torque(model: mujoco.MjModel, joint: int, motors: NDArray[np.int_])
 
 
 # The equilibrium in which a robot begins: its servos carry its weight, and its gears are wound up by it.
-
-
 def settle(stage: Stage) -> None:
     """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
 
@@ -236,8 +228,6 @@ def settle(stage: Stage) -> None:
 
 
 # The lead vehicle, which carries the target along a route, with path following by its true place.
-
-
 PERIOD_S = 0.01
 """Period of the path following [s], that of a car's onboard servos."""
 CROSS_GAIN, HEADING_GAIN = 1.5, 2.5

@@ -223,8 +223,6 @@ def _texels(model: mujoco.MjModel, name: str) -> NDArray[np.uint8]:
 
 
 # The servo camera's pictures of a recorded run, taken again at its own size, without physics.
-
-
 class Retake:
     """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in which the run took them.
 

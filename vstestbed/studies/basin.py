@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 
 # What a map of ideal runs leaves out of a scenario: it is told, since the map is that of the law alone.
-
-
 OF_CAMERAS = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
 """What the pictures of an ideal camera do not have."""
 THAT_HIDE = "plates", "scenery"

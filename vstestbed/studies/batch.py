@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
-
-
 SIX = np.eye(6)
 """The motions of the ideal camera."""
 LEAST_POSE = 3
@@ -112,8 +110,6 @@ def _of(views: Views, i: int) -> tuple[Array, Array, Array, Array]:
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
-
-
 SLACK_S = 1e-9
 """The judge of one run allows this much when it compares times [s]."""
 
@@ -296,8 +292,6 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 #
 # A single run with robot dynamics, images and delays is in `loop.run`. `_frame` repeats the rules of its `Judge`, vectorised; the tests
 # and `basin --check` compare the outcomes of the two.
-
-
 AT_ONCE = 2000
 """Runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time."""
 FLAT2 = 0.15**2

@@ -171,8 +171,6 @@ def _one_core() -> Iterator[None]:
 
 
 # Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and images and nothing else.
-
-
 @dataclass(frozen=True)
 class Bench:
     """Medians over several runs, each measured beside its own floor.
@@ -280,8 +278,6 @@ def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
 
 
 # What became slower or faster between two measurements of the benchmarks, beyond their noise.
-
-
 LEAST_CHANGE = 0.05
 """A smaller change of the median is not called one."""
 

@@ -124,8 +124,6 @@ def _fit(velocity: Array, command: Array, first: int) -> Array:
 #
 # References: Spong 1987, doi:10.1115/1.3143860 (the plant); Franklin, Powell & Workman, Digital Control of Dynamic Systems
 # (zero-order hold; a delay of part of a period).
-
-
 FIRST, FACTOR, FINE = 1e-3, 1.02, 1e-6
 """The first crossing is sought upwards from this g in steps of this factor, then by bisection to this share."""
 
@@ -449,8 +447,6 @@ def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[L
 
 
 # Result files of a delay study: tables, figures, page, each complete or not at all.
-
-
 BEYOND = 1.3
 """The root locus is drawn up to this many times the gain limit."""
 

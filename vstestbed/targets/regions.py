@@ -90,8 +90,6 @@ def _inverse_2x2(A: Array) -> Array:
 
 
 # Polygons in a plane: moments of their area, whether they cross themselves, triangles.
-
-
 def signed_area(xy: Array) -> float:
     """Area of a polygon (E, 2), positive where it runs clockwise in a picture (x right, y down)."""
     there = np.roll(xy, -1, axis=0)
@@ -183,8 +181,6 @@ def _is_ear(xy: Array, left: list[int], k: int) -> bool:
 
 
 # Figures of a flat target: its outline in the target's plane.
-
-
 DISC_CORNERS = 256
 """Corners with which a disc is drawn; a polygon of its area, whose border is within 5e-5 of its radius."""
 Corner = Annotated[tuple[Length, ...], Len(2, 2)]

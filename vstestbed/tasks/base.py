@@ -141,8 +141,6 @@ def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: A
 
 
 # The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.
-
-
 MID_GREY = 128.0
 """The grey level that a change of contrast leaves as it is."""
 Factor = Annotated[float, Gt(0), Le(10)]

@@ -141,8 +141,6 @@ class LeaderAndFollower:
 
 
 # Line following: keep the vehicle over a line painted on the floor.
-
-
 ALONG_M = 0.5
 """Search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves by .3 m a frame."""
 

@@ -145,8 +145,6 @@ def level_error(seen: Observation, goal: Goal) -> float:
 
 
 # Tasks with a goal to reach: completed when `stop.converged` holds.
-
-
 REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
 

@@ -188,8 +188,6 @@ class Trajectory:
 
 
 # Via points: several views in turn.
-
-
 class Passage(NamedTuple):
     """State of the reference: the goal views in turn, the number of the current one, and since when the goal moves to it.
 

@@ -124,8 +124,6 @@ VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view",
 
 
 # Docking at a place: a vehicle drives to a pose on the floor, by landmarks.
-
-
 @spec
 class GoalPlace(TaskBase):
     """The goal as a place of a vehicle in the world, reached by landmarks.
@@ -165,8 +163,6 @@ class GoalPlace(TaskBase):
 
 
 # Tracking: keep a view of a moving target.
-
-
 @spec
 class GoalTrack(Continuing):
     """Continuing task: keep a view of a moving target.

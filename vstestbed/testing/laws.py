@@ -95,8 +95,6 @@ def _check_derivative(feature: Feature, p: Array) -> None:
 
 
 # A quick closed loop for each kind of task: ideal motion where the task has it, markers by the oracle, no pictures.
-
-
 QUICK: dict[str, tuple[str, dict[str, object]]] = {
     "view": ("ibvs_book", {"camera.rate_hz": 25.0}),
     "pose": ("car_parking", {}),

@@ -118,8 +118,6 @@ def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> No
 
 
 # What every lens must do.
-
-
 GRID = 25
 """Pixels that are tried along each side of the picture."""
 LEAST_SEEN = 0.2
@@ -194,8 +192,6 @@ def _check_picture(camera: Camera, uv: Array) -> None:
 
 
 # What every kind of local features must do.
-
-
 WIDTH, HEIGHT, FINER = 320, 240, 2
 """Size of the two pictures, and samples along each side of a pixel."""
 TURN_DEG, SIZE = 8.0, 0.93

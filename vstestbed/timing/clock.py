@@ -53,8 +53,6 @@ class Clock:
 
 
 # A queue in physics steps: pictures on their way to the controller, commands on their way to the robot.
-
-
 T = TypeVar("T")
 
 

@@ -138,8 +138,6 @@ def _across(x: float, y: float, z: float) -> tuple[tuple[float, float, float], t
 
 
 # Data association: which blob is which marker where several have its hue, by the pose of the target that explains them.
-
-
 Placed = tuple[int, Blob]
 """Index of the camera's panel, and a blob in it."""
 Candidates = list[list[Placed]]

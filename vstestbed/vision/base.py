@@ -142,8 +142,6 @@ class DetectorBase:
 
 
 # Points of the goal's picture as a goal: their depths by the depth camera or by the target's plane.
-
-
 def goal_of_points(goal: Goal, uv: Array) -> Goal:
     """The goal with other points: those at uv (K, 2) [px] of its picture, in place of the target's markers.
 
@@ -179,8 +177,6 @@ def _depth_of_plane(T_camera_target: Array, ray: Array) -> Array:
 
 
 # Search windows around tracked objects in the next picture.
-
-
 Move = tuple[float, float]
 """Displacement (du, dv) of an object from one picture to the next [px]."""
 MOST_WINDOWED = 0.3

@@ -174,8 +174,6 @@ def _twins(found: list[tuple[int, Blob]], rays: list[Array], index: int) -> list
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
-
-
 AREA_NOISE_PX = 3.5
 """Error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
 SAME_BIAS_PX = 0.02

@@ -125,8 +125,6 @@ def pose_on_floor(rays: Array, points: Array, T_base_camera: Array, T_world_targ
 
 
 # Planar pose of a ground vehicle: odometry, corrected by a compass and by landmarks (complementary filter).
-
-
 COMPASS_S = 0.5
 """Time constant with which the heading by odometry follows the compass [s]."""
 LANDMARKS_S = 0.25

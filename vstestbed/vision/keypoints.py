@@ -88,8 +88,6 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
 
 
 # Pairs of places that match in two pictures.
-
-
 Pairs = tuple[Array, Array]
 """Places (M, 2) in the goal's picture and in this one [px]."""
 
@@ -105,8 +103,6 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 
 
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
-
-
 HALF = 10
 """Half the side of a patch, without its middle [px of the goal's picture]."""
 ROUNDS, SETTLED_PX = 8, 0.005
@@ -207,8 +203,6 @@ def _textured(normal: Array) -> NDArray[np.bool_]:
 
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one image.
-
-
 LEAST_INLIERS = 8
 """A homography has eight unknowns; one that fewer pairs agree with may be a chance."""
 SEED = 1
@@ -293,8 +287,6 @@ def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
 
 
 # Rows for points that come and go: a fixed number, in which a point keeps its row as long as it is there.
-
-
 @dataclass(frozen=True, slots=True)
 class Slots:
     """K rows of points that are matched with the goal's picture.

@@ -219,8 +219,6 @@ KEYPOINTS = OneOf("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))
 
 
 # Mutual nearest neighbours of two sets of descriptors.
-
-
 def mutual_matches(a: NDArray[Any], b: NDArray[Any], ratio: float | None = None) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Pairs (i, j) of which a_i is the nearest to b_j and b_j the nearest to a_i, and their distances, the nearest pairs first.
 

@@ -127,8 +127,6 @@ def _advance(theta: Array, nearing: Array, dt: float) -> Array:
 
 
 # Effects of calibration errors: the goal view as shown to a miscalibrated camera, and poses with wrong depths.
-
-
 def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: Array) -> Goal:
     """The goal view recorded by the true camera and interpreted with the believed calibration (teach by showing).
 

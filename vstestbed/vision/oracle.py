@@ -64,8 +64,6 @@ class Oracle(DetectorBase):
 
 
 # No detector: for laws that work on whole pictures.
-
-
 @spec
 class NoDetector(DetectorBase):
     """Nothing is detected: a law that works on grey levels (`photometric`) needs neither markers nor an oracle."""

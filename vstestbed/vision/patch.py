@@ -169,8 +169,6 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
 
 
 # Grey pictures in several sizes, sampled where a plane is projected by any lens.
-
-
 OUTSIDE = -1e4
 """A pixel far outside of every picture."""
 GRID = np.linspace(-1, 1, 9)
@@ -267,8 +265,6 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
 # Alignment of a plane's template with a picture by efficient second-order minimisation (ESM), under any lens.
 #
 # The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of its image in the camera's frame.
-
-
 TUKEY = 4.685
 """Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
 LEAST_SIGMA = 0.5
@@ -474,8 +470,6 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
 
 
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
-
-
 RATIO = 0.8
 """A match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)."""
 WITHIN_PX = 3.0

@@ -99,8 +99,6 @@ def _plane(points: bytes) -> _Plane:
 
 
 # Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone.
-
-
 ROUNDS = 20
 """Most Gauss-Newton steps; five suffice from the pose a frame ago."""
 SETTLED = 1e-11

@@ -112,8 +112,6 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
 
 
 # Fit of a polygon in a plane to the points of a region's border in a picture: the homography between them.
-
-
 TURNS = 36
 """Rotations that are tried where none is known: every 10 degrees."""
 TRIED = 3
@@ -273,8 +271,6 @@ def _affine(A: Array, shift: Array) -> Array:
 
 
 # From the border of a region in a picture to the points of the target's outline, in the target's order.
-
-
 CLOSE = 200
 """Points of a polygon's outline by which it is compared with the border in the picture."""
 

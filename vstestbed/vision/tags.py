@@ -151,8 +151,6 @@ def _flat(v: Array) -> Array:
 
 
 # Printed tags: images of each family's tags, for the textures of the scene.
-
-
 PX_PER_MODULE = 16
 """Texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap."""
 

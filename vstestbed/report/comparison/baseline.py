@@ -233,8 +233,6 @@ def _without_nan(value: Any) -> Any:
 
 
 # How a comparison differs from an earlier one, in words for the terminal and as a section of the page.
-
-
 MOST: Final = 4
 """Differing metrics, and lost runs, that a line of the terminal names; the page has all of them."""
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 # The error in the image of many runs over time, resampled to one time grid.
 #
 # Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
-
-
 INSTANTS = 240
 """Points of the time grid: more than can be resolved in one panel of a figure."""
 SAMPLED, LEAST_SAMPLED = 2000, 20
@@ -339,8 +337,6 @@ def _size() -> float:
 
 
 # Strip plots of a comparison's metrics: the runs of each controller as points, with median and quartiles, failures below.
-
-
 POINTS = 1500
 """Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG."""
 LOG_RATIO = 30.0
@@ -437,8 +433,6 @@ def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, flo
 
 
 # Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
-
-
 STEPS: Final = 300
 """Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG."""
 COLUMNS: Final = 5

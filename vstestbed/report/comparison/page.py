@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 
 # In which fields of their scenarios the controllers of a comparison differ.
-
-
 UNCOMPARED = ("name", "description", "seed", "plugins")
 """Fields that change nothing of an experiment, or differ between seeds."""
 MISSING = object()

@@ -151,8 +151,6 @@ def _same_seeds(one: ControllerResults, other: ControllerResults) -> tuple[list[
 
 
 # The statistics of a comparison as two tables for other programs: of each controller, and of each pair, with one row per metric.
-
-
 CONTROLLERS: Final = "controllers"
 PAIRS: Final = "pairs"
 """File names without suffix; each table is written as Parquet and as CSV."""

@@ -211,8 +211,6 @@ def check_confidence(confidence: float) -> None:
 
 
 # Bootstrap resamples as numbers of draws, one matrix for all samples of a size: a statistic of all resamples is then a matrix product.
-
-
 def draws(sizes: tuple[int, ...], resamples: int, seed: int) -> Array:
     """How often each value is drawn in each resample, shape (resamples, sum of sizes).
 
@@ -240,8 +238,6 @@ def remembered(sizes: tuple[int, ...], resamples: int, seed: int) -> Array:
 
 
 # Mean of paired differences with a confidence interval and a p-value, by a studentised bootstrap.
-
-
 FEWEST_PAIRS: Final = 5
 """Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread."""
 
@@ -443,8 +439,6 @@ def _heavier_above(d: Array) -> bool:
 
 
 # Interquartile mean with its stratified bootstrap interval: as robust as a median against few wild runs, and less noisy.
-
-
 FEWEST_RUNS: Final = 5
 """Fewest runs for an interval: of four, the mean of two has hardly any other values."""
 

@@ -207,8 +207,6 @@ if (reference) {
 
 
 # HTML tables of what counts every run, also failed ones: interquartile means, and how probably one controller is better than another.
-
-
 FAILED = "A run that did not reach the goal counts as worse than any that did"
 NEVER = "fails"
 """Stands for an infinite mean or end of an interval: so many runs failed."""
@@ -281,8 +279,6 @@ def _improvement(pair: Pair, metric: Metric) -> Cell:
 
 
 # The statistics of a comparison in a few lines for the terminal: success, interquartile mean, difference from the first controller.
-
-
 MOST: Final = 12
 """Most controllers that are listed."""
 

@@ -170,8 +170,6 @@ def rate_of(scenario: Scenario) -> float:
 
 
 # Statistics of a dataset's features, by which LeRobot normalises: of each episode, and of all.
-
-
 Statistics = dict[str, NDArray[Any]]
 """min, max, mean, std, count, q01 ... q99 of a feature."""
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}

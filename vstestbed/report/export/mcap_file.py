@@ -196,8 +196,6 @@ def _short(topic: str, column: str) -> str:
 # Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures stay binary; and plain time series.
 #
 # Frames of reference: `world` (z up), `camera` (x right, y down, z forward), `target`, `goal` (of the camera), the robot's bodies.
-
-
 NS = 1_000_000_000
 FIRST_PIXEL = 0.5
 """Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in logs and in K it is 0."""

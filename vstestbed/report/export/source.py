@@ -137,8 +137,6 @@ def opened(folders: Iterable[Path], plugins: Sequence[str] = ()) -> Iterator[Rec
 
 
 # What the columns of a log are: their units, and who knows them.
-
-
 Whose = Literal["clock", "measured", "command", "truth", "own"]
 """`clock`: times and counters; `measured`: what camera and robot know; `command`: what they command; `truth`: the simulator's alone;
 `own`: of the robot's kind or the task."""
@@ -236,8 +234,6 @@ def name_with_unit(name: str, unit: str) -> str:
 # Logs as CSV: a file for each run, `columns.csv` with the unit of each column and who knows it, and a comparison's table of runs.
 #
 # A number that there is not (a marker that is not seen) is an empty field; `lost` is true or false.
-
-
 def write_csv(
     runs: Iterable[RecordedRun],
     out: Path,

@@ -325,8 +325,6 @@ class Chart:
 
 
 # Views of space for charts: points (x, y, z) in parallel projection, and a box with the axes' numbers.
-
-
 class Space:
     """A panel that shows space from a direction, z up and equal scale. Its methods have the names of matplotlib's 3-D axes."""
 

@@ -87,8 +87,6 @@ PAGE = """<!DOCTYPE html>
 
 
 # HTML parts of the pages: cards with a figure, films, folded text.
-
-
 def figure(title: str, content: str, caption: str = "") -> str:
     """A card with title, content (HTML) and caption."""
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
@@ -118,8 +116,6 @@ def folded(title: str, text: str) -> str:
 
 
 # A page inside a Jupyter notebook's cell.
-
-
 def cell(page: str, height_px: int) -> str:
     """A whole HTML page as the output of a cell, in a frame of its own: its style sheet touches nothing of the notebook."""
     look = f"width:100%;height:{height_px}px;border:0;border-radius:10px"

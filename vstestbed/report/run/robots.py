@@ -99,8 +99,6 @@ def rotors(tracks: Tracks) -> Chart | None:
 
 
 # Figures over time of a ground vehicle: wheels, slip, localisation error, error of the task.
-
-
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
 
 
@@ -206,8 +204,6 @@ def _worst(t: Array, value: Array, settled: float) -> float:
 
 
 # Floor plan of a vehicle's run: true path, estimated path, odometry, landmarks, and the visible region. Equal scale.
-
-
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 """Corners of an arrow head of length about 1 that points along x: the vehicle."""
 HEADING_EVERY = 0.09

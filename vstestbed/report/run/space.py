@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 
 # Camera path in the world, 3-D: path, viewing pyramids, target, goal. Equal scale on all axes.
-
-
 PYRAMID = np.array([[0, 0, 0], [-0.4, -0.3, 0.7], [0.4, -0.3, 0.7], [0.4, 0.3, 0.7], [-0.4, 0.3, 0.7]])
 PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 """Corners of a viewing pyramid of length about 1, and the order that draws all its edges in one line."""
@@ -100,8 +98,6 @@ def _pyramid(T: Array, size: float) -> Array:
 # The unit sphere around the camera centre in 3-D: graticule, axes, viewpoint.
 #
 # Camera axes (x right, y down, z forward) are drawn as (x, z, -y), so that down is down.
-
-
 FAR = 0.4
 """Factor of the opacity of lines on the far side."""
 
@@ -173,8 +169,6 @@ def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom:
 # Marker trajectories in the coordinates of the features `polar` and `spherical`, for runs with these features.
 #
 # Lines and marks are those of the figure in the image.
-
-
 PI = math.pi
 SUFFIXES = ("", "_true", "_goal")
 RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 
 # Task of a ground vehicle as its figures need it: goals, reference path, tolerance, camera, and the path of an ideal bicycle.
-
-
 RINGS, DIRECTIONS = 120, 541
 """Polar grid around the camera's foot point on which the visible region of a plane is sampled."""
 

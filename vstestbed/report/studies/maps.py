@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to converge.
-
-
 BasinAxis = tuple[str, str, float, float]
 """Name, unit, low, high."""
 ENDINGS: Final = {
@@ -180,8 +178,6 @@ def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 
 # Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the others ended.
-
-
 LETTERS: Final = {
     "target_lost": "L",
     "local_minimum": "M",

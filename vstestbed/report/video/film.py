@@ -246,8 +246,6 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
 
 
 # Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its own.
-
-
 WAITING = 32
 """Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480."""
 

@@ -282,8 +282,6 @@ def _font() -> cv2.FontFace:
 
 
 # The state of one frame as a film shows it, from a running loop or from a log.
-
-
 @dataclass(frozen=True, slots=True)
 class FilmFrame:
     """State of one frame as a film shows it.
@@ -331,8 +329,6 @@ class FilmFrame:
 
 
 # The difference of picture and goal picture, which a law of grey levels sees, as an inset of the camera's film.
-
-
 SHARE: Final = 1 / 3
 """Width of the inset over that of the film."""
 WORDS: Final = "picture \u2212 goal"
@@ -399,8 +395,6 @@ def _grey(image: Image) -> Image:
 
 
 # Overlay of matches: lines from natural features to where the goal's picture has them.
-
-
 MEASURED: Final[Color] = (255, 214, 64)
 
 

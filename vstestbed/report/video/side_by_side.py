@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 
 # Reads a film frame by frame as simulated time advances.
-
-
 EARLY_S: Final = Fraction(1, 10_000)
 """How much before its time a frame may be shown: the time base of a film is about 1/12800 s."""
 

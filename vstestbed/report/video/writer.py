@@ -259,8 +259,6 @@ def _yuv420p(image: Image, coding: Coding) -> Image:
 
 
 # Single pictures as files.
-
-
 JPEG_QUALITY = 95
 """With colour at full size: a marker's rim keeps its hue."""
 

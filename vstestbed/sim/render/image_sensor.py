@@ -128,8 +128,6 @@ class MotionBlur:
 
 
 # The depth camera of a run: the true depth of a rendered picture, as the scenario's sensor measures it.
-
-
 class DepthCamera:
     """Draws one number from its generator for each picture; the noise is a function of that number and of the true depth alone.
 

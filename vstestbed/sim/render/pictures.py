@@ -34,8 +34,6 @@ class OutsideView(Protocol):
 
 
 # The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
-
-
 def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
     """The renderer of the servo camera, as `camera.renderer` asks.
 

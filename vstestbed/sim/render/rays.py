@@ -55,8 +55,6 @@ def angles_to_next(rays: Array) -> Array:
 
 
 # Depth pictures by ray casting.
-
-
 ROWS = 32
 """Rows of an image that are cast at a time: of a narrow bundle most geoms are culled."""
 
@@ -313,8 +311,6 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
 
 
 # The outside views of a scene without OpenGL.
-
-
 class RaySceneCamera:
     """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
 

@@ -67,8 +67,6 @@ class Floor:
 
 
 # What can be taken for markers: distractors that are listed, and clutter that is drawn from the seed.
-
-
 Shape = Literal["ball", "disc", "box"]
 DISC_HALF_M = 1e-3
 """Half the thickness of a disc [m]."""
@@ -177,8 +175,6 @@ def decoy_path(decoy: Decoy) -> Path:
 
 
 # What lights a scene: a lamp in place of the room's own light, and windows.
-
-
 LAMP = "lamp"
 """Name of the body of a lamp that moves."""
 SAMPLES_S = (0.0, 0.37, 1.13, 2.9, 7.3, 41.0)

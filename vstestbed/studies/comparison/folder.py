@@ -221,8 +221,6 @@ def write_table(folder: Path, table: polars.DataFrame) -> None:
 
 
 # The table of a comparison as its caller gets it; it shows its result in a notebook.
-
-
 class ComparisonTable(pl.DataFrame):
     """A polars table, one row per run; what is computed from it is an ordinary table.
 
@@ -250,8 +248,6 @@ class ComparisonTable(pl.DataFrame):
 
 
 # Results of a comparison beside its runs: the side-by-side film of one seed, and the report.
-
-
 FILM = "comparison.mp4"
 FILMS = ("overview.mp4", "camera.mp4")
 """Films of a run, from top to bottom of its column."""

@@ -234,8 +234,6 @@ def _value_at(scenario: Scenario, path: str) -> object:
 
 
 # Trials of a search: their settings, what their runs gave, and which of two is better.
-
-
 RECORD = "trials.json"
 
 
@@ -323,8 +321,6 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
 # Which settings to try next: a tree-structured Parzen estimator (optuna).
 #
 # Reference: Bergstra et al. 2011, Algorithms for hyper-parameter optimization, NeurIPS.
-
-
 STARTUP = 8
 """Trials that are drawn at random before the estimator has anything to go by."""
 GUIDED, ATTEMPTS = 10, 200
