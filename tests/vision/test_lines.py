@@ -8,6 +8,7 @@ from vstestbed.camera import Fisheye, Perspective, Picture, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.planar import GroundPose
+from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import ImageNoise
 from vstestbed.robots import Omni
 from vstestbed.robots.vehicle import GroundStart
@@ -34,7 +35,7 @@ class Bench:
         self.lines, self.camera = lines, camera
         self.stage = Stage(Parts(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
         noise = ImageNoise(sigma, np.random.default_rng(1))
-        self.eye = ImageSensor(self.stage, servo_renderer(self.stage, camera, sigma > 0), noise)
+        self.eye = ImageSensor(self.stage, servo_renderer(self.stage, camera, sigma > 0), Chain(noise=noise))
 
     def frame(self, x, y, heading_deg, look=None):
         T = GroundPose(x=x, y=y, heading_deg=heading_deg).T @ self.camera.mount.T

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import DepthImage, Image, Images
 from vstestbed.imaging.exposure import SKIP, ExposureControl, ExposureLoop, ExposureSetting
 from vstestbed.imaging.optics import LensEffects, Optics, _Lens
-from vstestbed.imaging.sensor import FixedPattern, SensorNoise, mosaic_of, plain
+from vstestbed.imaging.sensor import NO_DRIFT, Drift, FixedPattern, ImageNoise, SensorNoise, mosaic_of, plain
 from vstestbed.imaging.stream import VideoStream, round_trip
 
 Floats = NDArray[np.float32]
+Change = Callable[[float, Images, DepthImage | None], Images]
+"""Of the images of all panels, taken at a time [s], with the true depths (H, W) [m] where they are needed."""
 
 
 class _Imaged(_Lens, Protocol):
@@ -118,3 +120,48 @@ class Imaging:
 def imaging_of(camera: _Imaged, rng: np.random.Generator | None) -> Imaging | None:
     """What changes the pictures of a camera; None where nothing does."""
     return Imaging(camera, rng or np.random.default_rng(0)) if camera.imaged else None
+
+
+class Chain:
+    """All that becomes of a rendered picture; `next` has it in the order in which light and numbers pass.
+
+    Args:
+        imaging: lens, exposure, sensor and stream; None where the camera has none of them.
+        noise, drift: of the scenario. changed: gives further changes of each next picture.
+    """
+
+    def __init__(
+        self,
+        imaging: Imaging | None = None,
+        noise: ImageNoise | None = None,
+        drift: Drift = NO_DRIFT,
+        changed: Callable[[], Callable[[float, Images], Images]] | None = None,
+    ):
+        self._imaging, self._noise, self._drift, self._changed = imaging, noise or ImageNoise(), drift, changed
+        self.noisy, self.whole = self._noise.acts, imaging is not None
+        self.needs_depth = imaging is not None and imaging.needs_depth
+
+    def next(self) -> list[Change]:
+        """What becomes of the next picture, step by step; noise and changes are the same however often they are applied to it."""
+        noise, changed, imaging = self._noise.next(), self._changed() if self._changed else None, self._imaging
+        steps: list[Change | None] = [
+            imaging.taken if imaging else None,
+            lambda t, images, depth: noise.added(images),
+            lambda t, images, depth: self._drift.of(images, t),
+            (lambda t, images, depth: changed(t, images)) if changed else None,
+            (lambda t, images, depth: imaging.streamed(images)) if imaging else None,
+        ]
+        return [step for step in steps if step is not None]
+
+    @property
+    def exposed(self) -> ExposureSetting | None:
+        """Exposure of the picture last taken; None without `camera.exposure`."""
+        return self._imaging.exposed if self._imaging else None
+
+    def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float | None:
+        """Exposure time of the next picture [s] at a time t [s], see `Imaging.exposure_s`; None where nothing of the camera changes it."""
+        return self._imaging.exposure_s(t, drawn) if self._imaging else None
+
+    def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
+        """A picture as the mean of many at rest; what later pictures will be is not changed by it."""
+        return self._imaging.clean(t, images, depth) if self._imaging else images

@@ -67,7 +67,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
-    from vstestbed.imaging.chain import imaging_of
+    from vstestbed.imaging.chain import Chain, imaging_of
     from vstestbed.sim.render.image_sensor import ImageSensor, depth_camera
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -78,8 +78,9 @@ def build_plant(
         # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
         drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s)
         depth = depth_camera(camera, depth_rng)
-        imaging = imaging_of(camera, imaging_rng)
-        eye, renderer = ImageSensor(stage, drawn_by, ImageNoise(image_sigma, rng), drift, perturbed, depth, imaging), drawn_by.name
+        changed = None if perturbed is None else perturbed.next_picture
+        chain = Chain(imaging_of(camera, imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
+        eye, renderer = ImageSensor(stage, drawn_by, chain, depth), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 

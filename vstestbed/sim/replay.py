@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Array
-from vstestbed.imaging.chain import imaging_of
+from vstestbed.imaging.chain import Chain, imaging_of
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
 from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
@@ -252,7 +252,7 @@ class Retake:
     ):
         self._stage = Stage(Parts(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
         drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
-        self._sensor = ImageSensor(self._stage, drawn_by, noise, drift, imaging=imaging_of(camera, imaging_rng))
+        self._sensor = ImageSensor(self._stage, drawn_by, Chain(imaging_of(camera, imaging_rng), noise, drift))
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, DepthSensor, Look, Panel, Perspective, Picture, Window
 from vstestbed.core.geometry import Array, Image, Images, pixel_grid
-from vstestbed.imaging.chain import Imaging
-from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise, PictureNoise
+from vstestbed.imaging.chain import Chain, Change, Imaging
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
 from vstestbed.sim.base import Renderer
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.colour import noise_rows
-from vstestbed.vision.perturb import Perturbed
 
 # The mean of the images of an exposure, each with its weight, or with one for each row of the camera's picture (rolling shutter).
 
@@ -209,34 +207,22 @@ class ImageSensor:
     Args:
         stage: the scene, in its state at the time of each call.
         renderer: renders the images.
-        noise: of the sensor; None for none. drift: of its gains. perturbed: further changes of the finished picture; None for none.
+        chain: what becomes of them; with lens, exposure, sensor or stream pictures are always whole.
         depth: the depth camera, whose pictures are always whole; None without one.
-        imaging: lens, exposure, sensor and stream, which likewise take whole pictures; None where none of them changes any.
     """
 
-    def __init__(
-        self,
-        stage: Stage,
-        renderer: Renderer,
-        noise: ImageNoise | None = None,
-        drift: Drift = NO_DRIFT,
-        perturbed: Perturbed | None = None,
-        depth: DepthCamera | None = None,
-        imaging: Imaging | None = None,
-    ):
+    def __init__(self, stage: Stage, renderer: Renderer, chain: Chain | None = None, depth: DepthCamera | None = None):
         self._model, self._data = stage.model, stage.data
-        self._renderer, self._noise, self._drift = renderer, noise or ImageNoise(), drift
-        self._depth, self._imaging = depth, imaging
-        self._reads_depth = depth is not None or (imaging is not None and imaging.needs_depth)
-        self._always_whole = self._reads_depth or imaging is not None
+        self._renderer, self._chain, self._depth = renderer, chain or Chain(), depth
+        self._reads_depth = depth is not None or self._chain.needs_depth
+        self._always_whole = self._reads_depth or self._chain.whole
         self._true_depth: DepthImage | None = None
         self._imaged_s = 0.0
         self._states: list[mujoco.MjData] = []
         self._present: mujoco.MjData | None = None
-        self._perturbed = perturbed or Perturbed((), np.random.default_rng(0))
-        self._rows = PixelRows(stage.parts.camera, self._noise.acts)
+        self._rows = PixelRows(stage.parts.camera, self._chain.noisy)
         self._exposed: list[Contribution] = []
-        self._blur, self._latest = MotionBlur(), (PictureNoise(0.0, None), self._perturbed.next_picture())
+        self._blur, self._latest = MotionBlur(), list[Change]()
 
     @property
     def spent_s(self) -> float:
@@ -257,22 +243,19 @@ class ImageSensor:
     def clean(self, t: float) -> Picture:
         """A whole picture of the present scene without noise; a copy that the caller may keep. The noise of later pictures is the same."""
         images, depth = self._renderer.images(with_depth=self._reads_depth), self._depth
-        if self._imaging is not None:
-            images = self._imaging.clean(t, images, self._renderer.depth)
+        images = self._chain.clean(t, images, self._renderer.depth)
         return Picture(t, images, depth=None if depth is None else depth.clean(self._renderer.depth)).copy()
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
         if picture.image is not None:
             return picture
-        drawn = self._developed(picture.t, (self._renderer.full_image(),), *self._latest)
+        drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
         return replace(picture, own=drawn.images[0])
 
     def exposure_s(self, t: float) -> float | None:
         """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""
-        if self._imaging is None:
-            return None
-        return self._imaging.exposure_s(t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth))
+        return self._chain.exposure_s(t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth))
 
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
@@ -317,26 +300,24 @@ class ImageSensor:
         mujoco.mj_copyData(self._states[number], self._model, self._data)
 
     def _picture(self, t: float, clean: Images, whole: bool, exposed: list[Contribution]) -> Picture:
-        drawn = self._latest = self._noise.next(), self._perturbed.next_picture()
+        drawn = self._latest = self._chain.next()
 
         def draw_whole() -> Picture:
-            return self._developed(t, self._drawn_again(exposed), *drawn)
+            return self._developed(t, self._drawn_again(exposed), drawn)
 
-        made = self._developed(t, clean, *drawn) if self._imaging is None else self._imaged(t, clean, self._imaging)
+        begun = time.perf_counter()
+        made = self._developed(t, clean, drawn)
+        if self._chain.whole:
+            made = replace(made, exposed=self._chain.exposed)
+            self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
         return made if whole else Picture(t, made.images, whole, draw_whole)
 
-    def _imaged(self, t: float, clean: Images, imaging: Imaging) -> Picture:
-        """The picture through lens, exposure and sensor, with the scenario's own noise, and through the stream."""
-        begun = time.perf_counter()
-        made = self._developed(t, imaging.taken(t, clean, self._true_depth), *self._latest)
-        made = replace(made, images=imaging.streamed(made.images), exposed=imaging.exposed)
-        self._imaged_s += time.perf_counter() - begun
-        return made
-
-    def _developed(self, t: float, clean: Images, noise: PictureNoise, change: Callable[[float, Images], Images]) -> Picture:
-        return Picture(t, change(t, self._drift.of(noise.added(clean), t)))
+    def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:
+        for change in changes:
+            images = change(t, images, self._true_depth)
+        return Picture(t, images)
 
     def _drawn_again(self, exposed: list[Contribution]) -> Images:
         """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""
