@@ -21,9 +21,10 @@ def compiled(part: Any) -> set[str]:
 
 def test_they_are_those_that_pydantic_has_compiled_them_into() -> None:
     by_hints = {room.what: set(holders([room.what])) for room in ROOMS}
+    empty = {room.what for room in ROOMS if not room.members}  # whose first kind is still to come
     with_fields = [cls for cls in SPECS if cls.__module__.startswith("vstestbed.") and cls.__annotations__]
     for cls in with_fields:
-        inside = compiled(cls.__pydantic_core_schema__)  # pyright: ignore[reportAttributeAccessIssue] - pydantic's
+        inside = compiled(cls.__pydantic_core_schema__) - empty  # pyright: ignore[reportAttributeAccessIssue] - pydantic's
         assert inside == {what for what, found in by_hints.items() if cls in found}, cls
     assert Scenario in by_hints["law"] and len(by_hints["law"]) < 10 < len(with_fields)
     assert {room.what for room in KINDS.values()} <= set(by_hints)

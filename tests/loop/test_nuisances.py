@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Picture
 from vstestbed.imaging.sensor import Drift
 from vstestbed.sim.build import build_plant
 
@@ -88,9 +87,9 @@ class TestDrift:
     def test_gains_drift_as_told(self):
         drift, grey = Drift(brightness=0.2, color=0.1, period_s=8), np.full((4, 4, 3), 100, np.uint8)
         for t, wanted in ((0, (110, 100, 90)), (2, (120, 120, 120)), (4, (90, 100, 110)), (6, (80, 80, 80))):
-            assert np.allclose(drift.of(Picture(t=t, images=(grey,))).image[0, 0], wanted, atol=1)
-        frame = Picture(t=1.0, images=(grey,))
-        assert Drift().of(frame) is frame
+            assert np.allclose(drift.of((grey,), t)[0][0, 0], wanted, atol=1)
+        images = (grey,)
+        assert Drift().of(images, 1.0) is images
 
     def test_it_is_in_the_picture(self):
         drift = {"noise.drift": {"brightness": 0.2, "color": 0.1, "period_s": 8}}
