@@ -55,9 +55,9 @@ class RunRequest:
     text: str
     filmed: bool
 
-    def perform(self, place: str | None = None) -> list[Files | None]:
+    def perform(self, place: str | None = None) -> Files:
         """The folder of the run (`execute`)."""
-        return [execute(self, place)]
+        return execute(self, place)
 
 
 class Request(Protocol[Done_co]):
