@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import OutputError
-from vstestbed.core.files import allowed, distinct, file_word, must_be_new, new_folder, only_writer, study_folder
+from vstestbed.core.files import allowed, distinct, file_word, must_be_new, new_folder, only_writer
+from vstestbed.studies.folder import study_folder
 
 HOLD = """
 import sys, time

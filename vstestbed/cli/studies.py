@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from vstestbed.studies.comparison import Job
     from vstestbed.studies.convergence import Ended, RunEnding, Study
     from vstestbed.studies.delay import Limit
-    from vstestbed.studies.tuning import Search
-    from vstestbed.studies.tuning.result import TuningResult
+    from vstestbed.studies.tuning import Search, TuningResult
 
 
 # The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
@@ -59,10 +58,10 @@ def basin(
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
     from vstestbed.cli.progress import show_notes
-    from vstestbed.core.files import study_folder
     from vstestbed.studies.basin import basins_of, laws, write
     from vstestbed.studies.batch import must_be_few_starts
     from vstestbed.studies.comparison import chosen
+    from vstestbed.studies.folder import study_folder
 
     # mistakes on the command line are reported before the scenarios are loaded
     across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
@@ -140,9 +139,9 @@ def sweep(
 ) -> None:
     """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
     from vstestbed.cli.compare import vary_of
-    from vstestbed.core.files import study_folder
     from vstestbed.studies.comparison import chosen
     from vstestbed.studies.convergence import Study, summaries
+    from vstestbed.studies.folder import study_folder
 
     study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
     shown, command = not (quiet or as_json), shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
@@ -213,8 +212,8 @@ def gain_limit(
     The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
     scenario (`--set camera.latency_s=0.06`) comes first.
     """
-    from vstestbed.core.files import study_folder
     from vstestbed.studies.delay import find_limits, write
+    from vstestbed.studies.folder import study_folder
 
     chosen, delays = load_scenario(scenario, set_, plugin), _numbers(frames)
     shown = not (quiet or as_json)

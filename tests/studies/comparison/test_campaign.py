@@ -24,7 +24,8 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterEr
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.studies.comparison import Campaign, Comparison, Job, compare, controllers, jobs
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.pools import RUNNING, LocalPool, RunRequest, WorkerLostError, crashed, execute, request_of
+from vstestbed.studies.comparison.runs import RunRequest, crashed, execute, request_of
+from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''
@@ -372,7 +373,7 @@ def test_the_name_of_a_case_is_no_path(command: Any, quick: Path, tmp_path: Path
 def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Whatever is missing, and in groups of any size."""
     run_here(monkeypatch)
-    monkeypatch.setattr("vstestbed.studies.comparison.runs.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.studies.comparison.plan.SIDE_BY_SIDE", 8)
     monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 6)
     whole, cut, seeds = tmp_path / "whole", tmp_path / "cut", 12
     table = compare([quick], seeds=seeds, out=whole, film=False, report=False)

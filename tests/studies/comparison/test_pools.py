@@ -15,7 +15,7 @@ from typing import Any
 import polars as pl
 import pytest
 
-from vstestbed.studies.comparison.pools import LocalPool, WorkerLostError
+from vstestbed.studies.pools import LocalPool, WorkerLostError
 
 ENDS_S = 10.0
 """A study ends this soon after Ctrl-C, also on a machine with much else to do; alone it takes a second."""
