@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from vstestbed.studies.tuning import Search, TuningResult
 
 
+def _command() -> str:
+    """This command line, for the page of a study; "" in a process that has none."""
+    return shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
+
+
 # The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
 basins = typer.Typer()
 
@@ -72,7 +77,7 @@ def basin(
     shown = not (quiet or as_json)
     with study_folder("basin", out) as folder:
         mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
-        page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+        page = write(folder, mapped, _command())
     if as_json:
         sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
     elif not quiet:
@@ -144,9 +149,9 @@ def sweep(
     from vstestbed.studies.folder import study_folder
 
     study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
-    shown, command = not (quiet or as_json), shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
+    shown = not (quiet or as_json)
     with study_folder("sweep", out) as folder:
-        ended = _carried_out(study, folder, jobs, shown, command)
+        ended = _carried_out(study, folder, jobs, shown)
     if as_json:
         sys.stdout.write(study.table(ended).write_json() + "\n")
     elif not quiet:
@@ -155,7 +160,7 @@ def sweep(
         typer.echo(f"  results   {folder} (open report.html)", err=True)
 
 
-def _carried_out(study: Study, folder: Path, jobs: int | None, shown: bool, command: str) -> Ended:
+def _carried_out(study: Study, folder: Path, jobs: int | None, shown: bool) -> Ended:
     """Do all runs and write the folder; an interrupted sweep has the map of the runs that are done."""
     from vstestbed.studies.convergence import write
 
@@ -178,7 +183,7 @@ def _carried_out(study: Study, folder: Path, jobs: int | None, shown: bool, comm
     finally:
         if found:
             ended = [found[place] for place in sorted(found)]
-            write(folder, study, ended, command)
+            write(folder, study, ended, _command())
     return ended
 
 
@@ -219,7 +224,7 @@ def gain_limit(
     shown = not (quiet or as_json)
     with study_folder("gain-limit", out) as folder:
         limits = find_limits(chosen, delays, lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
-        page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+        page = write(folder, limits, chosen.name, _command())
     if as_json:
         sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
     elif not quiet:

@@ -25,7 +25,7 @@ from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
 from vstestbed.report.comparison.columns import ComparisonResults, Metric, shown_by_default
-from vstestbed.scenario.yaml_marks import read_value
+from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 from vstestbed.studies.run_folder import ASSETS
 
@@ -261,22 +261,10 @@ def command_of(comparison: Comparison) -> str:
         return "vstestbed compare comparison.yaml"
     names = [Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base]
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
-    options = [("--set", f"{path}={_value(value)}") for path, value in comparison.set.items()]
-    options += [("--vary", f"{path}={','.join(map(_value, values))}") for path, values in comparison.axes.items()]
+    options = [("--set", f"{path}={flow_text(value)}") for path, value in comparison.set.items()]
+    options += [("--vary", f"{path}={flow_text(list(values))[1:-1]}") for path, values in comparison.axes.items()]
     options += [] if comparison.seeds is None else [("--seeds", str(comparison.seeds))]
     return shlex.join(chain(words, *options))
-
-
-def _value(value: object) -> str:
-    """A value in YAML's flow style."""
-    if isinstance(value, bool) or value is None:  # before numbers: bool is an int
-        return {True: "true", False: "false", None: "null"}[value]
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    plain = str(value)  # quoted only where YAML would read it as something else, such as `on` or `1`
-    return json.dumps(value) if isinstance(value, str) and read_value(f"[{plain}]") != [value] else plain
 
 
 # An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
