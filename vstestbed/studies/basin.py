@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -325,14 +325,3 @@ def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
     maps = [BasinMap(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
     x, y = basins[0].x, basins[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
-
-
-def basins_of(
-    found: Sequence[tuple[str, Scenario]], x: Axis, y: Axis, at: Mapping[str, float], check: int, on_basin: Callable[[Basin], None]
-) -> list[Basin]:
-    """The map of each law; `on_basin` is called with each as it is finished."""
-    basins = []
-    for label, scenario in found:
-        basins.append(basin(label, scenario, x, y, at, check))
-        on_basin(basins[-1])
-    return basins
