@@ -198,15 +198,15 @@ class _Slot:
                 return self.executor.submit(perform, request)
         except BrokenProcessPool:  # killed while it was idle
             pass
-        self.end()
+        self.kill()
+        self.executor.shutdown(wait=False, cancel_futures=True)
         self.start()
         return self.executor.submit(perform, request)
 
-    def end(self) -> None:
+    def kill(self) -> None:
         """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
         for process in list((self.executor._processes or {}).values()):  # public only from Python 3.14 on (kill_workers)
             process.kill()
-        self.executor.shutdown(wait=False, cancel_futures=True)
 
 
 def clear(folder: Path) -> Path:
@@ -289,7 +289,9 @@ class LocalPool:
         self._closed = True
         self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
-            slot.end()
+            slot.kill()
+        for slot in self._slots:  # waited for: Python wakes its threads at exit, and prints an error of one that closes just then
+            slot.executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
 
 
