@@ -10,7 +10,7 @@ import pytest
 
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
-from vstestbed.studies.comparison.pools import perform
+from vstestbed.studies.pools import perform
 
 
 class Here:
@@ -33,7 +33,7 @@ class Here:
 
 def run_here(patch: pytest.MonkeyPatch) -> None:
     """Runs of comparisons and searches are done in this process."""
-    for user in ("comparison", "tuning.search", "convergence"):
+    for user in ("comparison", "tuning", "convergence"):
         patch.setattr(f"vstestbed.studies.{user}.pool_of", lambda *_: Here())
 
 

@@ -29,7 +29,7 @@ from vstestbed.core.files import write_whole
 from vstestbed.studies.comparison import Campaign, Job, prepared
 from vstestbed.studies.comparison.folder import PLAN, table_of
 from vstestbed.studies.comparison.plan import AMOUNT
-from vstestbed.studies.comparison.pools import pool_of
+from vstestbed.studies.pools import pool_of
 
 SEED = 21
 """Of the order of the starts."""

@@ -76,7 +76,7 @@ def test_the_first_seed_is_filmed_side_by_side(command, quick: Path):
         (["quick.yaml", "--vary", "law.gain=1", "--vary", "law.gain=2"], "--vary names a field twice"),
         (["ibvs_retreat", "--seeds", "3"], "ibvs_retreat: robot.start.random is missing, and nothing else is random: every seed would"),
         (["quick.yaml", "--executor", "ray"], "--executor must be local or dask://HOST:PORT, got 'ray'"),
-        (["--resume"], "--resume needs the comparison's folder: --out DIR"),
+        (["--resume"], "--resume needs the folder that `vstestbed compare` has made: --out DIR"),
         (["--resume", "--out", "nowhere"], "nowhere: no such folder"),
         (["quick.yaml", "quick.yaml"], "base must name each scenario once"),
     ],

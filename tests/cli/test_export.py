@@ -12,8 +12,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.studies.comparison import chosen, controllers, jobs
-from vstestbed.studies.comparison.folder import store, write_plan
-from vstestbed.studies.comparison.pools import execute, request_of
+from vstestbed.studies.comparison.folder import PLAN, store
+from vstestbed.studies.comparison.runs import execute, request_of
+from vstestbed.studies.folder import write_plan
 
 SMALL = {"camera.width": 160, "camera.height": 120, "stop.duration_s": 0.12, "detector": {"kind": "oracle"}}
 
@@ -28,7 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     compared = place / "comparison"
     compared.mkdir()
     plan = chosen(["arm_ibvs"], SMALL, {}, 2, [])
-    write_plan(compared, plan)
+    write_plan(compared / PLAN, plan, "base")
     for job in jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
         store(compared, job, execute(request_of(job.folder, job.scenario(), filmed=False)), attempts=1)
     return place

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import OutputError
-from vstestbed.core.files import allowed, distinct, file_word, must_be_new, new_folder, only_writer, study_folder
+from vstestbed.core.files import allowed, distinct, file_word, must_be_new, new_folder, only_writer
 
 HOLD = """
 import sys, time
@@ -57,16 +57,6 @@ def test_holds_of_one_process_may_be_nested(tmp_path: Path):
         assert "is in use by process" in process.stderr  # the inner hold has not released the outer one
     with only_writer(tmp_path):
         pass
-
-
-def test_a_study_that_fails_leaves_no_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ZeroDivisionError), study_folder("basin", None) as folder:
-        assert folder == Path("runs/basin/001") and folder.is_dir()
-        raise ZeroDivisionError
-    assert not Path("runs").exists()
-    with study_folder("basin", None), study_folder("basin", None) as second:
-        assert second == Path("runs/basin/002")
 
 
 def test_a_place_that_holds_something_is_refused(tmp_path: Path):

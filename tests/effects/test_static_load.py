@@ -16,7 +16,7 @@ from vstestbed.effects.joints import Gears
 from vstestbed.effects.links import Payload
 from vstestbed.scenario.dump import dump
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.studies.comparison.pools import RunRequest, execute
+from vstestbed.studies.comparison.runs import RunRequest, execute
 
 LOAD = MASS * 9.81 * REACH
 """Torque of the links' weight about the horizontal first joint [Nm]."""

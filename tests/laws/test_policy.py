@@ -19,8 +19,9 @@ from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.policy import ActionScale, Policy, observed
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import parse
-from vstestbed.studies.comparison.folder import read_plan, write_plan
-from vstestbed.studies.comparison.plan import chosen
+from vstestbed.studies.comparison import PLAN
+from vstestbed.studies.comparison.plan import chosen, read_comparison
+from vstestbed.studies.folder import write_plan
 from vstestbed.studies.run_folder import run_into
 from vstestbed.testing.laws import quick
 
@@ -203,9 +204,9 @@ class TestWhereItIs:
         monkeypatch.chdir(tmp_path)
         plan = chosen([place], {}, {"law.file": ("mine.py:act", "mine.py:Smooth")}, 2)
         (tmp_path / "out").mkdir()
-        write_plan(tmp_path / "out", plan)
+        write_plan(tmp_path / "out" / PLAN, plan, "base")
         monkeypatch.chdir("/")
-        read = read_plan(tmp_path / "out")
+        read = read_comparison(tmp_path / "out" / PLAN)
         assert read.axes["law.file"] == (f"{mine}:act", f"{mine}:Smooth")
         assert vs.load(read.base[0]).law.file == f"{mine}:act"
 

@@ -13,8 +13,8 @@ from vstestbed.cli.app import main
 from vstestbed.core.errors import ParameterError
 from vstestbed.scenario.load import load
 from vstestbed.studies.comparison import Comparison, chosen
-from vstestbed.studies.comparison.pools import WorkerLostError
 from vstestbed.studies.convergence import RunEnding, Study
+from vstestbed.studies.pools import WorkerLostError
 
 AXES = {"calibration.depth_factor": (0.5, 1.0), "law.gain": (1.0, 2.0)}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
@@ -14,7 +13,6 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.report.comparison.columns import DEFAULT_METRICS, Metric, shown_by_default
 from vstestbed.report.run.numbers import table
-from vstestbed.studies.comparison.campaign import BatchRequest
 from vstestbed.studies.comparison.plan import Comparison
 from vstestbed.tasks.metrics import METRICS, CommandVariation, ErrorIntegrals
 from vstestbed.tasks.monitors import MONITORS, KeepOut
@@ -58,14 +56,7 @@ def test_they_follow_the_figures_of_every_run_and_are_in_the_report():
     assert "Integral" not in table(plain)
 
 
-def test_runs_of_one_batch_have_them_too(quick):
-    """As runs that fly by themselves, but for rounding; and a comparison shows them with their titles."""
-    scenarios = [vs.load(quick, BOTH, seed=seed) for seed in range(2)]
-    for scenario, files in zip(scenarios, BatchRequest.of("here", scenarios).perform(), strict=True):
-        alone, batch = vs.run(scenario).summary(), json.loads(files["summary.json"])
-        assert batch["batch"]
-        for name in (*ErrorIntegrals.titles, *CommandVariation.titles):
-            assert batch[name] == pytest.approx(alone[name], rel=1e-6), name
+def test_a_comparison_shows_them_with_their_titles():
     assert Metric.of("ise_px2_s").label == "Integral of the squared error [px² s]"
     assert shown_by_default(pl.DataFrame({"iae_px_s": [1.0]})) == (*DEFAULT_METRICS, "iae_px_s")
     grey = pl.DataFrame({"final_error_px": [None, None], "final_error_grey": [0.3, 0.4]})

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from polars import DataFrame
 
     from vstestbed.report.comparison.baseline import BaselineChanges
-    from vstestbed.studies.comparison import Baseline, Campaign, Comparison
-    from vstestbed.studies.comparison.folder import ComparisonTable
+    from vstestbed.studies.comparison import Baseline, Campaign, Comparison, ComparisonTable
 
 comparing = typer.Typer()
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from collections.abc import Callable, Iterator, Sized
+from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Protocol
@@ -18,12 +20,38 @@ from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
     from vstestbed.studies.basin import Axis, Basin
-    from vstestbed.studies.bench import Suite
+    from vstestbed.studies.bench import BesideFloor, Suite
     from vstestbed.studies.comparison import Job
-    from vstestbed.studies.convergence import Ended, RunEnding, Study
+    from vstestbed.studies.convergence import Ended, RunEnding
     from vstestbed.studies.delay import Limit
-    from vstestbed.studies.tuning import Search
-    from vstestbed.studies.tuning.result import TuningResult
+    from vstestbed.studies.tuning import Search, TuningResult
+
+
+def _command() -> str:
+    """This command line, for the page of a study; "" in a process that has none."""
+    return shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
+
+
+@contextmanager
+def _results_in(kind: str, out: Path | None, found: Sized, total: int, things: str, write: Callable[[Path], object]) -> Iterator[Path]:
+    """The folder of a study, into which its results are written when it ends, also those of an interrupted one.
+
+    Args:
+        kind: the command. out: the folder. found: the results so far. total: how many there are to be. things: what they are of.
+        write: writes them into the folder.
+    """
+    from vstestbed.studies.folder import study_folder
+
+    with study_folder(kind, out) as folder:
+        try:
+            yield folder
+        except KeyboardInterrupt:
+            where = f"; results in {folder} (open report.html)" if found else ""
+            typer.echo(f"interrupted: {len(found)} of {total} {things} are done{where}", err=True)
+            raise typer.Exit(INTERRUPTED) from None
+        finally:
+            if len(found):
+                write(folder)
 
 
 # The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
@@ -59,8 +87,8 @@ def basin(
     """From where each law reaches its goal, and why not from elsewhere: a map of ideal runs over two coordinates of the start."""
     from vstestbed.cli.compare import vary_of
     from vstestbed.cli.progress import show_notes
-    from vstestbed.core.files import study_folder
-    from vstestbed.studies.basin import basins_of, laws, write
+    from vstestbed.studies.basin import basin as map_of
+    from vstestbed.studies.basin import laws, write
     from vstestbed.studies.batch import must_be_few_starts
     from vstestbed.studies.comparison import chosen
 
@@ -70,14 +98,16 @@ def basin(
     must_be_few_starts(comparison, n, force)
     show_notes(not quiet)
     found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
-    shown = not (quiet or as_json)
-    with study_folder("basin", out) as folder:
-        mapped = basins_of(found, across, up, rest, check, lambda one: typer.echo(_summary_text(one), err=True) if shown else None)
-        page = write(folder, mapped, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    mapped: list[Basin] = []
+    with _results_in("basin", out, mapped, len(found), "maps", lambda folder: write(folder, mapped, _command())) as folder:
+        for label, scenario in found:
+            mapped.append(map_of(label, scenario, across, up, rest, check))
+            if not (quiet or as_json):
+                typer.echo(_summary_text(mapped[-1]), err=True)
     if as_json:
         sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
     elif not quiet:
-        typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+        typer.echo(f"  results   {folder} (open report.html)", err=True)
 
 
 def _axis(option: str, text: str, n: int) -> Axis:
@@ -140,47 +170,30 @@ def sweep(
 ) -> None:
     """How many seeds reach the goal over two varied fields, one map a law; runs leave no folders of their own."""
     from vstestbed.cli.compare import vary_of
-    from vstestbed.core.files import study_folder
     from vstestbed.studies.comparison import chosen
-    from vstestbed.studies.convergence import Study, summaries
+    from vstestbed.studies.convergence import Study, summaries, write
 
     study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
-    shown, command = not (quiet or as_json), shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
-    with study_folder("sweep", out) as folder:
-        ended = _carried_out(study, folder, jobs, shown, command)
-    if as_json:
-        sys.stdout.write(study.table(ended).write_json() + "\n")
-    elif not quiet:
-        for one in summaries(study.maps(ended)):
-            typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
-        typer.echo(f"  results   {folder} (open report.html)", err=True)
-
-
-def _carried_out(study: Study, folder: Path, jobs: int | None, shown: bool, command: str) -> Ended:
-    """Do all runs and write the folder; an interrupted sweep has the map of the runs that are done."""
-    from vstestbed.studies.convergence import write
-
     found: dict[int, tuple[Job, RunEnding]] = {}
-    total = len(study.runs)
+
+    def ended() -> Ended:
+        return [found[place] for place in sorted(found)]
 
     def done(place: int, job: Job, ending: RunEnding) -> None:
         found[place] = job, ending
         # a line every 100 runs: a run takes some 50 ms
-        if shown and (len(found) == total or len(found) % 100 == 0):
+        if not (quiet or as_json) and (len(found) == total or len(found) % 100 == 0):
             typer.echo(f"{len(found)} of {total} runs", err=True)
 
-    ended: Ended = ()
-    try:
+    total = len(study.runs)
+    with _results_in("sweep", out, found, total, "runs", lambda folder: write(folder, study, ended(), _command())) as folder:
         study.run_all(folder, jobs, done)
-    except KeyboardInterrupt:
-        words = f"; their map is in {folder} (open report.html)" if found else ""
-        typer.echo(f"interrupted: {len(found)} of {total} runs are done{words}", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    finally:
-        if found:
-            ended = [found[place] for place in sorted(found)]
-            write(folder, study, ended, command)
-    return ended
+    if as_json:
+        sys.stdout.write(study.table(ended()).write_json() + "\n")
+    elif not quiet:
+        for one in summaries(study.maps(ended())):
+            typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
+        typer.echo(f"  results   {folder} (open report.html)", err=True)
 
 
 renamed(convergences, "convergence", "sweep", sweep)
@@ -213,18 +226,23 @@ def gain_limit(
     The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
     scenario (`--set camera.latency_s=0.06`) comes first.
     """
-    from vstestbed.core.files import study_folder
-    from vstestbed.studies.delay import find_limits, write
+    from vstestbed.studies.delay import delays_of, find_limits, write
 
     chosen, delays = load_scenario(scenario, set_, plugin), _numbers(frames)
-    shown = not (quiet or as_json)
-    with study_folder("gain-limit", out) as folder:
-        limits = find_limits(chosen, delays, lambda one: typer.echo(_summary_line(one), err=True) if shown else None)
-        page = write(folder, limits, chosen.name, shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else "")
+    limits: list[Limit] = []
+    total = len(delays_of(chosen, delays))
+
+    def done(one: Limit) -> None:
+        limits.append(one)
+        if not (quiet or as_json):
+            typer.echo(_summary_line(one), err=True)
+
+    with _results_in("gain-limit", out, limits, total, "delays", lambda folder: write(folder, limits, chosen.name, _command())) as folder:
+        find_limits(chosen, delays, done)
     if as_json:
         sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
     elif not quiet:
-        typer.echo(f"  results   {page.parent} (open report.html)", err=True)
+        typer.echo(f"  results   {folder} (open report.html)", err=True)
 
 
 def _numbers(text: str) -> list[int]:
@@ -371,10 +389,15 @@ def bench(
     whole = ideal + every + (earlier is not None)
     if whole > 1 or (whole and (scenario or set_)):
         raise ParameterError("--ideal, --all and --compare", "each measure fixed scenarios: give one of them, without SCENARIO and --set")
+    left: list[str] = []
     if earlier is not None:
-        result: _Result = _changes_since(earlier, repeats, quiet=as_json)
+        from vstestbed.studies.bench import SpeedChanges, read_saved
+
+        before = read_saved(earlier).timings  # read first: a wrong file should not cost minutes
+        suite, left = _suite(repeats, tuple(before), quiet=as_json)
+        result: _Result = SpeedChanges.between(before, suite.timings)
     elif every:
-        result = _suite(repeats, (), quiet=as_json)
+        result, left = _suite(repeats, (), quiet=as_json)
     elif ideal:
         from vstestbed.studies.bench import measure_ideal
 
@@ -384,17 +407,23 @@ def bench(
 
         result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
     typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
+    if left:
+        typer.echo(f"interrupted: {', '.join(left)} not measured", err=True)
+        raise typer.Exit(INTERRUPTED)
 
 
-def _changes_since(earlier: Path, repeats: int, quiet: bool) -> _Result:
-    """The benchmarks of an earlier measurement, measured again."""
-    from vstestbed.studies.bench import SpeedChanges, read_saved
+def _suite(repeats: int, only: tuple[str, ...], quiet: bool) -> tuple[Suite, list[str]]:
+    """What was measured, and the names of the benchmarks that an interrupt has left out."""
+    from vstestbed.studies.bench import Suite, benchmarks, measure_one
 
-    before = read_saved(earlier).timings  # read first: a wrong file should not cost minutes
-    return SpeedChanges.between(before, _suite(repeats, tuple(before), quiet).timings)
-
-
-def _suite(repeats: int, only: tuple[str, ...], quiet: bool) -> Suite:
-    from vstestbed.studies.bench import measure_all
-
-    return measure_all(repeats, only, lambda name: None if quiet else typer.echo(f"{name} ...", err=True))
+    chosen = {name: one for name, one in benchmarks().items() if not only or name in only}
+    timings: dict[str, BesideFloor] = {}
+    try:
+        for name, (floor, pair) in chosen.items():
+            if not quiet:
+                typer.echo(f"{name} ...", err=True)
+            timings[name] = measure_one(floor, pair, repeats)
+    except KeyboardInterrupt:
+        if not timings:
+            raise
+    return Suite.of(timings), [name for name in chosen if name not in timings]

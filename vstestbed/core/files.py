@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -18,11 +19,15 @@ import unicodedata
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
+
+if TYPE_CHECKING:
+    import polars
 
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceeded, file too large
 
@@ -97,6 +102,19 @@ def write_whole(path: Path, content: str | bytes) -> Path:
     with writing(path), PartFile(path) as part:
         part.file.write(content.encode() if isinstance(content, str) else content)
     return path
+
+
+def write_json(path: Path, plain: object) -> Path:
+    """Write plain values as JSON; errors as of `write_whole`."""
+    return write_whole(path, json.dumps(plain, indent=1) + "\n")
+
+
+def write_table(path: Path, table: polars.DataFrame, row_group_size: int | None = None) -> None:
+    """Write a table as PATH.parquet and PATH.csv; errors as of `write_whole`."""
+    for ending, write in (("parquet", partial(table.write_parquet, row_group_size=row_group_size)), ("csv", table.write_csv)):
+        file = path.with_name(f"{path.name}.{ending}")
+        with writing(file), PartFile(file) as part:
+            write(part.file)
 
 
 def make_folder(folder: Path) -> Path:
@@ -316,22 +334,3 @@ def remove_empty(folder: Path) -> None:
         folder.rmdir()
         for parent in folder.parents[:2] if folder.parts[0] == "runs" else ():
             parent.rmdir()
-
-
-@contextmanager
-def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") -> Iterator[Path]:
-    """Make and hold the folder of a study (basin, compare, ...): `out`, or the next free number in runs/KIND.
-
-    It is removed again if an error leaves it empty.
-
-    Raises:
-        OutputError: it holds something already, another process writes into it, or it cannot be made.
-    """
-    folder = new_folder(Path("runs") / kind, out, remedy)
-    with only_writer(folder):
-        must_be_new(folder, remedy)  # again: another process may have finished there before this one held it
-        try:
-            yield folder
-        except BaseException:
-            remove_empty(folder)
-            raise

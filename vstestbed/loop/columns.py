@@ -105,10 +105,7 @@ class Layout:
 
     def rows(self, frames: Sequence[Kept]) -> Array:
         """Frames as numbers, shape (len(frames), columns); the same numbers for one at a time and for many at once."""
-        return self.stacked_rows({name: np.array([frame[name] for frame in frames]) for name in frames[0]})
-
-    def stacked_rows(self, stacked: Stacked) -> Array:
-        """The same of frames whose numbers are stacked already."""
+        stacked = {name: np.array([frame[name] for frame in frames]) for name in frames[0]}
         return np.concatenate([values(stacked) for _, values in self._blocks], axis=1)
 
     def _markers(self, k: Stacked) -> Array:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.files import write_whole, writing
+from vstestbed.core.files import write_json, write_table
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
-from vstestbed.studies.comparison import Comparison, controllers
-from vstestbed.studies.comparison.plan import changed
+from vstestbed.studies.comparison.plan import Comparison, changed, controllers
 from vstestbed.vision import Oracle
 
 if TYPE_CHECKING:
@@ -315,31 +312,16 @@ def table(basins: Sequence[Basin]) -> polars.DataFrame:
 
 
 def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
-    """Write `basin.parquet`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
+    """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
 
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
     from vstestbed.report.studies.maps import BasinMap, write_maps
 
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    parquet = io.BytesIO()
-    table(basins).write_parquet(parquet)
-    write_whole(folder / "basin.parquet", parquet.getvalue())
+    write_table(folder / "basin", table(basins))
     summaries = [b.summary() for b in basins]
-    write_whole(folder / "basin.json", json.dumps(summaries, indent=1) + "\n")
+    write_json(folder / "basin.json", summaries)
     maps = [BasinMap(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
     x, y = basins[0].x, basins[0].y
     return write_maps(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)
-
-
-def basins_of(
-    found: Sequence[tuple[str, Scenario]], x: Axis, y: Axis, at: Mapping[str, float], check: int, on_basin: Callable[[Basin], None]
-) -> list[Basin]:
-    """The map of each law; `on_basin` is called with each as it is finished."""
-    basins = []
-    for label, scenario in found:
-        basins.append(basin(label, scenario, x, y, at, check))
-        on_basin(basins[-1])
-    return basins

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -19,14 +19,11 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.depth import Estimate, PnP
 from vstestbed.features.observation import Goal, Observation, Relative
 from vstestbed.laws import Law
-from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.views import BatchLaw, Views, has_batch
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.loop.judge import FAR_M
-from vstestbed.loop.recording import BLOCK
 from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.robots import Free, Mount
-from vstestbed.robots.base import RobotLog
 from vstestbed.robots.free import FreeStart
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.noise import Noise
@@ -226,17 +223,6 @@ class BatchSetup:
         return law if has_batch(law) else OneByOne(law, self.scenario.camera)
 
     @cached_property
-    def complete(self) -> bool:
-        """Whether a run in which the law sees all markers in all frames has the log that a single run would have, but for rounding.
-
-        The law has equations for many runs and does not shorten its commands, all markers count, robot and task add no columns, and the
-        log fits a block.
-        """
-        s = self.scenario
-        plain = s.law.limits == TwistLimits() and s.goal_view.counted is None and s.own_columns == RobotLog.columns
-        return plain and not s.law.modes and has_batch(s.law) and self.frames(s.stop.duration_s) < BLOCK
-
-    @cached_property
     def error_px(self) -> float:
         """RMS error that counts as converged [px]."""
         return s if (s := self.scenario.stop.converged.error_px) is not None else math.nan
@@ -339,7 +325,6 @@ class Instant:
         step: number of the frame. index: of the runs in the batch (m,). T: poses T_camera_target (m, 4, 4).
         twist: commanded twists (m, 6). error: RMS errors (m,) [px]. code: outcomes, positions in CODES (m,). ended: frames at which the
             runs end, where they do (m,).
-        whole: runs whose law has measured all markers and has given a command (m,).
     """
 
     step: int
@@ -349,14 +334,9 @@ class Instant:
     error: Array
     code: NDArray[np.int_]
     ended: NDArray[np.int_]
-    whole: NDArray[np.bool_]
 
 
-Watch = Callable[[Instant], None]
-"""Called with every frame of a batch."""
-
-
-def fly(scenario: Scenario, start: Array, watch: Watch = lambda _: None) -> Batch:
+def fly(scenario: Scenario, start: Array) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
@@ -366,7 +346,6 @@ def fly(scenario: Scenario, start: Array, watch: Watch = lambda _: None) -> Batc
     Args:
         scenario: an ideal scenario, as from `ideal`; its own start is ignored.
         start: start poses T_camera_target, shape (M, 4, 4).
-        watch: called with every frame, of up to AT_ONCE runs.
 
     Raises:
         ParameterError: the law cannot run in a batch, or the scenario is not ideal.
@@ -374,7 +353,7 @@ def fly(scenario: Scenario, start: Array, watch: Watch = lambda _: None) -> Batc
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
-    parts = [_fly(setup, start[i : i + AT_ONCE], watch) for i in range(0, max(len(start), 1), AT_ONCE)]
+    parts = [_fly(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
     return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
 
@@ -394,7 +373,7 @@ class _Runs:
         return _Runs(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
+def _fly(setup: BatchSetup, start: Array) -> Batch:
     m, stop = len(start), setup.scenario.stop
     last = setup.frames(stop.duration_s)
     runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
@@ -408,7 +387,6 @@ def _fly(setup: BatchSetup, start: Array, watch: Watch) -> Batch:
         if step == last:
             words[runs.index] = watched.unstable(now)
             now.code[words[runs.index] != ""] = _CODE[Outcome.unstable]
-        watch(now)
         twist, code = now.twist, now.code
         over = code != GOING
         if over.any():
@@ -498,7 +476,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
         if which.any():  # later entries overwrite earlier ones: they take precedence
             code[which] = _CODE[how]
             ended[which] = min(gone, last) if which is lost else step
-    return Instant(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended, ~lost & all_seen)
+    return Instant(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended)
 
 
 def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:

@@ -421,6 +421,11 @@ class Suite:
     machine: dict[str, str]
     timings: dict[str, BesideFloor]
 
+    @classmethod
+    def of(cls, timings: dict[str, BesideFloor]) -> Suite:
+        """What was measured on this machine."""
+        return cls({"processor": platform.processor() or platform.machine(), "system": platform.platform()} | versions(), timings)
+
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON."""
         return asdict(self)
@@ -434,24 +439,13 @@ class Suite:
         return "\n".join(lines)
 
 
-def measure_all(repeats: int = 5, only: tuple[str, ...] = (), stage: Callable[[str], None] = lambda _: None) -> Suite:
-    """Measure every benchmark and its floor in turn, `repeats` times after one turn that warms up.
-
-    Args:
-        repeats: counted turns. only: names of the benchmarks; none: all. stage: called with the name of each one that begins.
-    """
-    timings = {}
-    for name, (floor, pair) in _benchmarks().items():
-        if only and name not in only:
-            continue
-        stage(name)
-        pairs = [pair() for _ in range(repeats + 1)][1:]
-        timings[name] = BesideFloor(floor=floor, seconds=tuple(a for a, _ in pairs), floor_seconds=tuple(b for _, b in pairs))
-    machine = {"processor": platform.processor() or platform.machine(), "system": platform.platform()} | versions()
-    return Suite(machine, timings)
+def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
+    """Measure a benchmark and its floor in turn, `repeats` times after one turn that warms up."""
+    pairs = [pair() for _ in range(repeats + 1)][1:]
+    return BesideFloor(floor=floor, seconds=tuple(a for a, _ in pairs), floor_seconds=tuple(b for _, b in pairs))
 
 
-def _benchmarks() -> dict[str, tuple[str, Pair]]:
+def benchmarks() -> dict[str, tuple[str, Pair]]:
     """Every benchmark: what its floor is, and how both are measured."""
     arm = _short("arm_ibvs")
     robots = {name: ("same physics steps, same raw pictures", partial(loop_and_floor, _short(name))) for name in ROBOTS}

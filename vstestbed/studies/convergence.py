@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 import math
 import pickle
@@ -18,15 +17,14 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, UnreachableError, VstestbedError
-from vstestbed.core.files import write_whole, writing
+from vstestbed.core.files import write_table
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.studies.maps import ConvergenceMap, write_page
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison import Comparison, Job, controllers, jobs, workers
-from vstestbed.studies.comparison.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of
-from vstestbed.studies.comparison.runs import must_be_few
+from vstestbed.studies.comparison.plan import Comparison, Job, controllers, jobs, must_be_few
+from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4
 """Runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms."""
@@ -215,12 +213,7 @@ def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    table, parquet = study.table(ended), io.BytesIO()
-    table.write_parquet(parquet)
-    write_whole(folder / "convergence.parquet", parquet.getvalue())
-    write_whole(folder / "convergence.csv", table.write_csv())
+    write_table(folder / "convergence", study.table(ended))
     axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
     seeds = study.comparison.seeds or 0
     left = len(study.runs) - len(ended)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -15,7 +13,7 @@ import polars as pl
 from scipy.linalg import expm
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.files import write_whole, writing
+from vstestbed.core.files import write_json, write_table
 from vstestbed.core.geometry import Array, exp, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.laws import Law
@@ -457,15 +455,10 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     rows = [limit.row() for limit in limits]
-    table, parquet = pl.DataFrame(rows, infer_schema_length=None), io.BytesIO()
-    table.write_parquet(parquet)
-    write_whole(folder / "delay.parquet", parquet.getvalue())
-    write_whole(folder / "delay.csv", table.write_csv())
+    write_table(folder / "delay", pl.DataFrame(rows, infer_schema_length=None))
     lags = [row | {"lags": [asdict(lag) for lag in limit.lags]} for row, limit in zip(rows, limits, strict=True)]
-    write_whole(folder / "delay.json", json.dumps(lags, indent=1) + "\n")
+    write_json(folder / "delay.json", lags)
     return write_page(folder, name, rows, [branches(limit) for limit in limits], command)
 
 

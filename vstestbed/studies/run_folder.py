@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +15,7 @@ from vstestbed.core import files
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.log_file import COMPRESSED, FolderLog, open_log
+from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.session import run
 from vstestbed.scenario.dump import dump_for_folder, kept_files
@@ -136,16 +135,6 @@ def _goal_pictures(recording: Recording) -> Iterator[tuple[str, bytes]]:
 
 def _summary(figures: dict[str, object]) -> str:
     return json.dumps(figures, indent=1) + "\n"
-
-
-def files_of(recording: Recording, more: dict[str, object]) -> dict[str, bytes]:
-    """The files that `run_into` leaves of a run that is over, without films and report, by name; more: figures for its summary."""
-    log = io.BytesIO()
-    recording.frame().write_parquet(log, **COMPRESSED)
-    summary = _summary(recording.summary() | more).encode()
-    return (
-        dict(_experiment(recording.scenario)) | dict(_goal_pictures(recording)) | {"log.parquet": log.getvalue(), "summary.json": summary}
-    )
 
 
 @contextmanager

@@ -120,7 +120,7 @@ TAKEN = frozenset(
     (
         *FIGURES,
         *SOME_FIGURES,
-        *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "batch"),
+        *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts"),
         *(
             "wall_time_s",
             "real_time_factor",

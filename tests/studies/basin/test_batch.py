@@ -21,6 +21,7 @@ from vstestbed.laws import IBVS, LAWS, PBVS, QP, Hybrid, Law, Partitioned, Predi
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
 from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import Solve
+from vstestbed.laws.views import has_batch
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.noise import Noise
@@ -287,3 +288,15 @@ def test_a_law_that_fails_in_one_run_ends_that_run_alone(monkeypatch: pytest.Mon
     starts = from_(Pose(xyz=(0.1, 0, -1)), Pose(xyz=(0.1, 0, -2)), Pose(xyz=(-0.1, 0.1, -1.2)))
     found = fly(scenario(Predictive()), starts)
     assert list(found.outcome) == [vs.Outcome.converged, vs.Outcome.law_failed, vs.Outcome.converged] and found.steps[1] == 0
+
+
+class OtherStep(IBVS):
+    """Overrides its step, and inherits the batch's."""
+
+    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        """As IBVS."""
+        return IBVS.step(self, memory, observation, goal, basis)
+
+
+def test_a_law_that_overrides_its_step_alone_has_no_batch():
+    assert has_batch(IBVS()) and not has_batch(OtherStep())

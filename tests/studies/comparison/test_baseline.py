@@ -12,10 +12,11 @@ import pytest
 from ruamel.yaml import YAML
 
 from vstestbed.core.errors import RunFolderError
+from vstestbed.core.files import write_json
 from vstestbed.report.comparison import baseline
 from vstestbed.report.comparison.baseline import FILE, BaselineChanges, read_changes
 from vstestbed.studies.comparison import Comparison, controllers, jobs
-from vstestbed.studies.comparison.baseline import Baseline, write_changes
+from vstestbed.studies.comparison.folder import Baseline
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs/guides/comparing.md"
 PLAN = Comparison(base=("quick",), axes={"law.gain": (1, 2)}, metrics=("time_to_converge_s", "min_border_margin_px", "sim_time_s"))
@@ -40,7 +41,7 @@ def changed(tmp_path: Path, before: pl.DataFrame, now: pl.DataFrame, suffix: str
     path = tmp_path / f"old/comparison.{suffix}"
     path.write_bytes(before.write_csv().encode()) if suffix == "csv" else before.write_parquet(path)
     changes = Baseline.read(tmp_path / "old").changes(PLAN, now, tmp_path)
-    write_changes(tmp_path, changes)
+    write_json(tmp_path / FILE, changes.plain())
     # as it is, but for infinities and NaN, which are no JSON
     assert json.dumps(read_changes(tmp_path).plain()) == json.dumps(changes.plain())
     return changes

@@ -24,7 +24,8 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterEr
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.studies.comparison import Campaign, Comparison, Job, compare, controllers, jobs
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.pools import LocalPool, RunRequest, WorkerLostError, crashed, execute, request_of
+from vstestbed.studies.comparison.runs import RunRequest, crashed, execute, request_of
+from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''
@@ -369,6 +370,28 @@ def test_the_name_of_a_case_is_no_path(command: Any, quick: Path, tmp_path: Path
     assert (tmp_path / "deep/c/report.html").is_file()
 
 
+def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Whatever is missing, and in groups of any size."""
+    run_here(monkeypatch)
+    monkeypatch.setattr("vstestbed.studies.comparison.plan.SIDE_BY_SIDE", 8)
+    monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 6)
+    whole, cut, seeds = tmp_path / "whole", tmp_path / "cut", 12
+    table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
+    shutil.copytree(whole, cut)
+    every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
+    monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 10_000)
+    assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
+    for place in ("0/0", "0/3", "8/11"):
+        (cut / f"runs/quick/as_it_is/{place}/summary.json").unlink()
+    again = compare([], out=cut, resume=True, film=False, report=False)
+    (cut / RUNNING).mkdir()  # of a process that was killed while it wrote the report
+    assert timeless(compare([], out=cut, resume=True, film=False, report=False)).equals(timeless(again))
+    assert not (cut / RUNNING).exists()
+    assert timeless(again).equals(timeless(table))
+    assert logs(cut) == logs(whole)
+    assert len(logs(whole)) == seeds
+
+
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
     request = request_of("runs/a", vs.load(quick), False)
     files = crashed(request.text, "no more")
@@ -387,9 +410,11 @@ def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_pat
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
     campaign = Campaign(tmp_path, jobs(controllers(comparison), 2))
-    campaign.run(Here())
+    told: list[Any] = []
+    campaign.run(Here(), lambda job, summary: told.append((job.seed, summary["outcome"])))
     table = table_of(tmp_path, campaign.jobs)
     assert table["outcome"].to_list() == ["crashed", "crashed"]
+    assert told == [(0, "crashed"), (1, "crashed")]
     assert "has the whole target in view" in table["reason"][0]
 
 

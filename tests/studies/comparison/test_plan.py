@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from vstestbed.cli.compare import vary_of
+from vstestbed.cli.tools import settings_of
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.named_files import bundled_comparisons
 from vstestbed.studies.comparison import Comparison, chosen, controllers, jobs
+from vstestbed.studies.comparison.folder import command_of
 from vstestbed.studies.comparison.plan import read_comparison
 
 LONG = ("canonical_arm", "calibration_error", "depth_error", "realism")
@@ -117,3 +121,12 @@ class TestFile:
     def test_bundled_ones_can_be_run(self, name: str):
         comparison = chosen([name], {}, {}, None)
         assert controllers(comparison)
+
+
+def test_the_command_of_a_comparison_repeats_its_values():
+    """Texts that YAML would read otherwise are quoted; one with `#` ended the report in an error."""
+    values = (1, 2.5, True, None, "on", "1", "#x", "a,b", "x: y", "", {"kind": "ibvs", "gain": 2.0}, [0, "on"])
+    words = shlex.split(command_of(Comparison(base=("quick",), set={"name": "#1, a"}, axes={"law.gain": values})))
+    assert words[:3] == ["vstestbed", "compare", "quick"]
+    assert settings_of([words[words.index("--set") + 1]]) == {"name": "#1, a"}
+    assert vary_of([words[words.index("--vary") + 1]]) == {"law.gain": values}

@@ -9,8 +9,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.studies.comparison import Comparison, chosen, controllers, jobs
-from vstestbed.studies.comparison.plan import StartTable
-from vstestbed.studies.comparison.runs import MOST_RUNS, Variants, must_be_few
+from vstestbed.studies.comparison.plan import MOST_RUNS, StartTable, Variants, must_be_few
 
 TENTHS = tuple(i / 10 for i in range(1, 11))
 

@@ -21,7 +21,7 @@ from vstestbed.core.named_files import bundled_comparisons
 from vstestbed.studies.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import StartTable, merged
-from vstestbed.studies.comparison.pools import LocalPool
+from vstestbed.studies.pools import LocalPool
 
 YAML = """
 description: Two laws turn back.

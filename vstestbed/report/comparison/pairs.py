@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import polars as pl
 
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import write_table
 from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 from vstestbed.report.comparison.statistics import (
     Difference,
@@ -184,10 +183,7 @@ def write_records(
         OutputError: a file cannot be written.
     """
     for name, table in ((CONTROLLERS, controller_records(comparison, means)), (PAIRS, pair_records(comparison, all_pairs))):
-        parquet = io.BytesIO()
-        table.write_parquet(parquet)
-        write_whole(folder / f"{name}.parquet", parquet.getvalue())
-        write_whole(folder / f"{name}.csv", table.write_csv())
+        write_table(folder / name, table)
 
 
 def controller_records(comparison: ComparisonResults, means: Sequence[Mapping[str, Interquartile]]) -> pl.DataFrame:

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import polars as pl
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
-from vstestbed.core.files import only_writer, study_folder
+from vstestbed.core.files import write_json, write_table
 from vstestbed.core.planar import block_of
 from vstestbed.core.registry import ROOMS
 from vstestbed.core.shares import at_once
+from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
-from vstestbed.studies.comparison.baseline import Baseline, write_changes
-from vstestbed.studies.comparison.campaign import Campaign, OnDone
-from vstestbed.studies.comparison.folder import PLAN, finish, read_plan, resumable, table_of, write_plan, write_table
-from vstestbed.studies.comparison.plan import Comparison, chosen
-from vstestbed.studies.comparison.pools import clear, must_be_known, pool_of
-from vstestbed.studies.comparison.runs import Job, Variant, Variants, controllers, jobs
+from vstestbed.studies.comparison.folder import GROUP, PLAN, Baseline, ComparisonTable, finish, table_of
+from vstestbed.studies.comparison.plan import Comparison, Job, Variant, Variants, chosen, controllers, jobs, read_comparison
+from vstestbed.studies.comparison.runs import Campaign, OnDone
+from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
+from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
-if TYPE_CHECKING:
-    import polars
-
-    from vstestbed.studies.comparison.folder import ComparisonTable
-
-__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "Job", "Variant", "chosen", "compare", "controllers", "jobs", "must_be_known"]
+__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "ComparisonTable", "Job", "Variant"]
+__all__ += ["chosen", "compare", "controllers", "jobs", "must_be_known"]
 
 
 def compare(
@@ -69,9 +64,7 @@ def compare(
         OutputError: `out` is taken, or another process writes into it.
         EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
     """
-    # without this check every worker would start workers of its own
-    if getattr(multiprocessing.current_process(), "_inheriting", False):  # a worker that imports the script
-        raise ParameterError("compare", "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
+    must_not_be_worker("compare")
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
     with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier, limit) as (
@@ -106,7 +99,7 @@ def carry_out(
                 clear(campaign.folder)  # of a process that was killed while it wrote the report
         finally:  # also an interrupted comparison has its table
             table = table_of(campaign.folder, campaign.jobs)
-            write_table(campaign.folder, table)
+            _write_table(campaign.folder, table)
         if lost := len(campaign.jobs) - len(table):
             words = f"{lost} of {len(campaign.jobs)} runs are not there any more, though each was stored when it was done"
             advice = "see what else writes there, then do them again with --resume"
@@ -114,11 +107,9 @@ def carry_out(
         changes = None
         if baseline is not None:
             changes = baseline.changes(comparison, table, campaign.folder)
-            write_changes(campaign.folder, changes)  # before the page, which reads it
+            write_json(campaign.folder / FILE, changes.plain())  # before the page, which reads it
         if report:
             finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
-    from vstestbed.studies.comparison.folder import ComparisonTable  # here: polars is imported only where there is a table
-
     return ComparisonTable.of(table, campaign.folder, comparison, changes)
 
 
@@ -144,16 +135,15 @@ def prepared(
         requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins, limit)
     with ExitStack() as stack:
         if resume:
-            folder = resumable(out)
-            stack.enter_context(only_writer(folder))
+            folder = stack.enter_context(resumed_folder("compare", out, PLAN))
             comparison, found = _resumed(folder, requested, force, plugins)
         elif requested is None:
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
             _check_before(comparison, found, baseline)
-            folder = stack.enter_context(study_folder("compare", out, "give a new one, or --resume to go on with what is there"))
-            write_plan(folder, comparison)
+            folder = stack.enter_context(study_folder("compare", out, RESUMABLE))
+            write_plan(folder / PLAN, comparison, "base")
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
         yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
@@ -184,7 +174,7 @@ def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: S
     Raises:
         ParameterError: the command line requests another comparison than the folder's.
     """
-    comparison = read_plan(folder, plugins)
+    comparison = read_comparison(folder / PLAN, plugins)
     found = controllers(comparison, force)
     if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
         problem = "goes on with what the folder compares, which is something else (its `scenarios` are copies); leave the rest out"
@@ -203,34 +193,30 @@ def _essence(c: Variant) -> tuple[object, ...]:
     return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
 
 
-def workers(requested: int | None, runs: int) -> int:
-    """Number of worker processes: as requested, else one per core; never more than there are runs."""
-    if requested is not None and requested < 1:
-        raise ParameterError("--jobs", "must be 1 or more", requested)
-    # the cores that this process may use, which in a container can be fewer than the machine has
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(requested or cores, runs))
+def _write_table(folder: Path, table: pl.DataFrame) -> None:
+    """Write `comparison.parquet`, in row groups of GROUP runs, and `comparison.csv`."""
+    write_table(folder / "comparison", table, GROUP)
 
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
 
     Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
     """
     comparison, table, _ = stored(folder, plugins)
-    write_table(folder, table)
+    _write_table(folder, table)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"
 
 
-def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, polars.DataFrame, int]:
+def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
     """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
 
     Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_plan`.
+        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
     """
-    comparison = read_plan(folder, plugins)
+    comparison = read_comparison(folder / PLAN, plugins)
     every = jobs(controllers(comparison, force=True), comparison.seeds)
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)

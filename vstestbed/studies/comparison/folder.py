@@ -1,76 +1,41 @@
-"""A comparison's folder: its plan, its runs, each stored complete or not at all, and the table of all runs."""
+"""A comparison's folder: its runs, each stored complete or not at all, the table of all runs, its results, an earlier one as baseline."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import json
 import os
 import shlex
 import shutil
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
-from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import make_folder, temporary, write_whole, writing
-from vstestbed.core.registry import to_mapping
+from vstestbed.core.errors import RunFolderError
+from vstestbed.core.files import read_file, temporary, write_whole, writing
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
-from vstestbed.report.comparison.baseline import BaselineChanges
-from vstestbed.scenario.dump import as_yaml
-from vstestbed.scenario.load import for_another_folder
-from vstestbed.scenario.yaml_marks import read_value
-from vstestbed.studies.comparison.plan import AMOUNT, Comparison, read_comparison
-from vstestbed.studies.comparison.pools import Files
-from vstestbed.studies.comparison.runs import Job
+from vstestbed.report.comparison.baseline import BaselineChanges, change_of
+from vstestbed.report.comparison.columns import ComparisonResults, Metric, shown_by_default
+from vstestbed.scenario.dump import flow_text
+from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 from vstestbed.studies.run_folder import ASSETS
 
-if TYPE_CHECKING:
-    import polars
-
 PLAN = "comparison.yaml"
+Files = dict[str, bytes]
+"""Content of a run's folder by file name."""
 GROUP = 10_000
 """Runs of a row group of the table, and rows that are in memory as dictionaries."""
 DEEPEST = 5
 """Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)."""
-
-
-def resumable(out: Path | None) -> Path:
-    """The folder of a comparison that can be resumed.
-
-    Raises:
-        ParameterError: no folder is given. RunFolderError: the folder holds no comparison.
-    """
-    if out is None:
-        raise ParameterError("--resume", "needs the comparison's folder: --out DIR")
-    if not (out / PLAN).is_file():
-        raise RunFolderError(out, "no comparison here" if out.is_dir() else "no such folder")
-    return out
-
-
-def write_plan(folder: Path, comparison: Comparison) -> None:
-    """Write `comparison.yaml`, with which `vstestbed compare` repeats the comparison, and copies of its scenario files."""
-    base = tuple(kept_base(folder, name) for name in comparison.base)
-    write_whole(folder / PLAN, as_yaml(to_mapping(replace(comparison, base=base))))
-
-
-def kept_base(folder: Path, name: str) -> str:
-    """The name of a scenario for a plan in `folder`; one that is a file is copied there."""
-    if not Path(name).is_file():
-        return name
-    write_whole(make_folder(folder / "scenarios") / Path(name).name, for_another_folder(Path(name)))
-    return f"scenarios/{Path(name).name}"
-
-
-def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Comparison:
-    """The comparison of a folder; `plugins`: see `read_comparison`."""
-    return read_comparison(folder / PLAN, plugins)
 
 
 def summary_of(folder: Path, job: Job) -> dict[str, Any]:
@@ -168,13 +133,11 @@ def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
                 yield from _with_summary(folder, f"{place}/{entry.name}", depth - 1)
 
 
-def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> polars.DataFrame:
+def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.DataFrame:
     """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts.
 
     `damaged`: see `finished`.
     """
-    import polars as pl
-
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
     found, parts = _summaries(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
@@ -210,16 +173,6 @@ def _flat(block: Mapping[str, Any], before: str) -> dict[str, Any]:
     return flat
 
 
-def write_table(folder: Path, table: polars.DataFrame) -> None:
-    """Write `comparison.csv` and `comparison.parquet`, the latter in row groups of GROUP runs."""
-    import io
-
-    parquet = io.BytesIO()
-    table.write_parquet(parquet, row_group_size=GROUP)
-    write_whole(folder / "comparison.parquet", parquet.getvalue())
-    write_whole(folder / "comparison.csv", table.write_csv())
-
-
 # The table of a comparison as its caller gets it; it shows its result in a notebook.
 class ComparisonTable(pl.DataFrame):
     """A polars table, one row per run; what is computed from it is an ordinary table.
@@ -253,7 +206,7 @@ FILMS = ("overview.mp4", "camera.mp4")
 """Films of a run, from top to bottom of its column."""
 
 
-def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
+def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
     """Make film and report of the finished runs; nothing if there is none.
 
     Args:
@@ -263,7 +216,6 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     Raises:
         OutputError, EnvironmentLackError: a file cannot be written.
     """
-    from vstestbed.report.comparison.columns import shown_by_default
     from vstestbed.report.comparison.page import write_comparison_report
 
     call = call or at_once
@@ -283,9 +235,8 @@ def finish(folder: Path, comparison: Comparison, table: polars.DataFrame, stage:
     write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call)
 
 
-def _film(folder: Path, table: polars.DataFrame, axes: tuple[str, ...]) -> Path | None:
+def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:
     """Make `comparison.mp4`: the first filmed run of each controller, up to six controllers; None if there are no films."""
-    from vstestbed.report.comparison.columns import ComparisonResults
     from vstestbed.report.video.side_by_side import MOST, Column, side_by_side
 
     columns = []
@@ -310,19 +261,159 @@ def command_of(comparison: Comparison) -> str:
         return "vstestbed compare comparison.yaml"
     names = [Path(name).stem if Path(name).suffix != ".yaml" else Path(name).name for name in comparison.base]
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
-    options = [("--set", f"{path}={_value(value)}") for path, value in comparison.set.items()]
-    options += [("--vary", f"{path}={','.join(map(_value, values))}") for path, values in comparison.axes.items()]
+    options = [("--set", f"{path}={flow_text(value)}") for path, value in comparison.set.items()]
+    options += [("--vary", f"{path}={flow_text(list(values))[1:-1]}") for path, values in comparison.axes.items()]
     options += [] if comparison.seeds is None else [("--seeds", str(comparison.seeds))]
     return shlex.join(chain(words, *options))
 
 
-def _value(value: object) -> str:
-    """A value in YAML's flow style."""
-    if isinstance(value, bool) or value is None:  # before numbers: bool is an int
-        return {True: "true", False: "false", None: "null"}[value]
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{k}: {_value(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    plain = str(value)  # quoted only where YAML would read it as something else, such as `on` or `1`
-    return json.dumps(value) if isinstance(value, str) and read_value(f"[{plain}]") != [value] else plain
+# An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
+
+
+TABLES = ("comparison.parquet", "comparison.csv")
+NEEDED = ("scenario", "seed", "outcome", "success")
+MOST_NAMED = 6
+"""Most controllers of an earlier comparison that a message names."""
+WORKS = "give the folder of a comparison, or its comparison.parquet or comparison.csv"
+Key = tuple[object, ...]
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """The table of an earlier comparison.
+
+    Attributes:
+        place: the folder or the file that was given. file: the table's file. table: one row per run.
+    """
+
+    place: Path
+    file: Path
+    table: pl.DataFrame
+
+    @classmethod
+    def read(cls, place: str | Path) -> Baseline:
+        """The table of a comparison's folder, or of its file.
+
+        Raises:
+            RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
+        """
+        place = Path(place)
+        file = next((place / name for name in TABLES if (place / name).is_file()), place)
+        if file.is_dir() or not file.exists():
+            raise RunFolderError(place, "holds no comparison's results" if file.is_dir() else "no such folder or file", WORKS)
+        table = _table_in(file)
+        if missing := [name for name in NEEDED if name not in table.columns]:
+            raise RunFolderError(file, f"is no table of a comparison (it has no column {missing[0]})", WORKS)
+        return cls(place, file, table)
+
+    def must_match(self, comparison: Comparison, jobs: Iterable[Job]) -> None:
+        """Refuse a comparison none of whose runs is in this one: before anything runs.
+
+        Raises:
+            RunFolderError: it names the controllers that are in the baseline.
+        """
+        varied = comparison.varied
+        there = set(_rows_by_key(self.table, varied))
+        values = ({"scenario": job.controller.scenario.name, **job.controller.values, "seed": _seed_of(job)} for job in jobs)
+        if not any(_key(_as_text(row), varied) in there for row in values):
+            names = list(dict.fromkeys(map(_words, _controllers(self.table))))
+            more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+            words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {_seeds(self.table)}"
+            raise RunFolderError(self.place, words, "compare the same scenarios with the same --vary and --seeds")
+
+    def changes(self, comparison: Comparison, table: pl.DataFrame, folder: Path) -> BaselineChanges:
+        """What changed in the runs that both have.
+
+        Args:
+            comparison: the new one. table: of its runs. folder: its folder.
+        """
+        results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
+        before = _rows_by_key(self.table, comparison.varied)
+        left, only_now, found = dict(before), list[str](), []
+        for controller in results.controllers:
+            keys = [_key(row, comparison.varied) for row in controller.runs.iter_rows(named=True)]
+            here = [i for i, key in enumerate(keys) if left.pop(key, None) is not None]
+            if len(here) < len(keys):
+                only_now.append(f"{controller.label}, {len(keys) - len(here)} of {len(keys)} runs")
+            if here:
+                now, then = controller.runs[here], self.table[[before[keys[i]] for i in here]]
+                found.append(change_of(controller.label, then, now, _with_time(results.shown), self._settings(then, folder, now)))
+        return BaselineChanges(str(self.place), sum(c.runs for c in found), tuple(only_now), self._named(left.values()), tuple(found))
+
+    def _named(self, rows: Iterable[int]) -> tuple[str, ...]:
+        """The controllers of some rows, each with how many there are."""
+        counted = Counter(map(_words, _controllers(self.table[sorted(rows)])))
+        return tuple(f"{name}, {n} run{'s' * (n != 1)}" for name, n in counted.items())
+
+    def _settings(self, then: pl.DataFrame, folder: Path, now: pl.DataFrame) -> tuple[str, ...]:
+        """Fields in which the scenario of the first matched run differs; none where one of the two files is not there."""
+        from vstestbed.report.comparison.page import differing
+
+        if "folder" not in then.columns:
+            return ()
+        return differing([self.file.parent / str(then["folder"][0]) / "scenario.yaml", folder / str(now["folder"][0]) / "scenario.yaml"])
+
+
+def _table_in(file: Path) -> pl.DataFrame:
+    content = io.BytesIO(read_file(file, WORKS))
+    try:
+        return pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
+
+
+def _with_time(shown: Sequence[Metric]) -> list[Metric]:
+    """The metrics that are shown, and the time to converge."""
+    from vstestbed.report.comparison.pairs import TIME
+
+    return list({m.name: m for m in (*shown, TIME)}.values())
+
+
+def _rows_by_key(table: pl.DataFrame, varied: Sequence[str]) -> dict[Key, int]:
+    """The row of each run; none where the two comparisons vary different fields."""
+    if set(_named(table)) != {"scenario", *varied}:
+        return {}
+    rows = table.select("scenario", *varied, "seed").iter_rows(named=True)
+    return {_key(row, varied): i for i, row in enumerate(rows)}
+
+
+def _key(row: Mapping[str, Any], varied: Sequence[str]) -> Key:
+    return (row["scenario"], *(_norm(row[name]) for name in varied), _norm(row["seed"]))
+
+
+def _norm(value: object) -> object:
+    """A value as tables compare it: a number is the same in a column of numbers and in one of texts."""
+    if isinstance(value, bool) or value is None:
+        return str(value).lower()
+    try:
+        return float(str(value))
+    except ValueError:
+        return str(value)
+
+
+def _as_text(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A planned run's values as in a table: blocks and lists as JSON."""
+    return {name: value if isinstance(value, int | float | str) else json.dumps(value) for name, value in row.items()}
+
+
+def _seed_of(job: Job) -> int:
+    return job.controller.scenario.seed if job.seed is None else job.seed
+
+
+def _named(table: pl.DataFrame) -> list[str]:
+    """The columns that name a controller, which stand before the seed: the scenario and what is varied."""
+    return table.columns[: table.columns.index("seed")]
+
+
+def _controllers(table: pl.DataFrame) -> list[dict[str, Any]]:
+    """The controller of each run."""
+    return table.select(_named(table)).to_dicts()
+
+
+def _words(row: Mapping[str, Any]) -> str:
+    return ", ".join([str(row["scenario"]), *(f"{name}={value}" for name, value in row.items() if name != "scenario")])
+
+
+def _seeds(table: pl.DataFrame) -> str:
+    seeds = sorted(set(table["seed"].to_list()))
+    return f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else ", ".join(map(str, seeds))

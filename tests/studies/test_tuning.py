@@ -20,15 +20,15 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
 from vstestbed.report.studies.tuning import ParameterAxis
-from vstestbed.studies.tuning.search import NoListener
-from vstestbed.studies.tuning.space import Choice, Range, Trial, best_of, parameter, read_record
+from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
+from vstestbed.studies.tuning import NoListener
 
 SMALL: dict[str, Any] = {"trials": 6, "seeds": 2, "check": 1, "set": {"camera.rate_hz": 10, "stop.converged.hold_s": 0.1}}
 
 
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.studies.tuning.result.write_page", lambda *_: None)
+    monkeypatch.setattr("vstestbed.studies.tuning.write_page", lambda *_: None)
 
 
 class Interrupts(NoListener):
@@ -171,7 +171,7 @@ BAD = [
     (["arm_laws", "--vary", "law.gain=1:2"], "SCENARIO must be one scenario, and no comparison"),
     (["quick.yaml", "--resume", "--out", "x"], "--resume goes on with what the folder searches"),
     (["--resume", "--out", "x"], "x: no such folder"),
-    (["--resume"], "--resume needs the folder of the search: --out DIR"),
+    (["--resume"], "--resume needs the folder that `vstestbed tune` has made: --out DIR"),
     (["quick.yaml", "--vary", "law.gain=1:2", "--executor", "ray"], "--executor must be local or dask"),
 ]
 

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, ScenarioError
-from vstestbed.core.files import read_file, write_whole
+from vstestbed.core.files import read_file, write_json
 from vstestbed.core.registry import rooms_of
 from vstestbed.report.comparison.columns import Metric
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison.plan import Comparison, changed
-from vstestbed.studies.comparison.runs import controllers
+from vstestbed.studies.comparison.plan import Comparison, changed, controllers
 
 if TYPE_CHECKING:
     import optuna
@@ -297,7 +296,7 @@ def best_of(trials: Sequence[Trial], higher: bool) -> Trial | None:
 
 def write_record(folder: Path, settings: Sequence[Mapping[str, object]]) -> None:
     """Write the settings of all trials so far: before their runs begin, so that an interrupted search goes on with the same."""
-    write_whole(folder / RECORD, json.dumps([{"number": i, "values": dict(values)} for i, values in enumerate(settings)], indent=1) + "\n")
+    write_json(folder / RECORD, [{"number": i, "values": dict(values)} for i, values in enumerate(settings)])
 
 
 def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import multiprocessing
 import os
@@ -11,53 +10,20 @@ import shutil
 import signal
 import tempfile
 import threading
-import traceback
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from vstestbed.core.errors import EnvironmentLackError, ParameterError, UnreachableError
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
-from vstestbed.core.outcome import Outcome
 from vstestbed.core.shares import STOPS, at_once, some_done
-from vstestbed.loop.recording import Rows
-from vstestbed.scenario.dump import dump
-from vstestbed.scenario.load import parse
-from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.run_folder import run_into
 
-# One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines.
-
-
-Files = dict[str, bytes]
-"""Content of a run's folder by file name."""
 Done_co = TypeVar("Done_co", covariant=True)
-TILE_PX = (480, 270)
-"""Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
-
-
-@dataclass(frozen=True)
-class RunRequest:
-    """A run as it is sent to a worker, which needs no file of the sender's machine.
-
-    Attributes:
-        folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
-        filmed: whether to make films.
-    """
-
-    folder: str
-    text: str
-    filmed: bool
-
-    def perform(self, place: str | None = None) -> list[Files | None]:
-        """The folder of the run (`execute`)."""
-        return [execute(self, place)]
 
 
 class Request(Protocol[Done_co]):
@@ -76,61 +42,6 @@ class Request(Protocol[Done_co]):
 def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
     """Do what a request asks for: a function, as pools need it."""
     return request.perform(place)
-
-
-def execute(request: RunRequest, place: str | None = None) -> Files:
-    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback,
-    a start at which an arm falls `unreachable`.
-
-    Args:
-        request: the run. place: where its folder is made; None: where TMPDIR says.
-
-    Raises:
-        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
-        PluginError: a plugin of the scenario is not there on this machine.
-    """
-    scenario = parse(request.text, "scenario.yaml")
-    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
-    with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
-        folder = Path(made) / "run"
-        folder.mkdir()
-        try:
-            recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
-            # a picture of every failure for the report's gallery; films are made of the first seed only
-            if not recording.outcome.success and len(recording.rows):
-                picture_of_the_end(scenario, recording.rows, folder)
-        except EnvironmentLackError:  # no fault of the run: the comparison stops
-            raise
-        except UnreachableError as error:  # its motors cannot hold it there
-            return crashed(request.text, error.problem, outcome=Outcome.unreachable)
-        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
-            return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
-        return _files(folder)
-
-
-def _files(folder: Path) -> Files:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
-
-
-def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
-    """The folder of a crashed run, or of one that could not begin: scenario, summary, traceback, and `rest`, the files that it has left."""
-    scenario = parse(text, "scenario.yaml")
-    summary = {"scenario": scenario.name, "outcome": outcome.name, "success": False, "reason": reason, "seed": scenario.seed}
-    own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
-    return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
-
-
-def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
-    """Write `end.png`: the scene from outside at the end of a failed run."""
-    from vstestbed.report.video import film
-    from vstestbed.report.video.quality import FINE
-
-    film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
-
-
-def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
-    """The request for a run of a scenario."""
-    return RunRequest(folder, dump(scenario, defaults=True), filmed)
 
 
 def begin(place: str) -> None:
@@ -171,7 +82,7 @@ Asked = TypeVar("Asked", bound=Request[Any])
 MOST_TRIES = 2
 """Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
 RUNNING = ".running"
-"""Folder of the workers' temporary files in a comparison's folder."""
+"""Folder of the workers' temporary files in a study's folder."""
 
 
 class Pool(Protocol):
@@ -287,19 +198,19 @@ class _Slot:
                 return self.executor.submit(perform, request)
         except BrokenProcessPool:  # killed while it was idle
             pass
-        self.end()
+        self.kill()
+        self.executor.shutdown(wait=False, cancel_futures=True)
         self.start()
         return self.executor.submit(perform, request)
 
-    def end(self) -> None:
+    def kill(self) -> None:
         """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
         for process in list((self.executor._processes or {}).values()):  # public only from Python 3.14 on (kill_workers)
             process.kill()
-        self.executor.shutdown(wait=False, cancel_futures=True)
 
 
 def clear(folder: Path) -> Path:
-    """Remove what a killed process has left of its temporary files in a comparison's folder; returns their place."""
+    """Remove what a killed process has left of its temporary files in a study's folder; returns their place."""
     place = folder.absolute() / RUNNING
     shutil.rmtree(place, ignore_errors=True)
     return place
@@ -310,7 +221,7 @@ class LocalPool:
 
     Args:
         jobs: number of processes.
-        folder: the comparison's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
+        folder: the study's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
             holds the folder removes what a killed one has left.
     """
 
@@ -378,7 +289,9 @@ class LocalPool:
         self._closed = True
         self._callers.shutdown(wait=False, cancel_futures=True)
         for slot in self._slots:
-            slot.end()
+            slot.kill()
+        for slot in self._slots:  # waited for: Python wakes its threads at exit, and prints an error of one that closes just then
+            slot.executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
 
 
@@ -502,8 +415,23 @@ def _execute_on_dask(request: Request[Done], key: str) -> Done:
     return perform(request, worker.local_directory)
 
 
+def must_not_be_worker(function: str) -> None:
+    """Refuse a function that starts workers in a worker that imports the caller's script: each would start workers of its own."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise ParameterError(function, "must stand under `if __name__ == '__main__':` in a script, which worker processes import")
+
+
+def workers(requested: int | None, runs: int) -> int:
+    """Number of worker processes: as requested, else one per core; never more than there are runs."""
+    if requested is not None and requested < 1:
+        raise ParameterError("--jobs", "must be 1 or more", requested)
+    # the cores that this process may use, which in a container can be fewer than the machine has
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(requested or cores, runs))
+
+
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:
-    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the comparison's.
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's.
 
     Raises:
         ParameterError: another value. EnvironmentLackError: see DaskPool.

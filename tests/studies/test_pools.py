@@ -15,7 +15,7 @@ from typing import Any
 import polars as pl
 import pytest
 
-from vstestbed.studies.comparison.pools import LocalPool, WorkerLostError
+from vstestbed.studies.pools import LocalPool, WorkerLostError
 
 ENDS_S = 10.0
 """A study ends this soon after Ctrl-C, also on a machine with much else to do; alone it takes a second."""
@@ -27,6 +27,7 @@ STUDIES = {
     "sweep": ("sweep", "quick.yaml", *AXES, "--seeds", "8"),
     "tune": ("tune", "quick.yaml", "--vary", "law.gain=3:6", "--seeds", "4"),
 }
+MAP = ("--x", "x=-0.3:0.3", "--y", "y=-0.3:0.3", "--n", "40", "--check", "30")
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
@@ -99,16 +100,31 @@ def test_ctrl_c_ends_a_study_at_once(start: Start, tmp_path: Path, study: str, l
     assert not (tmp_path / "out" / ".running").exists()
 
 
-@pytest.mark.parametrize("words", [("gain-limit", "quick.yaml"), pytest.param(("bench", "--all"), marks=pytest.mark.study)])
-def test_ctrl_c_in_a_run_ends_the_study_around_it(start: Start, words: tuple[str, ...]):
-    """Not that run alone, after which the study went on with the next one."""
+@pytest.mark.parametrize(
+    ("words", "said", "kept"),
+    [
+        (("gain-limit", "quick.yaml", "--out", "out"), "interrupted: 1 of 6 delays are done; results in out (open report.html)", "delay"),
+        (
+            ("basin", "quick.yaml", "--vary", "law.gain=3,6", *MAP, "--out", "out"),
+            "interrupted: 1 of 2 maps are done; results in out (open report.html)",
+            "basin",
+        ),
+        pytest.param(("bench", "--all"), "interrupted", "", marks=pytest.mark.study),
+    ],
+)
+def test_ctrl_c_in_a_run_ends_the_study_around_it(start: Start, tmp_path: Path, words: tuple[str, ...], said: str, kept: str):
+    """Not that run alone, after which the study went on with the next one; what is done is kept."""
     process = start(*words)
     assert process.stderr is not None
     assert process.stderr.readline().strip()  # the first result, or what is measured first
-    time.sleep(0.5)
+    if not kept:
+        time.sleep(0.5)
     took_s, err = interrupted(process)
     assert took_s < ENDS_S
-    assert err.splitlines()[-1] == "interrupted"
+    assert err.splitlines()[-1] == said
+    if kept:
+        assert len(pl.read_parquet(tmp_path / f"out/{kept}.parquet")) == len(pl.read_csv(tmp_path / f"out/{kept}.csv")) > 0
+        assert (tmp_path / "out/report.html").exists()
 
 
 def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
@@ -119,7 +135,7 @@ def test_an_interrupted_sweep_keeps_what_is_done(start: Start, tmp_path: Path):
     assert took_s < 2 * ENDS_S  # it draws the map
     table = pl.read_parquet(tmp_path / "out" / "convergence.parquet")
     assert 100 <= len(table) < 400
-    assert f"interrupted: {len(table)} of 400 runs are done; their map is in out (open report.html)\n" in err
+    assert f"interrupted: {len(table)} of 400 runs are done; results in out (open report.html)\n" in err
     assert table["seed"].to_list() == sorted(table["seed"].to_list())  # in the order of the plan, whichever worker was first
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"Interrupted: {400 - len(table)} of 400 runs are missing" in page
