@@ -126,7 +126,6 @@ WRITERS = {  # beside core/files.py: where, which call, and why it may
     ("loop/log_file.py", "open"): "log.part has a fixed name and grows; opened with x",
     ("report/video/writer.py", "open"): "the encoder writes into the open file of a PartFile",
     ("report/video/gif.py", "open"): "the encoder writes into memory",
-    ("studies/comparison/folder.py", "os.open"): "opens a folder for reading, to flush it",
     ("cli/ending.py", "open"): "opens the null device in place of a closed pipe",
     ("cli/ending.py", "os.open"): "opens the null device in place of closed standard streams",
 }

@@ -218,8 +218,24 @@ class TestRun:
             ended = command("run", "quick.yaml", *NO_FILM, "--seed", seed, "--json")
             number = max(Path("runs/quick").iterdir())
             assert json.loads(ended.out)["seed"] == seed
-            starts.append(next(line for line in (number / "scenario.yaml").read_text(encoding="utf-8").splitlines() if "xyz" in line))
+            starts.append(next(line for line in (number / "resolved.yaml").read_text(encoding="utf-8").splitlines() if "xyz" in line))
         assert starts[0] == starts[1] != starts[2]
+
+    def test_options_over_the_scenario_of_a_run_do_what_they_say(self, command) -> None:
+        short = ("--set", "detector=oracle", "--set", "stop.duration_s=0.1")
+        command("run", "arm_ibvs", *NO_FILM, *short, "--seed", 3, "--set", "robot.realism=field", "--out", "a")
+        for name, words in {
+            "lab": ("--set", "robot.realism=lab"),
+            "seed": ("--seed", 5),
+            "box": ("--set", "robot.start.random.q_deg=1"),
+        }.items():
+            command("run", "a/scenario.yaml", *NO_FILM, *words, "--out", name)
+            first = ("--set", "robot.realism=field") if name != "lab" else ()
+            command("run", "arm_ibvs", *NO_FILM, *short, "--seed", 3, *first, *words, "--out", f"{name} wanted")
+            assert Path(name, "log.parquet").read_bytes() == Path(f"{name} wanted", "log.parquet").read_bytes()
+            assert Path(name, "log.parquet").read_bytes() != Path("a/log.parquet").read_bytes()
+        refused = command("run", "a/resolved.yaml", *NO_FILM, "--seed", 5)
+        assert refused.code == 2 and "put other values and seeds over scenario.yaml beside it" in refused.err
 
     def test_the_scenario_as_run_gives_the_same_log_again(self, command, quick: Path) -> None:
         command("run", "quick.yaml", *NO_FILM, "--seed", 2, "--set", "noise.pixel_sigma_px=0.1", "--set", "stop.converged.error_px=0.5")
@@ -370,12 +386,3 @@ def test_flow_makes_the_folder_of_its_figure(command, tmp_path: Path, monkeypatc
     monkeypatch.setattr("vstestbed.report.studies.flow.write_flow", lambda feature, depth, out: [out])
     ended = command("optical-flow", "--out", tmp_path / "not/there/x.png")
     assert ended.code == 0 and ended.out.strip() == str(tmp_path / "not/there/x.png") and (tmp_path / "not/there").is_dir()
-
-
-@pytest.mark.parametrize(("old", "new"), [("delay", "gain-limit"), ("convergence", "sweep"), ("flow", "optical-flow")])
-def test_an_old_word_of_a_command_still_works_and_names_the_new_one(command, old: str, new: str) -> None:
-    ended = command(old, *({"flow": ["--feature", "no_such_feature"]}.get(old, ["no_such_scenario"])))
-    assert ended.code == 2
-    assert f"vstestbed {old} is now called {new}" in ended.err
-    shown = command("--help").out
-    assert f"\n  {new} " in shown and f"\n  {old} " not in shown

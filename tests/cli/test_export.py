@@ -12,9 +12,10 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.studies.comparison import chosen, controllers, jobs
-from vstestbed.studies.comparison.folder import PLAN, store
+from vstestbed.studies.comparison.folder import PLAN
 from vstestbed.studies.comparison.runs import execute, request_of
 from vstestbed.studies.folder import write_plan
+from vstestbed.studies.run_folder import ASSETS, store
 
 SMALL = {"camera.width": 160, "camera.height": 120, "stop.duration_s": 0.12, "detector": {"kind": "oracle"}}
 
@@ -31,7 +32,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = chosen(["arm_ibvs"], SMALL, {}, 2, [])
     write_plan(compared / PLAN, plan, "base")
     for job in jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
-        store(compared, job, execute(request_of(job.folder, job.scenario(), filmed=False)), attempts=1)
+        files = execute(request_of(job.folder, job.scenario(), filmed=False))
+        store(compared / job.folder, files, compared / ASSETS, attempts=1)
     return place
 
 

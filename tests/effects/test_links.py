@@ -54,7 +54,7 @@ def test_its_error_is_that_of_the_first_order_model() -> None:
         robot, q = wrong(scale), JOINTS[1]
         assert robot.geometry_error is not None
         frames, twist = _frames(q), np.zeros(6)
-        for i, pose in enumerate(robot.geometry_error.drawn_offsets):
+        for i, pose in enumerate(robot.geometry_error.offsets):
             twist += adjoint(inverse(inverse(frames[i + 1]) @ frames[6])) @ np.array([*pose.xyz, *np.radians(pose.rpy_deg)])
         found = log(inverse(forward(q)) @ true_pose(robot, q))
         assert np.abs(found).max() > 1e-3 * scale

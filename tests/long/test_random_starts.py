@@ -48,7 +48,7 @@ def test_industrial_arrives_from_everywhere(capsys: pytest.CaptureFixture[str]):
     nominal = np.degrees(nominal_scenario.robot.configuration())
     rows, failed, finals = [HEAD], [], []
     for seed in range(SEEDS):
-        scenario = nominal_scenario.randomised(seed)
+        scenario = nominal_scenario.randomised(seed).resolved
         assert np.abs(np.degrees(scenario.robot.configuration()) - nominal).max() <= 15
         r = vs.run(scenario)
         rows.append(line(seed, scenario, nominal, r))
@@ -70,7 +70,7 @@ def test_industrial_arrives_from_everywhere(capsys: pytest.CaptureFixture[str]):
 @pytest.mark.parametrize("seed", [None, *range(5)])
 def test_raw_stops_inside_its_dead_band(seed: int | None, capsys: pytest.CaptureFixture[str]):
     bundled = vs.load("arm_ibvs_raw")
-    scenario = bundled if seed is None else bundled.randomised(seed)
+    scenario = bundled if seed is None else bundled.randomised(seed).resolved
     r = vs.run(scenario)
     dead = dead_band(scenario)
     rows = [HEAD] if seed == 0 else []

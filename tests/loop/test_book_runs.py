@@ -144,5 +144,5 @@ class TestRow:
         assert all(np.hypot(*(flown - [x, 0]).T).min() < 0.15 for x in (0, 3, 6))
 
     def test_a_random_start_needs_the_first_four_alone_in_view(self):
-        scenario = vs.load("quadrotor_row").randomised(0)
+        scenario = vs.load("quadrotor_row").randomised(0).resolved
         assert scenario.robot.start.nominal != vs.load("quadrotor_row").robot.start.nominal

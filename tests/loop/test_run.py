@@ -181,8 +181,8 @@ class TestRepeats:
     def test_the_same_bytes(self, repeated: dict[str, Path], other: str):
         first = repeated["first"]
         assert (repeated[other] / "log.parquet").read_bytes() == (first / "log.parquet").read_bytes()
-        assert (repeated[other] / "scenario.yaml").read_text() == (first / "scenario.yaml").read_text()
-        assert (repeated[other] / "model.xml").read_text() == (first / "model.xml").read_text()
+        for name in ("scenario.yaml", "resolved.yaml", "model.xml"):
+            assert (repeated[other] / name).read_text() == (first / name).read_text()
 
     def test_other_seeds_other_noise(self, repeated: dict[str, Path], tmp_path: Path):
         scenario = replace(vs.load(repeated["first"] / "scenario.yaml"), seed=1)
@@ -191,7 +191,8 @@ class TestRepeats:
 
     def test_folder(self, repeated: dict[str, Path]):
         names = {p.name for p in repeated["filmed"].iterdir()}
-        assert names == {"scenario.yaml", "model.xml", "log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
+        given = {"scenario.yaml", "resolved.yaml", "model.xml"}
+        assert names == given | {"log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
         log = read_log(repeated["first"])
         assert log.height == 9  # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
         assert log.schema["frame"] == pl.Int64 and log.schema["lost"] == pl.Boolean

@@ -119,7 +119,10 @@ def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
         assert summary["servo_kv"] == {name: servo.kv for name, servo in servos.items()}
         assert summary["servo_torque"]["shoulder"] is None  # no limit
         assert summary["servo_torque"]["lift"] == (200 if actuation == "velocity" else None)
-        for started in (seeded(scenario, 3), scenario.displaced(Pose(xyz=(0.02, 0, 0)), "camera")):  # a comparison's runs are alike
+        for started in (
+            seeded(scenario, 3).resolved,
+            scenario.displaced(Pose(xyz=(0.02, 0, 0)), "camera"),
+        ):
             assert started.robot.configuration() != pytest.approx(scenario.robot.configuration())
             assert started.robot.actuator_set.gains() == scenario.robot.actuator_set.gains() or actuation == "ideal"
     assert arm("seven", actuation="file").actuator_set.gains() == {}
@@ -342,7 +345,7 @@ class TestDoctor:
         assert scenario.robot.flange == flange and np.isfinite([s.torque for s in scenario.robot.actuator_set.servos]).all()
         recording = vs.run(scenario)
         assert recording.outcome is vs.Outcome.converged, recording.reason
-        assert seeded(scenario, 1).robot != scenario.robot  # and its random starts have the target in view
+        assert seeded(scenario, 1).resolved.robot != scenario.robot  # and its random starts have the target in view
 
     def test_a_sound_file(self, command: Any, tmp_path: Path) -> None:
         told = command("doctor", str(HERE / "scara.xml"))

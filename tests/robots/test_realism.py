@@ -10,7 +10,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import brief_mapping, to_mapping
+from vstestbed.core.registry import brief_mapping
 from vstestbed.core.spec import spec
 from vstestbed.effects.joints import CurrentLoops
 from vstestbed.robots.realism import Level, Realistic
@@ -49,7 +49,6 @@ class Cart(Realistic):
     lag_of_drive_s: float | None = None
     name: str = ""
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": {"play": LAB}, "field": {"play": FIELD, "lag_of_drive_s": 0.2}}
-    drawn_fields: ClassVar[tuple[str, ...]] = ("play.seed",)
 
 
 def made(**given: Any) -> Cart:
@@ -60,7 +59,7 @@ def made(**given: Any) -> Cart:
 @pytest.mark.parametrize(("level", "play", "lag"), [("none", None, None), ("lab", LAB, None), ("field", FIELD, 0.2)])
 def test_a_preset_fills_what_is_not_given(level: Level, play: Play | None, lag: float | None) -> None:
     cart = Cart(realism=level)
-    assert (cart.play, cart.lag_of_drive_s, cart.filled) == (play, lag, level)
+    assert (cart.play, cart.lag_of_drive_s, cart.realism) == (play, lag, level)
 
 
 def test_what_is_given_stays_also_where_it_is_nothing() -> None:
@@ -94,31 +93,16 @@ GIVEN: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("now", ["none", "lab", "field"])
 def test_another_level_replaces_what_the_former_has_filled_alone(former: Level, now: Level, given: dict[str, Any]) -> None:
     before, wanted = made(realism=former, **given), made(realism=now, **given)
-    assert replace(before, realism=now) == wanted
-    drawn = before if before.play is None else replace(before, play=replace(before.play, seed=5))
-    if now != former:  # what was drawn is no value of the user's
-        assert replace(drawn, realism=now) == wanted
-        assert made(**{**to_mapping(drawn), "realism": now}) == wanted
+    assert before.at_level(now) == wanted
+    if now != former and not given:
+        with pytest.raises(ParameterError, match=f"realism fills nothing here, where every effect is given as at {former}"):
+            replace(before, realism=now)
 
 
 @pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
 def test_off_stays_off_at_another_level(given: dict[str, Any]) -> None:
     off = made(realism="field", **given | {"play": None})
-    assert replace(off, realism="lab").play is None
-
-
-@pytest.mark.parametrize("former", ["none", "lab"])
-@pytest.mark.parametrize("own", [None, LAB], ids=["off", "as the lab has it"])
-def test_values_given_with_another_level_are_never_taken_for_the_formers(former: Level, own: Play | None) -> None:
-    changes = {"realism": "field", "play": own}
-    changed = made(**Cart.before_changes(to_mapping(Cart(realism=former)), changes) | changes)
-    assert (changed.play, changed.lag_of_drive_s) == (own, 0.2)
-
-
-def test_the_same_level_leaves_a_run_as_it_was() -> None:
-    stored = to_mapping(Cart(realism="lab")) | {"play": {"width_m": 9e-4, "stiffness_npm": 450.0, "seed": 5}}  # of an older preset
-    assert Cart.before_changes(stored, {"realism": "lab"}) == stored
-    assert made(**stored).play == Play(width_m=9e-4, stiffness_npm=450.0, seed=5)
+    assert off.at_level("lab").play is None
 
 
 @pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
@@ -134,8 +118,6 @@ def test_its_short_text_has_what_the_preset_has_not(level: Level, given: dict[st
 def test_no_other_level() -> None:
     with pytest.raises(ParameterError, match=r"Cart.realism must be one of 'none', 'lab' or 'field', got 'labb'"):
         made(realism="labb")
-    with pytest.raises(ParameterError, match=r"Cart.filled must be one of 'none', 'lab' or 'field', got 'labb'"):
-        made(filled="labb")
 
 
 def test_the_arm_has_it_in_python_as_in_a_file() -> None:

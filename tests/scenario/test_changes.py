@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import vstestbed as vs
-from vstestbed.scenario.dump import changes, dump_for_folder
+from vstestbed.scenario.dump import changes, documents
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_changed_fields_are_named_as_set_takes_them(name: str, settings: dict[st
 
 def test_a_copy_of_the_targets_file_is_no_change(tmp_path: Path) -> None:
     place = tmp_path / "arm_mesh.yaml"
-    place.write_text(dump_for_folder(vs.load("arm_mesh")), encoding="utf-8")
+    place.write_text(documents(vs.load("arm_mesh"))["scenario.yaml"], encoding="utf-8")
     copy = tmp_path / "assets" / "target" / "flange.stl"
     copy.parent.mkdir(parents=True)
     copy.write_bytes(Path(vs.load("arm_mesh").target.source or "").read_bytes())

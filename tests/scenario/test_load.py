@@ -338,10 +338,11 @@ class TestSet:
 
 class TestSeed:
     def test_a_seed_draws_the_same_start_for_everybody(self) -> None:
-        a, b = (load("arm_ibvs", seed=3).robot.start.nominal.q_deg for _ in range(2))
+        a, b = (load("arm_ibvs", seed=3).resolved.robot.start.nominal.q_deg for _ in range(2))
         assert a == b
-        assert a != load("arm_ibvs", seed=4).robot.start.nominal.q_deg
-        assert load("arm_ibvs", {"law.gain": 2.0}, seed=3).robot.start.nominal.q_deg == a  # one seed, the same start for every controller
+        assert a != load("arm_ibvs", seed=4).resolved.robot.start.nominal.q_deg
+        other = load("arm_ibvs", {"law.gain": 2.0}, seed=3).resolved
+        assert other.robot.start.nominal.q_deg == a  # one seed, the same start for every controller
         assert np.abs(np.array(a) - load("arm_ibvs").robot.start.nominal.q_deg).max() <= 15  # the box of the file
 
     def test_without_a_random_block_it_is_refused_with_an_example(self) -> None:

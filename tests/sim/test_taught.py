@@ -15,7 +15,7 @@ from vstestbed.sim.scene.stage import Stage
 
 @pytest.mark.parametrize("level", ["none", "field"])
 def test_the_camera_is_at_the_goal_view(level: str) -> None:
-    s = vs.load("arm_ibvs", {"robot.realism": level})
+    s = vs.load("arm_ibvs", {"robot.realism": level}).resolved
     stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.001))
     T = flange_for(s.camera, s.target, s.goal_poses[-1])
     own = posture_at(s.robot, T)

@@ -22,13 +22,15 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderEr
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import FolderLog, open_log, read_log
 from vstestbed.loop.recording import to_frame
+from vstestbed.loop.session import run
+from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.run_folder import new_folder, run_into, write_whole
 from vstestbed.tasks.frame import Frame
 
 NO_FILM = ("--video", "none")
-PROMISED = {"scenario.yaml", "model.xml", "log.parquet", "summary.json", "report.html"}
+PROMISED = {"scenario.yaml", "resolved.yaml", "model.xml", "log.parquet", "summary.json", "report.html"}
 FINISHED = {"log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
 HELD_S, PICTURE_S = 1.0, 2.1 / 25
 """How long a film's last picture stays; the time of one of its pictures, which is that of two of the camera's [s]."""
@@ -242,7 +244,7 @@ class TestWholeOrNotAtAll:
         folder = new_folder(scenario, tmp_path / "run")
         with pytest.raises(EnvironmentLackError, match="the plug"):
             run_into(folder, scenario, "none", [Fails()])
-        assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "model.xml", "log.part"}
+        assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "resolved.yaml", "model.xml", "log.part"}
         assert read_log(folder)["frame"].to_list() == [0, 1, 2, 3, 4, 5]
 
 
@@ -470,3 +472,24 @@ class TestFullDisk:
         assert ended.code == 4
         assert ended.err.count("\n") == 1
         assert list(place.iterdir()) == []
+
+
+class TestFoldersOfBefore:
+    """A folder of version 0.1.0, whose one scenario was both what was given and what the seed drew."""
+
+    @pytest.fixture
+    def former(self, tmp_path: Path) -> Path:
+        return Path(shutil.copytree(Path(__file__).parent / "former_run", tmp_path / "former"))
+
+    def test_it_is_read_as_it_ran(self, former: Path) -> None:
+        wanted = load("arm_ibvs", {"robot.realism": "field", "detector": "oracle", "stop.duration_s": 0.4}, seed=3).resolved
+        found = load_run(former)
+        assert found == replace(wanted, robot=replace(wanted.robot, start=found.robot.start))
+        assert found.robot.start.nominal == wanted.robot.start.nominal
+        assert run(found).rows.table().tolist() == read_log(former).to_numpy().astype(float).tolist()
+
+    @pytest.mark.opengl
+    def test_report_render_and_export_read_it(self, command, former: Path) -> None:
+        for words in (("report", former), ("render", former, "--size", "160x120"), ("export", former, "--to", "csv")):
+            ended = command(*words)
+            assert ended.code == 0, (words, ended.err)

@@ -149,11 +149,11 @@ def render(
     from vstestbed.report.video.film import ending_of, film_log
     from vstestbed.report.video.gif import gif_of
     from vstestbed.report.video.quality import quality_of
-    from vstestbed.scenario.load import load
+    from vstestbed.scenario.dump import load_run
 
     size_px, path = _size(size), _film_file(out, run_dir / camera, ".gif" if gif else ".mp4")
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
-    scenario = load(run_dir / "scenario.yaml", plugins=plugin or [])
+    scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     make_parents(path)

@@ -15,7 +15,7 @@ import typer
 
 from vstestbed.cli import complete
 from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED
-from vstestbed.cli.tools import Experiments, Force, Json, Plugins, Settings, SettingsOfAll, load_scenario, renamed, settings_of
+from vstestbed.cli.tools import Experiments, Force, Json, Plugins, Settings, SettingsOfAll, load_scenario, settings_of
 from vstestbed.core.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -196,9 +196,6 @@ def sweep(
         typer.echo(f"  results   {folder} (open report.html)", err=True)
 
 
-renamed(convergences, "convergence", "sweep", sweep)
-
-
 # The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function.
 delays = typer.Typer()
 LAGGING = 0.95
@@ -271,9 +268,6 @@ def _summary_line(limit: Limit) -> str:
     left = "; what is left is not explained" if nearest < EXPLAINED else ""
     why = ", since its servos lag" if limit.g < LAGGING * limit.g_theory else ""
     return f"{line}{why}; {', '.join(with_servos)}{left}"
-
-
-renamed(delays, "delay", "gain-limit", gain_limit)
 
 
 # The command `tune`: search for the settings with which a scenario does best. Heavy imports are inside the function.

@@ -5,15 +5,13 @@ Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import json
 import keyword
 import re
-from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -82,17 +80,6 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
             raise ParameterError("--set", "needs the form a.b=value", setting)
         overrides[key.strip()] = read_value(value)
     return overrides
-
-
-def renamed(app: typer.Typer, old: str, new: str, command: Callable[..., None]) -> None:
-    """Keep the old word of a command, hidden, with a warning that names the new one."""
-
-    @functools.wraps(command)
-    def warn(*given: Any, **named: Any) -> None:
-        typer.echo(f"vstestbed {old} is now called {new}; the old word works for one more version", err=True)
-        command(*given, **named)
-
-    app.command(old, hidden=True)(warn)
 
 
 @tools.command("list")
@@ -200,9 +187,6 @@ def optical_flow(
 
     for path in write_flow(feature, depth, None if out is None else make_parents(out)):
         typer.echo(str(path))
-
-
-renamed(tools, "flow", "optical-flow", optical_flow)
 
 
 # The command `new`: one file for a kind of one's own, which runs as it is.

@@ -117,6 +117,16 @@ def write_table(path: Path, table: polars.DataFrame, row_group_size: int | None 
             write(part.file)
 
 
+def flush_entries(folder: Path) -> None:
+    """Flush a folder's directory entries to the disk, where the system supports it."""
+    if os.name == "posix":
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
 def make_folder(folder: Path) -> Path:
     """Make a folder inside one of results, unless it is there.
 

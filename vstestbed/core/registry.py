@@ -83,7 +83,7 @@ def is_list(hint: Any) -> bool:
 
 # Specs as plain mappings, lists and scalars: with every default, or as people write them.
 def to_mapping(value: Any) -> Any:
-    """A spec as plain mappings, lists and scalars with all defaults written out: the content of `scenario.yaml`."""
+    """A spec as plain mappings, lists and scalars with all defaults written out: the content of `resolved.yaml`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         # `kind` first, as people write it; the sort is stable and keeps the order of the others.
         names = sorted((f.name for f in dataclasses.fields(value) if f.init), key=lambda name: name != "kind")

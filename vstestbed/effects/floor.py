@@ -42,20 +42,16 @@ class UnevenFloor(EffectBase):
         rms_m: standard deviation of the heights [m].
         correlation_m: l, the distance over which heights are alike [m]; e.g. `0.3`.
         seed: of the heights; none: one is drawn with the scenario's seed [1]; e.g. `3`.
-        drawn_seed: the one that a run has drawn, as its scenario states it; the scenario's seed gives it, so leave it out [1]; e.g. `7`.
     """
 
     uneven: ClassVar[bool] = True
     rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002
     correlation_m: Annotated[PositiveLength, Narrower(ge=0.1, le=10)] = 0.3
     seed: FloorSeed | None = None
-    drawn_seed: FloorSeed | None = None
 
     def drawn(self, rng: np.random.Generator) -> UnevenFloor:
-        """The same with a seed drawn from `rng`; without one where it is given."""
-        if self.seed is None:
-            return replace(self, drawn_seed=int(rng.integers(MOST_SEED)))
-        return self if self.drawn_seed is None else replace(self, drawn_seed=None)
+        """With a seed drawn from `rng`; itself where it is given."""
+        return self if self.seed is not None else replace(self, seed=int(rng.integers(MOST_SEED)))
 
     def heights(self, half_m: float) -> Array:
         """The heights (n, n) [m] of a square of 2 half_m from edge to edge, rows along y, columns along x.
@@ -67,8 +63,7 @@ class UnevenFloor(EffectBase):
         # For rfft2 the last axis has the non-negative wave numbers alone.
         along, across = np.fft.rfftfreq(n, cell) * 2 * np.pi, np.fft.fftfreq(n, cell) * 2 * np.pi
         of_one = [np.exp(-(k**2) * self.correlation_m**2 / 8) for k in (across, along)]
-        seed = self.drawn_seed if self.seed is None else self.seed
-        noise = np.fft.rfft2(np.random.default_rng(seed or 0).standard_normal((n, n)))
+        noise = np.fft.rfft2(np.random.default_rng(self.seed or 0).standard_normal((n, n)))
         filtered = noise * of_one[0][:, None] * of_one[1] * (self.rms_m * np.sqrt(np.pi) * self.correlation_m / cell)
         return np.asarray(np.fft.irfft2(filtered, (n, n)), dtype=np.float64)
 

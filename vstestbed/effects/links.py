@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -38,13 +38,11 @@ class GeometryError:
         sigma_deg: the same about each axis [deg].
         offsets: the displacement of each link, x, y, z and roll, pitch, yaw, where it is not drawn; e.g.
             `[{xyz: [0.001, 0, 0]}, {}, {}, {}, {}, {rpy_deg: [0, 0, 0.1]}]`.
-        drawn_offsets: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out.
     """
 
     sigma_m: Annotated[float, Ge(0), Le(0.1)] = 0.0
     sigma_deg: Annotated[float, Ge(0), Le(10)] = 0.0
     offsets: Offsets = ()
-    drawn_offsets: Offsets = ()
 
     def __post_init__(self) -> None:
         """Refuse offsets that are listed and drawn."""
@@ -58,11 +56,11 @@ class GeometryError:
         return self.sigma_m > 0 or self.sigma_deg > 0
 
     def drawn(self, n: int, rng: np.random.Generator) -> GeometryError:
-        """The same with displacements of n links drawn from `rng`; without drawn ones where both sigmas are 0."""
+        """With displacements of n links listed that are drawn from `rng`; itself where both sigmas are 0."""
         if not self.draws:
-            return self if not self.drawn_offsets else replace(self, drawn_offsets=())
+            return self
         xyz, rpy = (np.round(scale * rng.standard_normal((n, 3)), 9).tolist() for scale in (self.sigma_m, self.sigma_deg))
-        return replace(self, drawn_offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
+        return GeometryError(offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
 
     def displacements(self, n: int) -> Array | None:
         """D_i (n, 4, 4); None without any.
@@ -70,12 +68,11 @@ class GeometryError:
         Raises:
             ParameterError: another number of links.
         """
-        offsets = self.offsets or self.drawn_offsets
-        if not offsets:
+        if not self.offsets:
             return None
-        if len(offsets) != n:
-            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(offsets))
-        return np.array([pose.T for pose in offsets])
+        if len(self.offsets) != n:
+            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(self.offsets))
+        return np.array([pose.T for pose in self.offsets])
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -26,13 +25,10 @@ class WheelSpread:
         sigma: standard deviation of the relative errors that are drawn, one for each wheel [1]; e.g. `0.003`.
         errors: relative errors of the radii, front left, front right, rear left, rear right [1]; none: they are drawn;
             e.g. `[0, 0, 0.004, -0.004]`.
-        drawn_errors: those that a run has drawn, as its scenario states them; the seed gives them, so leave them out [1];
-            e.g. `[0.001, -0.002, 0, 0.003]`.
     """
 
     sigma: Annotated[float, Ge(0), Le(0.05)] = 0.0
     errors: Errors | None = None
-    drawn_errors: Errors | None = None
 
     def __post_init__(self) -> None:
         """Refuse errors that are listed and drawn."""
@@ -41,13 +37,13 @@ class WheelSpread:
             raise ParameterError("errors", words, list(self.errors))
 
     def drawn(self, rng: np.random.Generator) -> WheelSpread:
-        """The same with four errors drawn from `rng`; without any where sigma is 0."""
+        """With four errors listed that are drawn from `rng`; itself where sigma is 0."""
         if not self.sigma:
-            return self if self.drawn_errors is None else replace(self, drawn_errors=None)
+            return self
         errors = np.clip(self.sigma * rng.standard_normal(4), -MOST_ERROR, MOST_ERROR)
-        return replace(self, drawn_errors=tuple(np.round(errors, 9).tolist()))
+        return WheelSpread(errors=tuple(np.round(errors, 9).tolist()))
 
     @property
     def factors(self) -> tuple[float, ...]:
         """True over nominal radius of each wheel, (4,); 1 before they are drawn."""
-        return tuple(1 + error for error in self.errors or self.drawn_errors or (0.0,) * len(WHEELS))
+        return tuple(1 + error for error in self.errors or (0.0,) * len(WHEELS))

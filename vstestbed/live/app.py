@@ -99,7 +99,7 @@ class LiveApp(Served):
         except VstestbedError as error:
             self._panel.status.say(_sentence(error), refused=True)
             self._panel.hand.show(set(self._gizmos))
-            self._panel.controls.show(self.run.scenario)
+            self._panel.controls.show(self.run.settings.scenario)
         except Exception as error:  # a plugin, or a bug: the page must stay, so that the rest can still be looked at
             logging.getLogger(__name__).warning("the live view went on after an error", exc_info=error)
             self._panel.status.say(f"{type(error).__name__}: {error}", refused=True)
@@ -110,7 +110,7 @@ class LiveApp(Served):
     def change(self, path: str, value: object) -> None:
         """Change a setting, and tell it on the page; by the thread that serves."""
         restarted = self.run.change(path, value)
-        self._panel.controls.show(self.run.scenario)
+        self._panel.controls.show(self.run.settings.scenario)
         if restarted:
             self._restarted()
         self._panel.status.say(f"{path} = {value}: " + ("a new start" if restarted else "in force from the next frame on"))

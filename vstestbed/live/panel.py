@@ -28,7 +28,7 @@ BLOCKS = ("law", "camera", "robot", "timing", "noise", "calibration", "detector"
 """Blocks of a scenario whose fields get controls; the others define what the experiment is."""
 FIRST = "camera.latency_s", "noise.image_sigma", "noise.pixel_sigma_px", "camera.rate_hz", "seed"
 """Fields that a person turns first, after the law's gains; the others are folded away."""
-LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start", "robot.filled"}
+LEFT_OUT = {"camera.mount", "camera.width", "camera.height", "robot.start"}
 HIGH = {
     "camera.latency_s": 0.4,
     "camera.rate_hz": 100.0,
@@ -434,7 +434,7 @@ class RunPanel:
     ):
         self.status = StatusLine(gui)
         TransportPanel(gui, inbox, run.transport, reset)
-        self.controls = Controls(gui, run.scenario, lambda path, value: inbox.put(lambda: set_(path, value), path), inbox.waits)
+        self.controls = Controls(gui, run.settings.scenario, lambda path, value: inbox.put(lambda: set_(path, value), path), inbox.waits)
         with gui.add_folder("any other field", expand_by_default=False):
             field, value = gui.add_text("field", "goal.T_camera_target.xyz"), gui.add_text("value", "[0, 0, 0.8]")
             on_click(gui.add_button("set", hint="as --set field=value"), inbox, lambda: set_(field.value, read_value(value.value)))

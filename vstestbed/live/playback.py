@@ -20,7 +20,7 @@ from vstestbed.loop.columns import TWIST
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.video.film import ending_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.scenario.load import load
+from vstestbed.scenario.dump import load_run
 
 SLIDER = "slider"
 """Key of the orders of the time slider."""
@@ -37,7 +37,7 @@ class Recorded:
     """
 
     def __init__(self, folder: Path, plugins: Sequence[str] = ()):
-        self.scenario = load(folder / "scenario.yaml", plugins=plugins)
+        self.scenario = load_run(folder, plugins)
         log = open_log(folder, self.scenario)
         if not len(log):
             raise RunFolderError(folder, "has a log without frames; there is nothing to show", NOTHING_RAN)

@@ -26,8 +26,8 @@ from vstestbed.core.registry import ROOMS, SPECS, fields_of, to_mapping
 from vstestbed.loop.session import Session
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.catalogue import hint_of
-from vstestbed.scenario.dump import dump
-from vstestbed.scenario.load import load
+from vstestbed.scenario.dump import given_text
+from vstestbed.scenario.load import GIVEN, load
 from vstestbed.scenario.plugins import absolute_files
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import from_option
@@ -131,12 +131,8 @@ class Settings:
         Raises:
             OutputError, EnvironmentLackError: it cannot be written.
         """
-        scenario = self.scenario
-        if note:
-            scenario = replace(scenario, description=f"{scenario.description} {note}".strip())
-        path = numbered(Path("runs") / file_word(scenario.name) / "live") / "scenario.yaml"
-        write_whole(path, dump(scenario, defaults=True))
-        return path
+        scenario = self.scenario.but(description=f"{self.scenario.description} {note}".strip()) if note else self.scenario
+        return write_whole(numbered(Path("runs") / file_word(scenario.name) / "live") / GIVEN, given_text(scenario))
 
 
 def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
@@ -356,8 +352,8 @@ class LiveRun:
 
     @property
     def scenario(self) -> Scenario:
-        """In force now."""
-        return self.settings.scenario
+        """In force now, as it runs; `settings.scenario` is what was given."""
+        return self.settings.scenario.resolved
 
     @property
     def ended(self) -> bool:
@@ -407,7 +403,7 @@ class LiveRun:
         before = self.settings.copy()
         now = self.settings.change(path, value)
         try:
-            return self._put_in_force(before.scenario, now)
+            return self._put_in_force(before.scenario.resolved, now.resolved)
         except BaseException:
             self.settings = before
             raise

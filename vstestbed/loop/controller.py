@@ -201,7 +201,7 @@ class Controller:
     def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
-        self.scenario = scenario
+        self.scenario = scenario = scenario.resolved
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)

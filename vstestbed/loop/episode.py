@@ -26,7 +26,7 @@ from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.base import RobotLog, RobotState, Supervisor
-from vstestbed.scenario.randomise import LINK_STREAM, drawn
+from vstestbed.scenario.randomise import LINK_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Cycle, Frame
@@ -100,7 +100,7 @@ class Episode:
 
     def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
         began = time.perf_counter()
-        scenario = drawn(scenario)
+        scenario = scenario.resolved
         self.scenario, self._watchers = scenario, watchers
         layout = Layout(scenario)
         self.rows = MemoryRows(layout.columns) if rows is None else rows

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -196,18 +196,6 @@ class Robot(Protocol):
     """The largest physics step at which its actuators were tested [s]."""
     control_period_s: ClassVar[float | None]
     """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
-    drawn_fields: ClassVar[tuple[str, ...]]
-    """Names of its fields in which `drawn` states what it has drawn: `wheel_spread.drawn_errors`."""
-
-    @classmethod
-    def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
-        """Its block in a file, before `changes`, values by the names of fields, are put over it: without what they take the place of."""
-        ...
-
-    @classmethod
-    def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:
-        """Its block in a file without what a preset has filled, as the block states it."""
-        ...
 
     @property
     def kind(self) -> str:
@@ -298,7 +286,7 @@ class Robot(Protocol):
         ...
 
     def drawn(self, rng: np.random.Generator) -> Robot:
-        """The same robot, with what differs from one to the next of its kind drawn from `rng`."""
+        """The same robot, with what differs from one to the next of its kind drawn from `rng`; itself where that is listed already."""
         ...
 
     def randomised(self, rng: np.random.Generator) -> Robot:
@@ -405,36 +393,6 @@ class Robot(Protocol):
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force."""
         ...
-
-
-# The nominal start round which a seed has drawn another one: a run states both, and a further seed draws round the first.
-R = TypeVar("R", bound=Robot)
-WHERE = "drawn_about"
-"""The field of a start block that states it; robots of a user's own may lack it."""
-
-
-def undrawn(robot: R) -> R:
-    """The robot at the nominal start round which its own one was drawn; itself where none was."""
-    about = getattr(robot.start, WHERE, None)
-    return robot if about is None else _started(robot, nominal=about, drawn_about=None)
-
-
-def stated(robot: R, given: Robot) -> R:
-    """The robot, which states that its start was drawn round that of `given`."""
-    return _started(robot, drawn_about=given.start.nominal) if hasattr(robot.start, WHERE) else robot
-
-
-def without_drawn(block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
-    """A robot's block in a file, before `changes` are put over it: another nominal start is also the one to draw round."""
-    start = block.get("start")
-    if isinstance(start, Mapping) and any(path == "start.nominal" or path.startswith("start.nominal.") for path in changes):
-        return {**block, "start": {name: value for name, value in start.items() if name != WHERE}}
-    return dict(block)
-
-
-def _started(robot: R, **changes: object) -> R:
-    any_robot: Any = robot  # a dataclass, which a protocol cannot say
-    return replace(any_robot, start=replace(robot.start, **changes))
 
 
 def longest_step(robot: Robot) -> float:

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.effects.base import Effect
 from vstestbed.effects.body import Change
 from vstestbed.robots.allocation import Actuation, Allocation, Mount
-from vstestbed.robots.base import Base, Reading, RobotLog, Supervisor, without_drawn
+from vstestbed.robots.base import Base, Reading, RobotLog, Supervisor
 from vstestbed.robots.own_model import CAMERA, OwnModel
 
 
@@ -42,7 +42,6 @@ class RobotBase:
     flange = "flange"
     gripper: ClassVar[bool] = False
     control_period_s: ClassVar[float | None] = None
-    drawn_fields: ClassVar[tuple[str, ...]] = ()
     # The servo gains in puma560.xml and the contacts of the vehicles' wheels were measured at 2 ms.
     largest_step_s: ClassVar[float] = 0.002
     stop_s: ClassVar[float] = 0.25
@@ -52,16 +51,6 @@ class RobotBase:
     """Time constant with which its velocities follow their orders [s]."""
     motion_names: ClassVar[tuple[str, ...]] = CAMERA
     """Names of the columns of `motion_basis`."""
-
-    @classmethod
-    def before_changes(cls, block: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
-        """The block without the start round which a seed has drawn, where another nominal one is given."""
-        return without_drawn(block, changes)
-
-    @classmethod
-    def own_block(cls, block: Mapping[str, Any]) -> dict[str, Any]:
-        """The block itself."""
-        return dict(block)
 
     @property
     def model(self) -> str | None:

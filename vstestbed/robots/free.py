@@ -49,12 +49,10 @@ class FreeStart:
     Args:
         nominal: the camera's pose in the world at the start of a run without a seed.
         random: what the start of a run with a seed is drawn from.
-        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: Pose
     random: RandomStart | None = None
-    drawn_about: Pose | None = None
 
 
 @spec

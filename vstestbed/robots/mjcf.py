@@ -89,12 +89,10 @@ class ArmStart:
     Args:
         nominal: joint positions at the start of a run without a seed.
         random: the box; None: a seed cannot draw a start.
-        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: Positions
     random: PositionBox | None = None
-    drawn_about: Positions | None = None
 
 
 @spec

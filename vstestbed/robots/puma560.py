@@ -193,12 +193,10 @@ class PumaStart:
     Args:
         nominal: joint angles at the start of a run without a seed.
         random: the box; None: a seed cannot draw a start.
-        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: JointAngles = JointAngles()
     random: JointBox | None = None
-    drawn_about: JointAngles | None = None
 
 
 @spec

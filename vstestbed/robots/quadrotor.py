@@ -171,12 +171,10 @@ class FlightStart:
     Args:
         nominal: place and heading at the start of a run without a seed.
         random: the box; None: a seed cannot draw a start.
-        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: FlightPose = FlightPose()
     random: FlightBox | None = None
-    drawn_about: FlightPose | None = None
 
 
 # The columns of a quadrotor's log.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -39,7 +39,6 @@ SHORTEST_STEP_S = 1e-4
 """Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
 RIGID: Mapping[str, Any] = {
     "realism": "none",
-    "filled": "none",
     **dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error")),
 }
 """What an arm with ideal actuators has not; its geometry and its payload stay what they are."""
@@ -70,7 +69,6 @@ class RealArm(Realistic, Arm):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
-    drawn_fields: ClassVar[tuple[str, ...]] = ("geometry_error.drawn_offsets",)
 
     def __post_init__(self) -> None:
         """Refuse a preset of drives that are ideal."""
@@ -186,5 +184,6 @@ class RealArm(Realistic, Arm):
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """The same arm with the errors of its geometry drawn from `rng`."""
-        error = self.geometry_error
-        return self if error is None else replace(self, geometry_error=error.drawn(len(self.joints), rng))
+        given = self.geometry_error
+        error = given and given.drawn(len(self.joints), rng)
+        return self if error is given else replace(self, geometry_error=error)

@@ -52,12 +52,10 @@ class GroundStart:
     Args:
         nominal: place and heading at the start of a run without a seed.
         random: the box; None: a seed cannot draw a start.
-        drawn_about: the nominal start round which a run with a seed has drawn its own, as its scenario states it; leave it out.
     """
 
     nominal: GroundPose = GroundPose()
     random: GroundBox | None = None
-    drawn_about: GroundPose | None = None
 
     def configuration(self) -> Array:
         """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
@@ -191,7 +189,6 @@ class WornVehicle(Vehicle, Realistic):
     rolling_resistance: Rolling | None = None
     drive_lag_s: Lag | None = None
     uneven_floor: UnevenFloor | None = None
-    drawn_fields: ClassVar[tuple[str, ...]] = ("wheel_spread.drawn_errors", "uneven_floor.drawn_seed")
 
     @property
     def acting(self) -> tuple[Effect, ...]:
@@ -206,11 +203,12 @@ class WornVehicle(Vehicle, Realistic):
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """The same vehicle with wheels and a floor of its own, drawn from `rng`: each the same with the other as without."""
-        wheels, floor = self.wheel_spread, self.uneven_floor
-        if wheels is None and floor is None:
-            return self
         of_wheels, of_floor = rng.spawn(2)
-        return dataclasses.replace(self, wheel_spread=wheels and wheels.drawn(of_wheels), uneven_floor=floor and floor.drawn(of_floor))
+        wheels = self.wheel_spread and self.wheel_spread.drawn(of_wheels)
+        floor = self.uneven_floor and self.uneven_floor.drawn(of_floor)
+        if wheels is self.wheel_spread and floor is self.uneven_floor:
+            return self
+        return dataclasses.replace(self, wheel_spread=wheels, uneven_floor=floor)
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """The same vehicle with a start drawn from the box. ParameterError without a box."""

@@ -1,4 +1,4 @@
-"""Scenarios as YAML: short, as people write them, or with every default, as the record of a run."""
+"""Scenarios as YAML: short, as people write them, or with every default; and the two documents of a run's folder."""
 
 from __future__ import annotations
 
@@ -6,19 +6,21 @@ import dataclasses
 import importlib.metadata
 import io
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole
-from vstestbed.core.named_files import bundled_scenarios, kept_at, module_of
+from vstestbed.core.named_files import absolute_file, bundled_scenarios, kept_at, module_of
 from vstestbed.core.registry import brief_mapping, to_mapping
-from vstestbed.scenario.load import load
+from vstestbed.robots import Robot
+from vstestbed.scenario.load import GIVEN, RESOLVED, load, parse, text_of
 from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.yaml_marks import plain_mapping
 
 WIDTH, ON_ONE_LINE = 120, 110
 """Columns of a line, and of a block that stands on one line."""
@@ -30,7 +32,7 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
     Args:
         scenario: the experiment.
         path: a file to write, in place of one that is there; files in its folder, or below, are named relative to it.
-        defaults: write also every default, as the record of a run does.
+        defaults: write also every default.
 
     Returns the text.
 
@@ -44,9 +46,7 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
         plain = to_mapping(scenario)
     else:
         check_plugins(scenario)
-        plain = absolute_files(brief_mapping(scenario), Path.cwd())
-        if scenario.plugins:
-            plain["plugins"] = [absolute(name, Path.cwd()) for name in scenario.plugins]
+        plain = _brief(scenario)
     if path is not None:
         if plain.get("name") == Path(path).stem:
             del plain["name"]
@@ -57,24 +57,84 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
     return text
 
 
-def dump_for_folder(scenario: Scenario) -> str:
-    """The record of a run, with every default, for its folder, with copies of the target's file and the goal's pictures (`kept_at`)."""
-    if not kept_files(scenario):
-        return dump(scenario, defaults=True)
-    plain, source = to_mapping(scenario), scenario.target.source
-    if source is not None:
-        plain["target"]["file"] = kept_at(source)
-    views = plain["goal"].get("views", [plain["goal"]])
-    for i, (view, said) in enumerate(zip(views, scenario.goal.pictures, strict=False)):
-        if said.source is not None:
-            view["picture"]["file"] = kept_at(said.source, f"goal_{i}")
-    return as_yaml(plain)
+def _brief(scenario: Scenario) -> dict[str, Any]:
+    """A scenario as people write it, its files and plugins without reference to the current folder."""
+    plain = absolute_files(brief_mapping(scenario), Path.cwd())
+    if scenario.plugins:
+        plain["plugins"] = [absolute(name, Path.cwd()) for name in scenario.plugins]
+    return plain
+
+
+def given_text(scenario: Scenario) -> str:
+    """What was given as YAML: the file's values with what was put over them; of a scenario made in Python what is no default."""
+    return as_yaml(given_mapping(scenario), brief=True)
+
+
+def given_mapping(scenario: Scenario) -> dict[str, Any]:
+    """`given_text` as plain values."""
+    return scenario.given.made_of or _brief(scenario.given)
+
+
+def documents(scenario: Scenario) -> dict[str, str]:
+    """The two documents of a run's folder by name, which name the copies of files there (`kept_files`).
+
+    `scenario.yaml` is what was given, and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and
+    draw.
+    """
+    target, pictures = getattr(scenario.target, "file", None), [said.file for said in scenario.goal.pictures]
+    copies = {file: place for file, place in zip((target, *pictures), _kept_at(scenario), strict=True) if file and place}
+    copies |= {absolute_file(file, Path.cwd()): place for file, place in copies.items()}
+    given, resolved = (_renamed(plain, copies) for plain in (given_mapping(scenario), to_mapping(scenario.resolved)))
+    return {GIVEN: as_yaml(given, brief=True), RESOLVED: as_yaml(resolved)}
+
+
+def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+    """Plain values with other names of files."""
+    if isinstance(value, dict):
+        return {key: _renamed(inner, names) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_renamed(inner, names) for inner in value]
+    return names.get(value, value) if isinstance(value, str) else value
 
 
 def kept_files(scenario: Scenario) -> dict[str, Path]:
     """The files that a run's folder has a copy of, by their names there: the target's, and those of the goal's pictures."""
-    goal = {f"goal_{i}": said.source for i, said in enumerate(scenario.goal.pictures)}
-    return {kept_at(path, what): path for what, path in ({"target": scenario.target.source} | goal).items() if path is not None}
+    sources = scenario.target.source, *(said.source for said in scenario.goal.pictures)
+    return {place: path for place, path in zip(_kept_at(scenario), sources, strict=True) if place and path}
+
+
+def _kept_at(scenario: Scenario) -> list[str | None]:
+    """Where a run's folder has the copy of the target's file, and of each of the goal's pictures; None without one."""
+    sources = {"target": scenario.target.source} | {f"goal_{i}": said.source for i, said in enumerate(scenario.goal.pictures)}
+    return [path and kept_at(path, what) for what, path in sources.items()]
+
+
+FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed")
+"""Fields of a run's folder of before, whose one file was both what was given and what was drawn: the seed draws them again."""
+
+
+def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
+    """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both.
+
+    Raises:
+        ScenarioError, PluginError: as `load`.
+    """
+    path, record = folder / GIVEN, folder / RESOLVED
+    text = text_of(path)
+    if record.is_file():
+        given = parse(text, str(path), plugins=plugins)
+        scenario = parse(text_of(record), str(record), plugins=plugins).resolved
+        scenario.__dict__["given"] = given
+        return scenario
+    if any(f"{word}:" in text for word in FORMER):
+        text = as_yaml(_without_former(plain_mapping(text, str(path), "")[0]))
+    return parse(text, str(path), plugins=plugins).resolved
+
+
+def _without_former(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _without_former(inner) for name, inner in value.items() if name not in FORMER}
+    return [_without_former(inner) for inner in value] if isinstance(value, list) else value
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:
@@ -201,33 +261,36 @@ def _how_to_name(cls: type) -> str:
 
 
 # What was changed in a bundled scenario: the fields in which one differs from the bundled one of its name.
-OF_THE_RUN = ("name", "description", "plugins", "seed")
+OF_THE_RUN = ("name", "description", "plugins", "seed", "draw_start")
 """Fields that name a run or are shown elsewhere."""
-NOT_GIVEN = ("drawn_about",)
-"""Fields of a block that a run fills."""
 
 
 def changes(scenario: Scenario) -> tuple[str, ...]:
     """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake.
 
-    A block whose kind was changed is one field with its whole value.
+    A block whose kind was changed is one field with its whole value. What a preset has filled is told by the preset's name.
     """
     if scenario.name not in bundled_scenarios():
         return ()
-    original = load(scenario.name)
-    bundled = to_mapping(original)
-    given = {key: value for key, value in to_mapping(scenario).items() if key not in OF_THE_RUN}
-    # What a preset has filled is told by the preset's name.
-    own, bundled["robot"] = scenario.robot.own_block(given["robot"]), original.robot.own_block(bundled["robot"])
-    given["robot"] = {key: own.get(key, value) for key, value in given["robot"].items() if key in own or key in bundled["robot"]}
-    return tuple(f"{path}={flow_text(value)}" for path, value in _different(given, bundled))
+    given, original = scenario.given, load(scenario.name)
+    bundled = to_mapping(original) | {"robot": _own(original.robot)}
+    mine = {key: value for key, value in to_mapping(given).items() if key not in OF_THE_RUN}
+    own = _own(given.robot)
+    mine["robot"] = {key: own.get(key, value) for key, value in mine["robot"].items() if key in own or key in bundled["robot"]}
+    return tuple(f"{path}={flow_text(value)}" for path, value in _different(mine, bundled))
+
+
+def _own(robot: Robot) -> dict[str, Any]:
+    """A robot's fields without what its preset has filled; of a block that it has filled in part the rest."""
+    brief, preset = brief_mapping(robot), getattr(robot, "preset_values", {})
+    own = brief if isinstance(brief, Mapping) else {}
+    kept = {name: value for name, value in to_mapping(robot).items() if name in own or name not in preset}
+    return kept | {name: own[name] for name in kept.keys() & preset.keys()}
 
 
 def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted paths and values of what is not the same in the bundled mapping."""
     for key, value in given.items():
-        if key in NOT_GIVEN:
-            continue
         other = bundled.get(key)
         if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):
             yield from _different(value, other, f"{prefix}{key}.")

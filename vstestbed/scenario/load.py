@@ -15,49 +15,18 @@ from ruamel.yaml import YAML
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.refusals import UNKNOWN
-from vstestbed.core.registry import to_mapping
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
-from vstestbed.scenario.randomise import drawn, value_at
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build, put_over
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping
-
-# What the record of a run states of the draws of its seed (`Robot.drawn_fields`) must be what the seed draws.
-
-
-def refuse_stated(scenario: Scenario, plain: Any, marks: Marks, file: str, overrides: Mapping[str, object]) -> None:
-    """Refuse a statement of what the seed has drawn that the seed does not draw, since it would be without effect.
-
-    With other overrides, such as another seed, the record of a run may state what was drawn before: it is drawn again.
-
-    Args:
-        scenario: as built. plain, marks, file: what it was built from. overrides: by dotted path.
-
-    Raises:
-        ScenarioError: it names the field, and the block's own one for values that stay.
-    """
-    fields = [name for name in scenario.robot.drawn_fields if value_at(plain, f"robot.{name}")]
-    if not fields:
-        return
-    given = to_mapping(build(type(scenario.robot), plain["robot"], {}, file))  # before anything is drawn
-    for name in fields:
-        field, stated, found = f"robot.{name}", value_at(given, name), value_at(to_mapping(scenario.robot), name)
-        if stated and stated != found and _meant(field, overrides):
-            words = f"states what the seed draws: seed {scenario.seed} draws {short(found) if found else 'nothing'}; leave it out, or list"
-            words = f"{words} values that stay in {field.replace('drawn_', '')}"
-            raise ScenarioError([Mistake(place_of(tuple(field.split(".")), marks, file), field, words)])
-
-
-def _meant(field: str, overrides: Mapping[str, object]) -> bool:
-    """Whether a field has its value on purpose: nothing else was changed, or it was given itself, or in its block."""
-    return not overrides or any(f"{field}.".startswith(f"{dotted}.") or dotted.startswith(f"{field}.") for dotted in overrides)
-
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
 
 NAMED_FILES = ("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery"), ("world", "floor", "texture")
 """Fields that name a file."""
+GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
+"""In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 """The first line of a bundled file, by which editors find its schema beside it."""
 
@@ -104,8 +73,11 @@ def load(
     if not isinstance(overrides or {}, Mapping):
         raise ScenarioError([Mistake("overrides", "", f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}")])
     path = find(name)
+    if path.name == RESOLVED and (overrides or seed is not None):
+        words = f"is the record of a run, with every preset and draw written out; put other values and seeds over {GIVEN} beside it"
+        raise ScenarioError([Mistake(str(path), "", words)])
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
-    return scenario if scenario.name else dataclasses.replace(scenario, name=path.stem)
+    return scenario if scenario.name else scenario.but(name=path.stem)
 
 
 def text_of(path: Path) -> str:
@@ -143,18 +115,38 @@ def parse(
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
     load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
     put_over(plain, _part(overrides, of_plugins=False), marks, places)
+    if "draw_start" in plain and "draw_start" not in overrides and any(map(_gives_start, overrides)):
+        plain["draw_start"] = False
     try:
         scenario = build(Scenario, plain, marks, file)
     except ScenarioError as error:
         raise (_other_kinds(_blame_settings(error, text, file, overrides, places), overrides, places) if overrides else error) from None
     _refuse_drawn(scenario, overrides, places)
-    refuse_stated(scenario, plain, marks, file, overrides)
+    if _is_plain(plain):
+        scenario.loaded_from(plain)
     try:
-        return drawn(scenario) if seed is None else seeded(scenario, seed)
+        scenario = scenario if seed is None else seeded(scenario, seed)
+        scenario.resolved  # noqa: B018 - refuses what its seed draws
+        return scenario
     except ParameterError as error:
         key = tuple(int(part) if part.isdecimal() else part for part in error.field.split("."))
         where = place_of(key, marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
+
+
+START = "robot.start.nominal"
+
+
+def _gives_start(dotted: str) -> bool:
+    """Whether an override of a path gives the nominal start, or a part of it."""
+    return f"{START}.".startswith(f"{dotted}.") or dotted.startswith(f"{START}.")
+
+
+def _is_plain(value: object) -> bool:
+    """Whether values can be written as YAML: overrides in Python may be objects."""
+    if isinstance(value, dict | list | tuple):
+        return all(map(_is_plain, value.values() if isinstance(value, dict) else value))
+    return value is None or type(value) in (bool, int, float, str)
 
 
 def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:

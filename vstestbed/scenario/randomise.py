@@ -16,7 +16,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from vstestbed.core.errors import ParameterError, ScenarioError, short
-from vstestbed.core.registry import to_mapping
+from vstestbed.core.registry import brief_mapping, to_mapping
+from vstestbed.robots import Robot
 from vstestbed.scenario.distributions import Distribution
 from vstestbed.scenario.validation import build, put_over
 from vstestbed.sim.scene.world import World
@@ -49,6 +50,11 @@ class Seeded(Protocol):
         ...
 
     @property
+    def robot(self) -> Robot:
+        """What moves."""
+        ...
+
+    @property
     def world(self) -> World:
         """Its surroundings."""
         ...
@@ -63,9 +69,9 @@ S = TypeVar("S", bound=Seeded)
 
 
 def drawn(scenario: S) -> S:
-    """The scenario with the values of `randomise` and the objects of `world.clutter` that its seed draws; itself where it has them already.
+    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws.
 
-    The distributions stay in it, so that another seed draws others.
+    Itself where it has them already.
 
     Raises:
         ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
@@ -73,11 +79,9 @@ def drawn(scenario: S) -> S:
     if scenario.randomise:
         scenario = _with(scenario, [one.draw(_rng(scenario.seed, one.field)) for one in scenario.randomise])
     clutter = scenario.world.clutter
-    if clutter is None:
+    if clutter is None or clutter.placed or not clutter.count:
         return scenario
     placed = clutter.draw(np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg)
-    if placed == clutter.placed:
-        return scenario
     given: Any = scenario  # a dataclass, which a protocol cannot say
     return replace(given, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
 
@@ -100,9 +104,9 @@ def _rng(seed: int, field: str) -> np.random.Generator:
 
 def _with(scenario: S, values: list[Any]) -> S:
     """The scenario with a value for each of its distributions."""
-    plain, fields = to_mapping(scenario), [one.field for one in scenario.randomise]
-    if all(value_at(plain, field) == value for field, value in zip(fields, values, strict=True)):
-        return scenario
+    plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
+    if "robot.realism" in fields:  # it fills what is not given
+        plain["robot"] = brief_mapping(scenario.robot)
     try:
         put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
         return build(type(scenario), plain, {}, "")
@@ -111,16 +115,6 @@ def _with(scenario: S, values: list[Any]) -> S:
         i = next((i for i, field in enumerate(fields) if _touches(field, mistake.field)), 0)
         words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
         raise ParameterError(f"randomise.{i}", words) from None
-
-
-def value_at(plain: Any, dotted: str) -> Any:
-    """The value at a dotted path; None where there is none."""
-    for part in dotted.split("."):
-        if isinstance(plain, list) and part.isdecimal() and int(part) < len(plain):
-            plain = plain[int(part)]
-        else:
-            plain = plain.get(part) if isinstance(plain, dict) else None
-    return plain
 
 
 def _touches(field: str, mistaken: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import Len
@@ -17,7 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot
-from vstestbed.robots.base import longest_step, stated, undrawn
+from vstestbed.robots.base import longest_step
 from vstestbed.scenario.checks import (
     check_carrier,
     check_clocks,
@@ -91,6 +91,8 @@ class Scenario:
         description: one line for lists and reports.
         plugins: files or modules that add kinds, loaded before the rest is checked (`scenario.plugins`); e.g. `[my_law.py]`.
         seed: seed of all random numbers of a run.
+        draw_start: draw the start from `robot.start.random` with the seed, as `--seed` does; a nominal start that is put over the file
+            (`--set robot.start.nominal=...`) is where a run begins.
         robot: what moves the camera, or the target.
         camera: lens, size, rate and latency of the pictures, and where the camera is mounted.
         target: what the camera looks at: markers, or lines on the floor.
@@ -108,7 +110,10 @@ class Scenario:
         timing: exposure, jitter, lost pictures, clocks, and latency and rate of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
-        randomise: fields that are drawn anew for each seed (domain randomisation); the scenario of a run states what was drawn.
+        randomise: fields that are drawn anew for each seed (domain randomisation).
+
+    A scenario is what was given. `resolved` is the same with everything written out that its seed draws, which is what runs; a run's folder
+    keeps both, as `scenario.yaml` and `resolved.yaml`.
 
     Raises (from the constructor): ParameterError where two parts contradict each other.
     """
@@ -117,6 +122,7 @@ class Scenario:
     description: str = ""
     plugins: tuple[str, ...] = ()
     seed: Seed = 0
+    draw_start: bool = False
     robot: Annotated[Robot, ROBOTS]
     camera: Annotated[Camera, CAMERAS] = Perspective()
     target: Annotated[Target, TARGETS]
@@ -136,8 +142,7 @@ class Scenario:
     randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        """Draw what differs from one robot to the next of its kind, and refuse parts that do not belong together."""
-        object.__setattr__(self, "robot", self.robot.drawn(self.rng(BODY_STREAM)))  # frozen: a run states the very robot that it had
+        """Refuse parts that do not belong together."""
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_clocks(self.robot, self.timing)
@@ -291,30 +296,74 @@ class Scenario:
         """The generator of one of the independent streams (START_STREAM, ...)."""
         return np.random.default_rng([self.seed, stream])
 
+    @cached_property
+    def resolved(self) -> Scenario:
+        """The scenario that runs: all that the seed draws is written out, so that nothing is left to draw; itself where nothing is.
+
+        The start stands in `robot.start.nominal`, drawn again until the target is in view; the body in the robot's blocks, whose lists take
+        the place of the standard deviations; what `randomise` draws in its fields, clutter in `world.clutter.placed`.
+
+        Raises:
+            ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
+        """
+        made = drawn(self)
+        robot = made.robot.drawn(made.rng(BODY_STREAM))
+        if made.draw_start:
+            robot = made._start_of(robot)
+        if robot is not made.robot or made.draw_start:
+            made = replace(made, robot=robot, draw_start=False)
+        if made is not self:
+            made.__dict__["given"] = self  # no field either: a changed copy is given as it is
+        return made
+
+    def _start_of(self, robot: Robot) -> Robot:
+        """The robot at a start drawn from the seed."""
+        rng = self.rng(START_STREAM)
+        for _ in range(TRIES):
+            started = robot.randomised(rng)
+            if in_view(started, self.camera, self.target, self.detector, self.goal_views[0], self.world):
+                return started
+        raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
+
+    @cached_property
+    def given(self) -> Scenario:
+        """Of a scenario from `resolved`: the one before anything was drawn; else itself."""
+        return self
+
+    @property
+    def made_of(self) -> dict[str, Any] | None:
+        """The plain values that it was loaded from, with what was put over them; None where it was made or changed in Python."""
+        return self.__dict__.get("_made_of")
+
+    def loaded_from(self, plain: dict[str, Any]) -> Self:
+        """Itself, which remembers the plain values that it was loaded from."""
+        self.__dict__["_made_of"] = plain  # no field: a copy with other values was not loaded from these
+        return self
+
+    def but(self, **values: str | int | bool) -> Scenario:
+        """A copy with other plain values, such as another name, which remembers what it was loaded from with them."""
+        made, known = replace(self, **values), self.made_of
+        return made if known is None else made.loaded_from({**values, **known, **values})  # what is new stands first
+
     def with_seed(self, seed: int) -> Scenario:
-        """The same experiment, from the same start, with another seed and what it draws for `randomise` and `world.clutter`.
+        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise.
 
         Raises:
             ParameterError: a drawn value is refused.
         """
-        return drawn(replace(self, seed=seed))
+        made = self.given.but(seed=seed)
+        made.resolved  # noqa: B018 - refuses what it draws
+        return made
 
     def randomised(self, seed: int) -> Scenario:
-        """The same experiment with this seed and a start drawn from it, drawn again until the target is in view.
-
-        The start is written into `robot.start.nominal`, so that the scenario of a run contains its start, and the one round which it was
-        drawn into `robot.start.drawn_about`, so that another seed draws round it, too.
+        """The same experiment with this seed and a start drawn from it (`draw_start`).
 
         Raises:
             ParameterError: the robot has no random block, or no start in it sees the target.
         """
-        seeded = self.with_seed(seed)
-        rng, given = seeded.rng(START_STREAM), undrawn(seeded.robot)
-        for _ in range(TRIES):
-            robot = stated(given.randomised(rng), given)
-            if in_view(robot, self.camera, self.target, self.detector, self.goal_views[0], self.world):
-                return replace(seeded, robot=robot)
-        raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
+        made = self.given.but(seed=seed, draw_start=True)
+        made.resolved  # noqa: B018 - refuses what it draws
+        return made
 
     def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
         """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
@@ -332,4 +381,4 @@ class Scenario:
             D = Pose(xyz=xyz, rpy_deg=rpy_deg).T
             seen = inverse(D) @ T if of == "camera" else T @ D
             q = self.robot.configuration_at(flange_for(self.camera, self.target, seen), q)
-        return replace(self, robot=self.robot.started_at(q))
+        return replace(self, robot=self.robot.started_at(q), draw_start=False)

@@ -88,7 +88,7 @@ def _reading_order(mistake: Mistake) -> tuple[int, ...]:
 
 # Values by dotted path put over a scenario's mapping: `--set`, `overrides` in Python, a comparison's settings, what a seed draws.
 def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
-    """Put values over a mapping, in place and in their order; the robot first loses what they take the place of as a whole.
+    """Put values over a mapping, in place and in their order.
 
     Args:
         plain: the scenario, which is changed. values: by dotted path, such as `law.gain`. marks: positions of its keys, which are changed,
@@ -97,11 +97,6 @@ def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, 
     Raises:
         ScenarioError: a path goes through a value, or to an item that a list does not have.
     """
-    robot = plain.get("robot")
-    changes = {path.removeprefix("robot."): value for path, value in values.items() if path.startswith("robot.")}
-    kind: Any = KINDS["robots"].members.get(str(robot.get("kind"))) if changes and isinstance(robot, dict) else None
-    if kind is not None:
-        plain["robot"] = kind.before_changes(robot, changes)
     for path, value in values.items():
         override(plain, path, value, marks, _is_kind, places.get(path, FROM_PYTHON))
 

@@ -58,7 +58,6 @@ def _of_robot(robot: Robot) -> Iterator[str]:
     """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by default."""
     yield f"the dynamics and limits of robot {robot.kind}"
     names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
-    names.pop("filled", None)  # by which preset, here none
     if getattr(robot, "realism", "none") != "none":
         yield "robot.realism"
         return  # it fills the others

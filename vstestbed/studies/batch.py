@@ -129,7 +129,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     if "image" in scenario.law.inputs:
         words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
         raise ParameterError("law.kind", f"{scenario.law.kind} {words}")
-    robot, camera, detector = scenario.robot, scenario.camera, scenario.detector
+    robot, camera, detector = scenario.resolved.robot, scenario.camera, scenario.detector
     field_of_view = field_of_view or (detector.field_of_view if isinstance(detector, Oracle) else "limited")
     if scenario.target.moves:
         raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
@@ -146,6 +146,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     return replace(
         scenario,
         robot=robot if robot.model is None else Free(start=start),
+        draw_start=False,
         camera=replace(camera, latency_s=0.0, readout_s=0.0),
         timing=Timing(),
         detector=Oracle(field_of_view=field_of_view),  # pyright: ignore[reportArgumentType]

@@ -238,7 +238,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
 def _pair(scenario: Scenario) -> tuple[Recording, BaselineCost]:
     """A run, and at once its floor, so that both meet the same load of the machine."""
     recording = uninterrupted(run(scenario))
-    return recording, _floor(scenario, recording)
+    return recording, _floor(recording)
 
 
 def loop_and_floor(scenario: Scenario) -> tuple[float, float]:
@@ -261,8 +261,9 @@ def _floor_ms(floors: list[BaselineCost], frames: int) -> dict[str, float]:
     return {"physics": physics, "render": render, "whole": physics + render}
 
 
-def _floor(scenario: Scenario, recording: Recording) -> BaselineCost:
+def _floor(recording: Recording) -> BaselineCost:
     """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
+    scenario = recording.scenario
     step, steps_per_frame = scenario.clock
     parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
     robot = scenario.robot

@@ -272,6 +272,7 @@ def prepared(scenario: Scenario) -> Scenario:
     Raises:
         ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
+    scenario = scenario.resolved
     law, names = scenario.law, _fields_of(scenario.law)
     plain = {"limits": TwistLimits(), "smooth_start_s": 0.0, "smoothing_s": 0.0, "visibility": Visibility(), "gain": 2.0}
     settled = replace(

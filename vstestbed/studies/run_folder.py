@@ -1,25 +1,30 @@
-"""A run with its folder of results: scenario, model, log, summary, films, report, each complete or not at all."""
+"""A run with its folder of results, each file complete or not at all: the one writer of such folders."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from vstestbed.core import files
 from vstestbed.core.errors import OutputError, RunFolderError
-from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.files import flush_entries, make_folder, temporary, write_whole, writing
+from vstestbed.core.outcome import Outcome
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.session import run
-from vstestbed.scenario.dump import dump_for_folder, kept_files
+from vstestbed.scenario.dump import documents, kept_files
+from vstestbed.scenario.load import GIVEN, RESOLVED
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import plain_mapping
 from vstestbed.sim.build import scene_files
 
 if TYPE_CHECKING:
@@ -32,7 +37,8 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
     "overview": {"overview": "overview"},
     "none": {},
 }
-OWN_FILES = ("scenario.yaml", "model.xml", "log.part")
+SUMMARY = "summary.json"
+OWN_FILES = (GIVEN, RESOLVED, "model.xml", "log.part")
 ASSETS = "assets"
 """Folder of the files that model.xml refers to."""
 REMEDY = "give a new folder; an older run is never written over"
@@ -74,7 +80,7 @@ def run_into(
     """
     folder = make_folder(Path(folder))
     with files.only_writer(folder):
-        if (folder / "scenario.yaml").exists():  # of a process that ended between the check of `new_folder` and this one
+        if (folder / GIVEN).exists():  # of a process that ended between the check of `new_folder` and this one
             raise OutputError(folder, "holds a run", REMEDY)
         recording = _run_into(folder, scenario, films, watch, tile_px, fine)
         if report:
@@ -90,10 +96,10 @@ def _run_into(
 ) -> Recording:
     """`run_into` without the report."""
     with _all_or_nothing(folder):
+        before = files_before(scenario)  # first: what its seed draws may be refused
+        scenario = scenario.resolved
         with _filming(folder, scenario, films, tile_px, fine) as filming:
-            for name, content in _experiment(scenario):
-                make_folder((folder / name).parent)
-                write_whole(folder / name, content)
+            put(folder, before)
             log = FolderLog.create(folder, Layout(scenario).columns)
             try:
                 # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
@@ -104,37 +110,113 @@ def _run_into(
             for film in filming:
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
-    summary = _summary(recording.summary())  # before `log.finish`: log.part is read without decompressing it
+    after = files_after(recording)  # before `log.finish`: log.part is read without decompressing it
     log.finish()
-    for name, content in _goal_pictures(recording):
-        write_whole(folder / name, content)
-    write_whole(folder / "summary.json", summary)  # after it: a summary says that the run is finished
+    put(folder, after)
     return recording
 
 
-def _experiment(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
-    """The files of a run's folder that are there before the run, by name: the scenario, the files that `model.xml` refers to, and it."""
-    yield "scenario.yaml", dump_for_folder(scenario).encode()
-    for name, path in kept_files(scenario).items():
-        yield name, path.read_bytes()
-    scene = scene_files(scenario.robot, scenario.camera, scenario.target_in_run, scenario.world, scenario.physics, scenario.sights)
-    yield from scene.assets.items()
-    yield "model.xml", scene.xml.encode()
+# What is in a run's folder, and how it is written: a single run, a worker of a study and a crash have their files from here.
 
 
-def _goal_pictures(recording: Recording) -> Iterator[tuple[str, bytes]]:
-    """The pictures taken at the goal views as PNG files: `goal.png`, or `goal_0.png`, ... of several."""
-    images = recording.goal_images
-    if not images:
-        return
-    from vstestbed.report.video.writer import png_of  # imported only if there is one
-
-    for i, image in enumerate(images):
-        yield "goal.png" if len(images) == 1 else f"goal_{i}.png", png_of(image)
+Files = dict[str, bytes]
+"""Content of a run's folder by file name, in the order in which they are written."""
 
 
-def _summary(figures: dict[str, object]) -> str:
-    return json.dumps(figures, indent=1) + "\n"
+def files_before(scenario: Scenario) -> Files:
+    """What is there before the run: the scenario as given and as it runs, the files that `model.xml` refers to, and it.
+
+    Raises:
+        ParameterError: what the seed draws is refused.
+    """
+    runs = scenario.resolved
+    scene = scene_files(runs.robot, runs.camera, runs.target_in_run, runs.world, runs.physics, runs.sights)
+    texts = {name: text.encode() for name, text in documents(scenario).items()}
+    kept = {name: path.read_bytes() for name, path in kept_files(runs).items()}
+    return texts | kept | scene.assets | {"model.xml": scene.xml.encode()}
+
+
+def files_after(recording: Recording) -> Files:
+    """What a run leaves beside its log and its films: the pictures taken at its goal views, and at last the summary."""
+    found: Files = {}
+    if images := recording.goal_images:
+        from vstestbed.report.video.writer import png_of  # imported only if there is one
+
+        found = {"goal.png" if len(images) == 1 else f"goal_{i}.png": png_of(image) for i, image in enumerate(images)}
+    return found | {SUMMARY: _summary(recording.summary())}
+
+
+def files_of_failure(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
+    """The files of a run that crashed, or that could not begin: `rest`, which it has left, the scenario as given, traceback, summary."""
+    plain = plain_mapping(text, GIVEN, "")[0]
+    ended = {"outcome": outcome.name, "success": False, "reason": reason}
+    figures = {"scenario": plain.get("name", "")} | ended | {"seed": plain.get("seed", 0)}
+    told = {"error.txt": trace.encode()} if trace else {}
+    return {GIVEN: text.encode()} | (rest or {}) | told | {SUMMARY: _summary(figures)}
+
+
+def _summary(figures: Mapping[str, object]) -> bytes:
+    return (json.dumps(figures, indent=1) + "\n").encode()
+
+
+def files_in(folder: Path) -> Files:
+    """The files of a run's folder; none where there is no folder."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
+
+
+def put(folder: Path, files: Files) -> None:
+    """Write files into a run's folder, each whole.
+
+    Raises:
+        EnvironmentLackError, OutputError: see `core.files.writing`.
+    """
+    for name, content in files.items():
+        make_folder((folder / name).parent)
+        write_whole(folder / name, content)
+
+
+def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, Any]:
+    """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
+
+    Args:
+        place: the folder. files: its content. shared: where the only copy of each mesh or texture of a study's runs stands.
+        attempts: at the run, for its summary.
+
+    Raises:
+        EnvironmentLackError: no space left. OutputError: cannot be written.
+    """
+    summary = json.loads(files[SUMMARY]) | {"attempts": attempts}
+    with writing(place):
+        for left in place.parent.glob(f"{place.name}.*.part"):  # over from a study that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        part = temporary(place)
+        part.mkdir(parents=True)
+        put(part, {name: content for name, content in files.items() if not _linked(part / name, name, content, shared)})
+        put(part, {SUMMARY: _summary(summary)})
+        flush_entries(part)
+        if place.is_symlink():
+            place.unlink()
+        elif place.exists():  # left incomplete: a complete one is never stored again
+            shutil.rmtree(place)
+        part.rename(place)
+        flush_entries(place.parent)
+    return summary
+
+
+def _linked(path: Path, name: str, content: bytes, shared: Path) -> bool:
+    """Whether a mesh or texture could be stored as a link to the study's only copy of it: those of one arm are some 10 MB a run."""
+    if not name.startswith(f"{ASSETS}/"):
+        return False
+    kept = shared / f"{zlib.crc32(content):08x}_{path.name}"
+    try:
+        if not kept.exists():
+            kept.parent.mkdir(exist_ok=True)
+            write_whole(kept, content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        os.link(kept, path)
+    except OSError:  # a file system without hard links
+        return False
+    return True
 
 
 @contextmanager

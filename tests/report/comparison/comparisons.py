@@ -46,7 +46,8 @@ def start_px(seed: int) -> float:
 def _run(folder: Path, name: str, gain: float, seed: int, outcome: str) -> dict[str, Any]:
     place = f"runs/{name}/base/{seed}"
     (folder / place).mkdir(parents=True)
-    (folder / place / "scenario.yaml").write_text(SCENARIO)
+    for document in ("scenario.yaml", "resolved.yaml"):
+        (folder / place / document).write_text(SCENARIO)
     row = {"scenario": name, "seed": seed, "folder": place, "outcome": outcome, "success": outcome == "converged"}
     if outcome == "crashed":
         (folder / place / "error.txt").write_text("Traceback: <ValueError>: the law broke\n")

@@ -25,11 +25,11 @@ GREY = {
 def of_pictures(folder: Path, name: str, limit: float) -> None:
     """Turn the runs of a scenario into those of a law that compares pictures: 10 grey levels for each pixel."""
     for run in (folder / "runs" / name / "base").iterdir():
-        text = (run / "scenario.yaml").read_text()
+        text = (run / "resolved.yaml").read_text()
         for old, new in GREY.items():
             assert old in text
             text = text.replace(old, new)
-        (run / "scenario.yaml").write_text(f"{text}stop: {{converged: {{error_grey: {limit}}}}}\n")
+        (run / "resolved.yaml").write_text(f"{text}stop: {{converged: {{error_grey: {limit}}}}}\n")
         log = pl.read_parquet(run / "log.parquet")
         log.with_columns(error_grey=10 * pl.col("error_px"), error_px=pl.lit(np.nan)).write_parquet(run / "log.parquet")
 

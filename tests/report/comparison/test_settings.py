@@ -16,7 +16,7 @@ def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
     """Two controllers: the scenario of the tests, seed 1 for the seed 1, and another text."""
     table = build(folder, {"one": 0.8, "two": 1.6}, seeds)
     for seed in range(seeds):
-        (folder / f"runs/two/base/{seed}/scenario.yaml").write_text(f"{second}seed: {seed}\n")
+        (folder / f"runs/two/base/{seed}/resolved.yaml").write_text(f"{second}seed: {seed}\n")
     return ComparisonResults(table, (), DEFAULT_METRICS, "")
 
 
@@ -34,7 +34,7 @@ def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:
 )
 def test_the_fields_that_differ(tmp_path: Path, change: tuple[str, str], fields: tuple[str, ...]) -> None:
     two = comparison(tmp_path, SCENARIO.replace(*change))
-    assert differing([tmp_path / str(c.runs["folder"][0]) / "scenario.yaml" for c in two.controllers]) == fields
+    assert differing([tmp_path / str(c.runs["folder"][0]) for c in two.controllers]) == fields
     assert gains_alone(tmp_path, two) == ("law.gain" if fields == ("law.gain",) else "")
 
 

@@ -137,7 +137,7 @@ def test_the_calibration_projects_the_target_through_the_transforms(exported: Pa
 
 def test_it_holds_the_runs_files_and_what_a_reader_must_know(exported: Path, folders: list[Path]) -> None:
     _, _, attached, about = read(exported)
-    assert attached == {name: (folders[0] / name).read_bytes() for name in ("scenario.yaml", "summary.json", "model.xml")}
+    assert attached == {name: (folders[0] / name).read_bytes() for name in ("scenario.yaml", "resolved.yaml", "summary.json", "model.xml")}
     assert about["outcome"] == json.loads(attached["summary.json"])["outcome"] == "timed_out"
     assert about["success"] == "false" and about["seed"] == "0" and about["scenario"] == "arm_ibvs"
 

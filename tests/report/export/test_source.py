@@ -91,10 +91,10 @@ def test_it_says_how_its_pictures_were_made(folders: list[Path], tmp_path: Path)
     words = "redrawn from the log at the camera's rate and size, with the run's noise of 2 grey levels"
     assert RecordedRun.of(folders[0]).how_taken == words
     blurred = shutil.copytree(folders[0], tmp_path / "blurred")
-    text = (blurred / "scenario.yaml").read_text().replace("exposure_s: 0.0", "exposure_s: 0.01")
-    (blurred / "scenario.yaml").write_text(text)
+    text = (blurred / "resolved.yaml").read_text().replace("exposure_s: 0.0", "exposure_s: 0.01")
+    (blurred / "resolved.yaml").write_text(text)
     assert RecordedRun.of(blurred).how_taken == f"{words}, without the motion blur of its 0.01 s exposure"
-    (blurred / "scenario.yaml").write_text(text.replace("readout_s: 0.0", "readout_s: 0.02"))
+    (blurred / "resolved.yaml").write_text(text.replace("readout_s: 0.0", "readout_s: 0.02"))
     assert RecordedRun.of(blurred).how_taken.endswith(" exposure, without the skew of its rolling shutter of 0.02 s")
 
 

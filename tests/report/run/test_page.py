@@ -25,6 +25,7 @@ from vstestbed.report.run.numbers import number
 from vstestbed.report.run.tracks import MOST_ROWS, Tracks
 
 SCENARIO = "robot: free\nlaw: {kind: ibvs, gain: 0.5}  # <b>not bold</b> & so on\n"
+TEXTS = {"scenario.yaml": SCENARIO, "resolved.yaml": SCENARIO}
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 384.0
 
@@ -148,7 +149,7 @@ EVERY_FIGURE = [title for key, title, _, _ in page.PLOTS if key not in (*OF_ANGL
 def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
     film = tmp_path / "camera.mp4"
     film.write_bytes(b"a film")
-    text = render_page(log(), summary(), SCENARIO, {"camera": film}, setting(4))
+    text = render_page(log(), summary(), TEXTS, {"camera": film}, setting(4))
     reader = checked(text)
     assert reader.figures == EVERY_FIGURE
     for words in (
@@ -181,19 +182,19 @@ def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
 
 
 def test_failure_is_told_and_coloured_as_such() -> None:
-    text = render_page(log(), summary(outcome="target_lost", success=False, reason="gone", time_to_converge_s=None), SCENARIO, {})
+    text = render_page(log(), summary(outcome="target_lost", success=False, reason="gone", time_to_converge_s=None), TEXTS, {})
     assert "outcome good" not in text
     assert "Target lost Gone. Task error by measured pixels: 0.123 px, limit 0.200 px. Time to converge –" in checked(text).text
 
 
 def test_a_law_that_measures_no_markers_has_its_error_in_grey_levels() -> None:
-    text = checked(render_page(log(10), summary(final_error_px=None, final_error_grey=0.39), SCENARIO, {})).text
+    text = checked(render_page(log(10), summary(final_error_px=None, final_error_grey=0.39), TEXTS, {})).text
     assert "Measured image error 0.390 grey levels" in text
 
 
 def test_text_is_escaped() -> None:
     nasty = summary(scenario="<script>alert(1)</script>", reason='a < b & "c"', versions={"<i>": "<u>"})
-    reader = checked(render_page(log(10), nasty, SCENARIO, {}, Setting(description="<img src=x>", changed=("law=<img src=x>",))))
+    reader = checked(render_page(log(10), nasty, TEXTS, {}, Setting(description="<img src=x>", changed=("law=<img src=x>",))))
     assert "<script>alert(1)</script>" in reader.text  # as words, not as an element
     assert "# <b>not bold</b> & so on" in reader.text
     assert "<img src=x>" in reader.text
@@ -201,12 +202,12 @@ def test_text_is_escaped() -> None:
 
 @pytest.mark.study
 def test_the_same_run_gives_the_same_page() -> None:
-    pages = [render_page(log(50), summary(), SCENARIO, {}, setting(4)) for _ in range(2)]
+    pages = [render_page(log(50), summary(), TEXTS, {}, setting(4)) for _ in range(2)]
     assert pages[0] == pages[1]
 
 
 def test_figures_follow_light_and_dark() -> None:
-    text = render_page(log(10), summary(), SCENARIO, {}, setting(4))
+    text = render_page(log(10), summary(), TEXTS, {}, setting(4))
     assert "prefers-color-scheme: dark" in text
     for drawing in text.split("<svg role")[1:]:
         assert "var(--ink)" in drawing and "var(--rule)" in drawing
@@ -215,7 +216,7 @@ def test_figures_follow_light_and_dark() -> None:
 
 @pytest.mark.parametrize(("frames", "markers"), [(0, 1), (1, 24), (2, 1), (40, 2)])
 def test_any_length_and_number_of_markers(frames: int, markers: int) -> None:
-    reader = checked(render_page(log(frames, markers, joints=()), summary(), SCENARIO, {}, setting(markers)))
+    reader = checked(render_page(log(frames, markers, joints=()), summary(), TEXTS, {}, setting(markers)))
     assert "Joints and actuators" not in reader.figures
     assert "Features in the image" in reader.figures
 
@@ -223,7 +224,7 @@ def test_any_length_and_number_of_markers(frames: int, markers: int) -> None:
 def test_the_page_of_a_run_needs_no_matplotlib() -> None:
     """In a process of its own (a second), since other tests import it: its import alone would take longer than the page."""
     code = "import sys; sys.modules['matplotlib'] = None; import polars as pl; from vstestbed.report import render_page"
-    code += "; print(render_page(pl.DataFrame({'t': [0.0, 0.04]}), {}, '', {}).count('<figure>'))"
+    code += "; print(render_page(pl.DataFrame({'t': [0.0, 0.04]}), {}, {}, {}).count('<figure>'))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "2\n"
 
 
@@ -231,7 +232,7 @@ def test_the_page_of_a_run_needs_no_matplotlib() -> None:
 def test_columns_of_nothing_but_nan() -> None:
     table = log(30)
     table = table.with_columns(pl.lit(float("nan")).alias(c) for c in table.columns if c not in ("t", "frame", "lost"))
-    reader = checked(render_page(table, summary(), SCENARIO, {}, setting(4)))
+    reader = checked(render_page(table, summary(), TEXTS, {}, setting(4)))
     assert "no frame with a measured error" in reader.text
     assert "Camera path" not in reader.figures
 
@@ -239,16 +240,16 @@ def test_columns_of_nothing_but_nan() -> None:
 @pytest.mark.filterwarnings("error")
 def test_nothing_is_known_but_the_time() -> None:
     table = pl.DataFrame({"t": [0.0, 0.04, 0.08]})
-    assert checked(render_page(table, {}, "", {})).figures == ["Error in the image", "Camera twist"]
+    assert checked(render_page(table, {}, {}, {})).figures == ["Error in the image", "Camera twist"]
 
 
 def test_nulls_read_as_nan_and_errors_of_zero_are_no_trouble() -> None:
     table = log(30).with_columns(pl.lit(None, dtype=pl.Float64).alias("depth_0"), pl.lit(0.0).alias("error_px"))
-    assert "Error in the image" in checked(render_page(table, summary(), SCENARIO, {}, setting(4))).figures
+    assert "Error in the image" in checked(render_page(table, summary(), TEXTS, {}, setting(4))).figures
 
 
 def test_names_of_joints_are_taken_as_they_stand() -> None:
-    text = render_page(log(20, joints=("_arm/j$1$", "a<b")), summary(), SCENARIO, {}, setting(4))
+    text = render_page(log(20, joints=("_arm/j$1$", "a<b")), summary(), TEXTS, {}, setting(4))
     assert "arm/j$1$" in checked(text).text and "a<b" in checked(text).text
 
 
@@ -257,7 +258,7 @@ def test_large_films_are_linked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     films = {name: tmp_path / f"{name}.mp4" for name in ("camera", "overview")}
     films["camera"].write_bytes(b"8 bytes.")
     films["overview"].write_bytes(b"8 bytes.")
-    references = Reader(render_page(log(5), summary(), SCENARIO, films)).references
+    references = Reader(render_page(log(5), summary(), TEXTS, films)).references
     assert sum(r.startswith("data:video/mp4") for r in references) == 1
     assert references.count("overview.mp4") == 2  # the film itself and a link
 
@@ -276,7 +277,7 @@ def test_long_logs_are_thinned_and_stay_quick() -> None:
         assert (np.nanmin(kept), np.nanmax(kept)) == (np.nanmin(whole), np.nanmax(whole)), name
     assert (np.diff(tracks.t) > 0).all()
     began = time.perf_counter()
-    text = render_page(rows, summary(), SCENARIO, {}, setting(4))
+    text = render_page(rows, summary(), TEXTS, {}, setting(4))
     assert time.perf_counter() - began < 20  # [s] 2 s here; a slow machine may take ten times that
     assert len(text) < 5e6
 

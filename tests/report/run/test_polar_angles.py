@@ -128,7 +128,7 @@ def test_only_runs_of_these_features_have_them() -> None:
     ):
         run = tracks(LENS, feature, way())
         assert [draw(run) is not None for draw in figures] == has
-        page = render_page(run.log, {}, "", {}, run.setting)
+        page = render_page(run.log, {}, {}, {}, run.setting)
         titles = ("Features in polar coordinates", "Features in spherical coordinates", "Features on the sphere")
         assert [f'aria-label="{title}"' in page for title in titles] == has
 

@@ -77,11 +77,11 @@ class TestDraws:
 
     def test_a_scenario_states_what_its_seed_placed(self):
         block: dict[str, Any] = {"detector": "oracle", "world.clutter": {"pose": {"xyz": [1.8, 0, 0.7]}, "count": 6}}
-        s = vs.load("arm_ibvs", block, 4)
+        s = vs.load("arm_ibvs", block, 4).resolved
         assert len(s.world.distractors) == 6
-        assert s == vs.load("arm_ibvs", block, 4)
-        assert s.world.distractors != vs.load("arm_ibvs", block, 5).world.distractors
-        assert s.robot == vs.load("arm_ibvs", {"detector": "oracle"}, 4).robot
+        assert s == vs.load("arm_ibvs", block, 4).resolved
+        assert s.world.distractors != vs.load("arm_ibvs", block, 5).resolved.world.distractors
+        assert s.robot == vs.load("arm_ibvs", {"detector": "oracle"}, 4).resolved.robot
 
     def test_sizes_in_the_wrong_order_are_refused(self):
         with pytest.raises(ScenarioError, match=r"world.clutter.radius_m: must be the smallest and the largest"):

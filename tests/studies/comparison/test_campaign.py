@@ -24,8 +24,9 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterEr
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.studies.comparison import Campaign, Comparison, Job, compare, controllers, jobs
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.runs import RunRequest, crashed, execute, request_of
+from vstestbed.studies.comparison.runs import RunRequest, execute, request_of
 from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
+from vstestbed.studies.run_folder import files_of_failure
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''
@@ -133,7 +134,7 @@ def test_the_table_says_what_the_summaries_say(quick: Path, tmp_path: Path, here
         summary = json.loads((folder / "summary.json").read_text())
         assert row["final_error_px"] == summary["final_error_px"]
         assert row["time_ms.law"] == summary["time_ms"]["law"]
-        assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "model.xml", "log.parquet", "summary.json"}
+        assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "resolved.yaml", "model.xml", "log.parquet", "summary.json"}
 
 
 @pytest.mark.study
@@ -394,7 +395,7 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
     request = request_of("runs/a", vs.load(quick), False)
-    files = crashed(request.text, "no more")
+    files = files_of_failure(request.text, "no more")
     assert json.loads(files["summary.json"])["outcome"] == "crashed"
     assert set(files) == {"scenario.yaml", "summary.json"}
 

@@ -43,7 +43,7 @@ def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
 
 def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(quick: Path):
     made = jobs(controllers(of("arm_ibvs", "arm_pbvs", "arm_hybrid", seeds=3)), 3)
-    starts = np.array([j.scenario().robot.configuration() for j in made]).reshape(3, 3, 6)
+    starts = np.array([j.scenario().resolved.robot.configuration() for j in made]).reshape(3, 3, 6)
     np.testing.assert_array_equal(starts, np.broadcast_to(starts[:, :1], starts.shape))
     assert np.abs(np.diff(starts[:, 0], axis=0)).max() > 0.01
     assert [j.scenario().seed for j in made] == [0, 0, 0, 1, 1, 1, 2, 2, 2]

@@ -338,5 +338,5 @@ def test_the_ideal_camera_of_realism_starts_where_the_arm_does():
     found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}, "world": worlds}))
     free, arm = (jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))
     for one, other in zip(free, arm, strict=True):
-        a, b = one.scenario(), other.scenario()
+        a, b = one.scenario().resolved, other.scenario().resolved
         assert a.robot.flange_pose(a.robot.configuration()) == pytest.approx(b.robot.flange_pose(b.robot.configuration()), abs=1e-12)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import polars as pl
 
-from vstestbed.core.errors import ScenarioError
+from vstestbed.core.errors import VstestbedError
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.registry import to_mapping
 from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.comparison import baseline, summary_text, tables
 from vstestbed.report.comparison import failures as comparison_failures
@@ -29,7 +30,8 @@ from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
 from vstestbed.report.html.template import PAGE, STYLE, cell, figure, film
 from vstestbed.report.run import numbers
 from vstestbed.report.run.tracks import MeasuredError, Setting
-from vstestbed.scenario.load import load
+from vstestbed.scenario.dump import load_run
+from vstestbed.scenario.load import GIVEN, RESOLVED
 from vstestbed.scenario.yaml_marks import plain_mapping
 
 if TYPE_CHECKING:
@@ -37,25 +39,25 @@ if TYPE_CHECKING:
 
 
 # In which fields of their scenarios the controllers of a comparison differ.
-UNCOMPARED = ("name", "description", "seed", "plugins")
+UNCOMPARED = ("name", "description", "seed", "draw_start", "plugins")
 """Fields that change nothing of an experiment, or differ between seeds."""
 MISSING = object()
 """Stands for a field that a scenario does not have."""
 
 
-def differing(scenarios: Sequence[Path]) -> tuple[str, ...]:
-    """Dotted names of the fields in which scenario files differ, sorted; empty where one of them cannot be read."""
+def differing(runs: Sequence[Path]) -> tuple[str, ...]:
+    """Dotted names of the fields in which the scenarios of runs' folders differ, sorted; empty where one of them cannot be read."""
     try:
-        return tuple(sorted(set[str]().union(*_from_first(scenarios))))
-    except (OSError, UnicodeError, ScenarioError):
+        return tuple(sorted(set[str]().union(*_from_first(runs))))
+    except (OSError, UnicodeError, VstestbedError):
         return ()
 
 
-def _from_first(scenarios: Iterable[Path]) -> Iterator[set[str]]:
-    """The fields in which each scenario file differs from the first."""
+def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
+    """The fields in which the scenario of each run's folder differs from the first."""
     first: dict[str, object] | None = None
-    for path in scenarios:
-        fields = {name: value for name, value in _flat(_scenario(path)) if name.split(".")[0] not in UNCOMPARED}
+    for run in runs:
+        fields = {name: value for name, value in _flat(_scenario(run)) if name.split(".")[0] not in UNCOMPARED}
         first = fields if first is None else first
         yield {name for name in first.keys() | fields.keys() if fields.get(name, MISSING) != first.get(name, MISSING)}
 
@@ -79,11 +81,11 @@ def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
     """
     found: set[str] = set()
     try:
-        for fields in _from_first(folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers):
+        for fields in _from_first(folder / str(c.runs["folder"][0]) for c in comparison.controllers):
             if fields and not only_gains(fields):
                 return ""
             found |= fields
-    except (OSError, UnicodeError, ScenarioError):
+    except (OSError, UnicodeError, VstestbedError):
         return ""
     return in_words(found)
 
@@ -94,8 +96,12 @@ def in_words(gains: Iterable[str]) -> str:
     return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def _scenario(path: Path) -> Any:
-    return plain_mapping(path.read_text(encoding="utf-8"), str(path), "")[0]
+def _scenario(run: Path) -> Any:
+    """All values of a run's scenario; one that could not begin has none written out."""
+    record = run / RESOLVED
+    if record.is_file():
+        return plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0]
+    return to_mapping(load_run(run))
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -315,8 +321,8 @@ def _sampled(most: int | None) -> str:
 def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> list[MeasuredError]:
     """The error in the image that decides, of each controller; without a threshold where those with the same unit differ in it."""
     # one run per controller suffices: seeds do not change the stop block
-    firsts = [folder / str(c.runs["folder"][0]) / "scenario.yaml" for c in comparison.controllers]
-    found = [Setting.of(load(path, plugins=plugins)).image_errors[0] if path.is_file() else None for path in firsts]
+    firsts = [folder / str(c.runs["folder"][0]) for c in comparison.controllers]
+    found = [Setting.of(load_run(run, plugins)).image_errors[0] if (run / GIVEN).is_file() else None for run in firsts]
     limits: dict[str, set[float | None]] = {}
     for error in filter(None, found):
         limits.setdefault(error.unit, set()).add(error.threshold)

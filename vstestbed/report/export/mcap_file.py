@@ -44,7 +44,12 @@ except ImportError as error:
 
 Message = tuple[str, int, Any]
 """Topic, time [ns], message."""
-ATTACHED = {"scenario.yaml": "application/yaml", "summary.json": "application/json", "model.xml": "application/xml"}
+ATTACHED = {
+    "scenario.yaml": "application/yaml",
+    "resolved.yaml": "application/yaml",
+    "summary.json": "application/json",
+    "model.xml": "application/xml",
+}
 """Files of a run's folder that are attached, with their media types."""
 TIMED_BY_COMMAND = ("/robot/command", "/robot/applied")
 

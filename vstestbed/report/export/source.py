@@ -21,7 +21,7 @@ from vstestbed.loop.log_file import FolderLog, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.film import rows_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.scenario.load import load
+from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.randomise import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Retake
@@ -70,7 +70,7 @@ class RecordedRun:
         """
         if not (folder / "scenario.yaml").is_file():
             raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
-        scenario = load(folder / "scenario.yaml", plugins=plugins)
+        scenario = load_run(folder, plugins)
         log = open_log(folder, scenario)
         summary = read_summary(folder, "run the scenario again") if (folder / "summary.json").is_file() else None
         if not len(log):

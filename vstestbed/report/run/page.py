@@ -120,15 +120,18 @@ PLOTS: Final[tuple[Plot, ...]] = (
 )
 
 
+TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
+
+
 def write_report(
     run_dir: Path, log: Rows | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()
 ) -> Path:
     """Write `report.html` into a run's folder; returns its path.
 
     Args:
-        run_dir: the folder with `scenario.yaml`, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
+        run_dir: the folder with both scenarios, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
         log: the run's log, if the caller has it already; else that of the folder, of which little is in memory at a time.
-        setting: scenario data for the figures; by default from loading `scenario.yaml`.
+        setting: scenario data for the figures; by default from the folder's scenario.
         plugins: files or modules, besides those that `scenario.yaml` names.
 
     Raises:
@@ -136,26 +139,27 @@ def write_report(
             loaded.
         OutputError: the page cannot be written.
     """
-    from vstestbed.scenario.load import load, text_of  # here: the figures themselves need no scenario
+    from vstestbed.scenario.dump import load_run  # here: the figures themselves need no scenario
+    from vstestbed.scenario.load import GIVEN, RESOLVED, text_of
 
-    path = run_dir / "scenario.yaml"
-    scenario_text, summary = text_of(path), _summary(run_dir)
+    texts = {name: text_of(run_dir / name) for name in (GIVEN, RESOLVED) if name == GIVEN or (run_dir / name).is_file()}
+    summary = _summary(run_dir)
     videos = {path.stem: path for path in (run_dir / f"{name}.mp4" for name in FILMS) if path.is_file()}
     if log is None or setting is None:
-        scenario = load(path, plugins=plugins)
+        scenario = load_run(run_dir, plugins)
         setting = setting or Setting.of(scenario)
         if log is None:
             log = _in_reach(run_dir, open_log(run_dir, scenario))
             if not len(log):
                 raise RunFolderError(run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN)
     goals = [path.read_bytes() for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))]
-    return write_whole(run_dir / "report.html", render_page(log, summary, scenario_text, videos, setting, goals))
+    return write_whole(run_dir / "report.html", render_page(log, summary, texts, videos, setting, goals))
 
 
 def render_page(
     log: Rows | pl.DataFrame,
     summary: Mapping[str, Any],
-    scenario_text: str,
+    texts: Mapping[str, str],
     videos: Mapping[str, Path],
     setting: Setting | None = None,
     goal_pictures: Sequence[bytes] = (),
@@ -165,7 +169,7 @@ def render_page(
     Args:
         log: one row per frame, the columns of `log.parquet`; may be empty.
         summary: the content of `summary.json`; a missing number shows as a dash.
-        scenario_text: the scenario as run, shown verbatim.
+        texts: the scenario as given and as it ran, by the names of the files, shown verbatim.
         videos: films by name (`camera`, `overview`).
         setting: scenario data for the figures.
         goal_pictures: PNG files of the pictures taken at the goal views.
@@ -180,7 +184,7 @@ def render_page(
         _films(videos),
         _goal_pictures(goal_pictures),
         numbers.timing(summary),
-        folded("Scenario", scenario_text),
+        *(folded(f"{TITLES.get(name, name)} ({name})", text) for name, text in texts.items()),
         numbers.provenance(summary),
         folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
     ]
@@ -193,10 +197,10 @@ def render_page(
 
 def recording_cell(recording: Recording) -> str:
     """The report of a recording as a notebook shows it, without films."""
-    from vstestbed.scenario.dump import dump
+    from vstestbed.scenario.dump import documents
 
     scenario = recording.scenario
-    return cell(render_page(recording.rows, recording.summary(), dump(scenario, defaults=True), {}, Setting.of(scenario)), NOTEBOOK_PX)
+    return cell(render_page(recording.rows, recording.summary(), documents(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
 
 
 def _figures(tracks: Tracks) -> str:

@@ -124,7 +124,7 @@ class Clutter:
         radius_m: smallest and largest radius [m].
         hues: of the `markers`, each as often, or `any`.
         saturation, albedo: of their colours [1].
-        placed: the objects of this run; it is written by the run, and drawn again for each seed; e.g. `[{xyz: [1.5, 0.3, 0.7]}]`.
+        placed: the objects; none: they are drawn from the seed; e.g. `[{xyz: [1.5, 0.3, 0.7]}]`.
     """
 
     pose: Pose
@@ -356,7 +356,7 @@ class World:
     @property
     def draws(self) -> bool:
         """Whether a seed makes a difference: to the clutter, or to the turbulence that a craft meets."""
-        return self.clutter is not None or self.wind.turbulence_mps > 0
+        return (self.clutter is not None and not self.clutter.placed) or self.wind.turbulence_mps > 0
 
     @property
     def movers(self) -> dict[str, Path]:

@@ -8,8 +8,6 @@ import itertools
 import json
 import os
 import shlex
-import shutil
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,18 +18,15 @@ from typing import Any
 import polars as pl
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.core.files import read_file, temporary, write_whole, writing
+from vstestbed.core.files import read_file
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
 from vstestbed.report.comparison.columns import ComparisonResults, Metric, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
-from vstestbed.studies.run_folder import ASSETS
 
 PLAN = "comparison.yaml"
-Files = dict[str, bytes]
-"""Content of a run's folder by file name."""
 GROUP = 10_000
 """Runs of a row group of the table, and rows that are in memory as dictionaries."""
 DEEPEST = 5
@@ -45,57 +40,6 @@ def summary_of(folder: Path, job: Job) -> dict[str, Any]:
         RunFolderError: the run is missing, or its summary is damaged.
     """
     return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
-
-
-def store(folder: Path, job: Job, files: Files, attempts: int) -> dict[str, Any]:
-    """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
-
-    Raises:
-        EnvironmentLackError: no space left. OutputError: cannot be written.
-    """
-    place = folder / job.folder
-    summary = json.loads(files["summary.json"]) | {"attempts": attempts}
-    files = {**files, "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
-    with writing(folder):
-        for left in place.parent.glob(f"{place.name}.*.part"):  # over from a comparison that was killed
-            shutil.rmtree(left, ignore_errors=True)
-        part = temporary(place)
-        part.mkdir(parents=True)
-        for name, content in files.items():
-            (part / name).parent.mkdir(parents=True, exist_ok=True)
-            if not (name.startswith(f"{ASSETS}/") and _linked(folder, part / name, content)):
-                write_whole(part / name, content)
-        _sync(part)
-        if place.is_symlink():
-            place.unlink()
-        elif place.exists():  # left incomplete: a complete one is never stored again
-            shutil.rmtree(place)
-        part.rename(place)
-        _sync(place.parent)
-    return summary
-
-
-def _linked(folder: Path, path: Path, content: bytes) -> bool:
-    """Whether a mesh or texture could be stored as a link to the comparison's only copy of it: those of one arm are some 10 MB a run."""
-    kept = folder / ASSETS / f"{zlib.crc32(content):08x}_{path.name}"
-    try:
-        if not kept.exists():
-            kept.parent.mkdir(exist_ok=True)
-            write_whole(kept, content)
-        os.link(kept, path)
-    except OSError:  # a file system without hard links
-        return False
-    return True
-
-
-def _sync(folder: Path) -> None:
-    """Flush a folder's directory entries to the disk, where the system supports it."""
-    if os.name == "posix":
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
 
 
 def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[Job]:
@@ -351,7 +295,7 @@ class Baseline:
 
         if "folder" not in then.columns:
             return ()
-        return differing([self.file.parent / str(then["folder"][0]) / "scenario.yaml", folder / str(now["folder"][0]) / "scenario.yaml"])
+        return differing([self.file.parent / str(then["folder"][0]), folder / str(now["folder"][0])])
 
 
 def _table_in(file: Path) -> pl.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -14,13 +13,13 @@ from typing import Any
 from vstestbed.core.errors import EnvironmentLackError, UnreachableError, VstestbedError
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.recording import Rows
-from vstestbed.scenario.dump import dump
-from vstestbed.scenario.load import parse
+from vstestbed.scenario.dump import given_text
+from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison.folder import Files, finished, store
+from vstestbed.studies.comparison.folder import finished
 from vstestbed.studies.comparison.plan import Job
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed
-from vstestbed.studies.run_folder import run_into
+from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
 # One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines.
 
@@ -34,7 +33,7 @@ class RunRequest:
     """A run as it is sent to a worker, which needs no file of the sender's machine.
 
     Attributes:
-        folder: path of the run below the comparison's folder, which identifies it. text: the scenario with start and noise drawn.
+        folder: path of the run below the comparison's folder, which identifies it. text: the scenario as given.
         filmed: whether to make films.
     """
 
@@ -58,7 +57,7 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
         EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
         PluginError: a plugin of the scenario is not there on this machine.
     """
-    scenario = parse(request.text, "scenario.yaml")
+    scenario = parse(request.text, GIVEN)
     # the run's folder is local: the worker may be on a machine without access to the comparison's folder
     with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
         folder = Path(made) / "run"
@@ -67,26 +66,14 @@ def execute(request: RunRequest, place: str | None = None) -> Files:
             recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
             # a picture of every failure for the report's gallery; films are made of the first seed only
             if not recording.outcome.success and len(recording.rows):
-                picture_of_the_end(scenario, recording.rows, folder)
+                picture_of_the_end(recording.scenario, recording.rows, folder)
         except EnvironmentLackError:  # no fault of the run: the comparison stops
             raise
         except UnreachableError as error:  # its motors cannot hold it there
-            return crashed(request.text, error.problem, outcome=Outcome.unreachable)
+            return files_of_failure(request.text, error.problem, outcome=Outcome.unreachable)
         except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
-            return crashed(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), _files(folder))
-        return _files(folder)
-
-
-def _files(folder: Path) -> Files:
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()} if folder.is_dir() else {}
-
-
-def crashed(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:
-    """The folder of a crashed run, or of one that could not begin: scenario, summary, traceback, and `rest`, the files that it has left."""
-    scenario = parse(text, "scenario.yaml")
-    summary = {"scenario": scenario.name, "outcome": outcome.name, "success": False, "reason": reason, "seed": scenario.seed}
-    own = {"scenario.yaml": text.encode(), "summary.json": (json.dumps(summary, indent=1) + "\n").encode()}
-    return (rest or {}) | own | ({"error.txt": trace.encode()} if trace else {})
+            return files_of_failure(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
+        return files_in(folder)
 
 
 def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
@@ -99,7 +86,7 @@ def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
 
 def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
     """The request for a run of a scenario."""
-    return RunRequest(folder, dump(scenario, defaults=True), filmed)
+    return RunRequest(folder, given_text(scenario), filmed)
 
 
 OnDone = Callable[[Job, dict[str, Any]], None]
@@ -143,11 +130,11 @@ class Campaign:
                 if pool.tries(request) < MOST_TRIES:
                     again.append((job, request))
                     continue
-                files = crashed(request.text, f"{error}, and the one that tried again, too")
+                files = files_of_failure(request.text, f"{error}, and the one that tried again, too")
             self._store(job, files, max(1, pool.tries(request)), on_done)
 
     def _store(self, job: Job, files: Files, attempts: int, on_done: OnDone) -> None:
-        summary = store(self.folder, job, files, attempts)
+        summary = store(self.folder / job.folder, files, self.folder / ASSETS, attempts)
         self._done.add(job.folder)
         on_done(job, summary)
 
@@ -167,7 +154,7 @@ class Campaign:
 def _without_start(job: Job, error: VstestbedError) -> Files:
     """The folder of a run whose start cannot be drawn: with the scenario as it was given, and the run's seed."""
     given = job.controller.scenario
-    text = request_of(job.folder, given if job.seed is None else replace(given, seed=job.seed), False).text
+    text = given_text(given if job.seed is None else given.but(seed=job.seed))
     if isinstance(error, UnreachableError):
-        return crashed(text, error.problem, outcome=Outcome.unreachable)
-    return crashed(text, str(error))
+        return files_of_failure(text, error.problem, outcome=Outcome.unreachable)
+    return files_of_failure(text, str(error))
