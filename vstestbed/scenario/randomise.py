@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vstestbed.core.errors import ParameterError, ScenarioError, short
 from vstestbed.core.registry import brief_mapping, to_mapping
-from vstestbed.robots import Robot
 from vstestbed.scenario.distributions import Distribution
 from vstestbed.scenario.validation import build, put_over
-from vstestbed.sim.scene.world import World
-from vstestbed.targets import Target
+
+if TYPE_CHECKING:
+    from vstestbed.scenario.scenario import Scenario
 
 # Independent random streams of one seed. Their numbers enter the seed: a new one comes last, or all recorded runs change.
 
@@ -36,39 +36,7 @@ TARGET_STREAM = 16
 """Changes of the target's own picture."""
 
 
-class Seeded(Protocol):
-    """What of a `Scenario` is drawn, and from what."""
-
-    @property
-    def seed(self) -> int:
-        """Of all its random numbers."""
-        ...
-
-    @property
-    def randomise(self) -> Sequence[Distribution]:
-        """The fields that are drawn."""
-        ...
-
-    @property
-    def robot(self) -> Robot:
-        """What moves."""
-        ...
-
-    @property
-    def world(self) -> World:
-        """Its surroundings."""
-        ...
-
-    @property
-    def target(self) -> Target:
-        """What the camera looks at."""
-        ...
-
-
-S = TypeVar("S", bound=Seeded)
-
-
-def drawn(scenario: S) -> S:
+def drawn(scenario: Scenario) -> Scenario:
     """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws.
 
     Itself where it has them already.
@@ -82,8 +50,7 @@ def drawn(scenario: S) -> S:
     if clutter is None or clutter.placed or not clutter.count:
         return scenario
     placed = clutter.draw(np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg)
-    given: Any = scenario  # a dataclass, which a protocol cannot say
-    return replace(given, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
+    return replace(scenario, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
 
 
 def check_randomise(randomise: Sequence[Distribution]) -> None:
@@ -102,7 +69,7 @@ def _rng(seed: int, field: str) -> np.random.Generator:
     return np.random.default_rng([seed, RANDOMISE_STREAM, *field.encode()])
 
 
-def _with(scenario: S, values: list[Any]) -> S:
+def _with(scenario: Scenario, values: list[Any]) -> Scenario:
     """The scenario with a value for each of its distributions."""
     plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
     if "robot.realism" in fields:  # it fills what is not given
