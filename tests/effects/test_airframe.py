@@ -117,7 +117,7 @@ class TestInertia:
         craft.data.qvel[3:6], craft.data.act[:] = rates, SPEEDS**2
         orders = SPEEDS**2 + 2 * X4.rotor_lag_s * SPEEDS * gains  # dW/dt = 2 w dw/dt
         on_base.driven(tuple(orders.tolist()), 0.001)
-        torque = craft.data.qfrc_applied[3:6].copy()
+        torque = on_base.force[3:6].copy()
         craft.close()
         inertia = np.array(X4.inertia)
         return (torque - np.cross(rates, inertia * rates)) / inertia

@@ -35,7 +35,9 @@ def torques(stage: Stage, motors: MotorTorques, wind: Array) -> Array:
     for offset in wind:
         data.act[0] = rest + offset
         motors.act(0.0, h)
-        out.append(data.qfrc_applied[stage.at.motor_qvel[0]])
+        assert motors.force is not None
+        data.qfrc_applied[:] = motors.force
+        out.append(motors.force[stage.at.motor_qvel[0]])
         mujoco.mj_step(stage.model, data)
     stage.close()
     return np.array(out)
@@ -89,7 +91,7 @@ def test_cogging_is_a_torque_of_the_rotors_angle(tmp_path: Path) -> None:
     for q in angles:
         stage.data.qpos[at.qpos[0]] = q
         motors.act(0.0, 0.002)
-        found.append(stage.data.qfrc_applied[at.qvel[0]])
+        found.append(motors.force[at.qvel[0]])
     stage.close()
     np.testing.assert_allclose(found, 0.5 * np.sin(48 * angles), atol=1e-9)
 
@@ -99,7 +101,7 @@ def test_ripple_is_a_share_of_the_torque(tmp_path: Path) -> None:
     motors, at = held(stage), stage.at
     stage.data.qpos[at.qpos[0]] = np.pi / 200  # sin = 1
     motors.act(0.0, 0.002)
-    assert abs(stage.data.qfrc_applied[at.qvel[0]]) == pytest.approx(0.05 * MASS * 9.81 * REACH, rel=1e-6)
+    assert abs(motors.force[at.qvel[0]]) == pytest.approx(0.05 * MASS * 9.81 * REACH, rel=1e-6)
     stage.close()
 
 

@@ -207,6 +207,7 @@ class NewKind(str, Enum):
     motion = "motion"
     metric = "metric"
     noise = "noise"
+    effect = "effect"
     monitor = "monitor"
     task = "task"
 

@@ -201,11 +201,15 @@ def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> 
     return _such_as(words, block, name)
 
 
+def _a(noun: str) -> str:
+    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+
+
 def _such_as(words: str, block: type, name: str) -> str:
     """The words on a field that must be a list, with what its blocks are of, or an example."""
     if blocks := _choices(block, name):
         room, inner = blocks[0]
-        return f"must be a list of blocks, each {f'a {room.what}' if room else f'of {_listed(inner)}'}"
+        return f"must be a list of blocks, each {_a(room.what) if room else f'of {_listed(inner)}'}"
     example = _list_like(block, name)
     return f"{words}, such as {example}" if example else words
 

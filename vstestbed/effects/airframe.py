@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from vstestbed.core.geometry import Array
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, EffectBase, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
@@ -240,7 +241,8 @@ class OnBase(Actor):
         self._model, self._data, self._airframe = model, data, airframe
         self._body, dof = model.body("robot/base").id, int(model.joint("robot/root").dofadr[0])
         # Views of MuJoCo's own memory, taken once: each takes as long as ten operations on floats.
-        self._velocity, self._applied = data.qvel[dof : dof + 6], data.qfrc_applied[dof : dof + 6]
+        self.force: Array = np.zeros(model.nv)
+        self._velocity, self._applied = data.qvel[dof : dof + 6], self.force[dof : dof + 6]
         self._place, self._turn, self._wind = data.xpos[self._body], data.xmat[self._body], model.opt.wind
         self._activations, self._acting = data.act, body.at.act.tolist()
         self._probes, self._below, self._next = airframe.probes, [math.inf] * len(airframe.probes), 0
@@ -258,8 +260,7 @@ class OnBase(Actor):
             self._look(self._next, R)
             self._next = (self._next + 1) % len(self._probes)
         (x, y, z), (p, q, r), reached = self._airframe.act(self._state(R), orders, dt)
-        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own. `xfrc_applied`, where
-        # a person's push acts, stays free.
+        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own.
         a, b, c, d, e, f, g, h, i = R
         self._applied[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z, p, q, r
         return reached

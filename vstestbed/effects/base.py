@@ -125,15 +125,19 @@ class Actor:
 
     Attributes:
         with_controller: `act` is called once a period of the robot's onboard controller, before it, and not before each physics step.
+        force: generalised forces of this effect, an array (nv,) [Nm, N] of its own, in force until it is changed; the plant adds those of
+            all effects. A force F and a torque at a point of a body: `self.force[:] = 0`, then `mujoco.mj_applyFT(model, data, F, torque,
+            point, body, self.force)`. MuJoCo's own `xfrc_applied` belongs to pushes by hand and to tyres. None: it applies none.
     """
 
     with_controller: ClassVar[bool] = False
+    force: Array | None = None
 
     def start(self) -> None:
         """The robot is at its start, in equilibrium."""
 
     def act(self, t: float, dt: float) -> None:
-        """Apply forces for the next dt [s] from the time t [s] on; also while vehicles settle on their springs before the start."""
+        """Set `force` for the next dt [s] from the time t [s] on; also while vehicles settle on their springs before the start."""
 
     def driven(self, orders: Sequence[float], dt: float) -> Sequence[float]:
         """What reaches the actuators (nu,) of an onboard controller's orders (nu,), for its next period of dt [s]."""
@@ -144,7 +148,7 @@ class Actor:
         return sensors
 
     def row(self) -> Sequence[float]:
-        """Values of the effect's columns at the present instant."""
+        """Values of the effect's `columns` at the present instant."""
         return ()
 
 
@@ -160,12 +164,16 @@ class Effect(Protocol):
     """An imperfection of a robot's body or its drives; `EffectBase` has defaults for everything, which do nothing.
 
     Attributes:
-        columns: of the log, with the values of `Actor.row`.
+        columns: of the log, with the values of `Actor.row`; no two effects of a robot may have the same.
         uneven: the robot stands as the ground tilts it, which is no plane.
     """
 
     columns: ClassVar[tuple[str, ...]]
     uneven: ClassVar[bool]
+
+    def check(self, joints: tuple[str, ...]) -> None:
+        """Refuse what does not fit a robot with these joints, when a scenario is loaded; ParameterError names the field."""
+        ...
 
     def edit(self, robot: RobotModel) -> None:
         """Change the robot's model when the scene is composed. ParameterError where its file does not allow it."""
@@ -196,6 +204,9 @@ class EffectBase:
 
     columns: ClassVar[tuple[str, ...]] = ()
     uneven: ClassVar[bool] = False
+
+    def check(self, joints: tuple[str, ...]) -> None:
+        """Nothing."""
 
     def edit(self, robot: RobotModel) -> None:
         """Nothing."""

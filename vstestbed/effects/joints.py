@@ -346,6 +346,7 @@ class MotorTorques(Actor):
         import mujoco
 
         model, at = body.model, body.at
+        self.force: Array = np.zeros(model.nv)
         self._data, self._motors, self._qpos, self._qvel = body.data, motors, at.motor_qpos, at.motor_qvel
         self._actuators = np.array([model.actuator(f"robot/{name}").id for name in body.actuators])
         self._ctrl = model.actuator_ctrladr[self._actuators]
@@ -375,7 +376,7 @@ class MotorTorques(Actor):
             wave = np.sin(m.cycles * self._data.qpos[self._qpos])
             given = tau if m.loops is not None else self._data.actuator_force[self._actuators]
             tau = tau + (m.ripple * given + m.cogging) * wave
-        self._data.qfrc_applied[self._qvel] = tau
+        self.force[self._qvel] = tau
 
     def _servos(self) -> Array:
         """The servos' torques now, within their limits (n,)."""

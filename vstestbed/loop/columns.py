@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.core.planar import place_of, relative
 from vstestbed.scenario.scenario import Scenario
@@ -73,6 +74,9 @@ class Layout:
         self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
         self._blocks = self._laid_out(scenario)
         self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
+        if twice := sorted({name for name in self.columns if self.columns.count(name) > 1}):
+            words = f"must have columns of their own: the log has {', '.join(twice)} twice; works: one effect of a kind, or other names"
+            raise ParameterError("robot.effects", words)
 
     def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
         """All columns in their order, which existing logs fix."""

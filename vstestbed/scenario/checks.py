@@ -100,6 +100,15 @@ def check_step(robot: Robot, step_s: float) -> None:
         raise ParameterError("physics.step_s", words, step_s)
 
 
+def check_effects(robot: Robot) -> None:
+    """Refuse further effects that do not fit the robot."""
+    for i, effect in enumerate(getattr(robot, "effects", ())):
+        try:
+            effect.check(robot.joints)
+        except ParameterError as error:
+            raise ParameterError(f"robot.effects.{i}.{error.field}", error.problem, error.found) from None
+
+
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
     """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply.
 

@@ -23,6 +23,7 @@ from vstestbed.scenario.checks import (
     check_clocks,
     check_depth,
     check_determined,
+    check_effects,
     check_goal_pictures,
     check_judged,
     check_markers,
@@ -150,6 +151,7 @@ class Scenario:
         check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
+        check_effects(self.robot)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         check_step(self.robot, self.clock[0])
         self.robot.check_mount(self.camera.mount.xyz)

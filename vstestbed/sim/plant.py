@@ -14,7 +14,7 @@ from vstestbed.camera import Look, Picture
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground, relative
-from vstestbed.effects.base import Actor, StateIndices
+from vstestbed.effects.base import Actor, Effect, StateIndices
 from vstestbed.imaging.shutter import Contribution
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
@@ -314,8 +314,10 @@ class MujocoPlant:
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
-        made = [effect.actor(stage.body, rng.spawn(1)[0]) for effect in (*world.acting, *robot.acting)]
-        self._actors = [actor for actor in made if actor is not None]
+        made = [(effect, effect.actor(stage.body, rng.spawn(1)[0])) for effect in (*world.acting, *robot.acting)]
+        self._actors = [actor for _, actor in made if actor is not None]
+        self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
+        self._forces = [actor.force for actor in self._actors if actor.force is not None]
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
@@ -379,9 +381,15 @@ class MujocoPlant:
         for _ in range(steps):
             for act in self._each_step:
                 act(0.0, self.step_s)
+            self._apply()
             if not self._stage.step(1):
                 return False
         return True
+
+    def _apply(self) -> None:
+        """Put the effects' forces together for the next step."""
+        if self._forces:
+            np.sum(self._forces, axis=0, out=self._stage.data.qfrc_applied)
 
     @property
     def render_s(self) -> float:
@@ -417,7 +425,7 @@ class MujocoPlant:
         q, qd, ctrl = *self._sensors.joints(), self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
-        effects = tuple(value for actor in self._actors for value in actor.row())
+        effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy(), effects)
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
@@ -492,6 +500,8 @@ class MujocoPlant:
             if not self._control_steps:
                 self._actuate()
                 ahead = self._orders.unchanged(self._steps, ahead)
+            if self._forces:
+                self._apply()
             if not self._stage.step(ahead):
                 return False
             self._steps += ahead
@@ -535,6 +545,17 @@ class MujocoPlant:
         """Free pictures and physics."""
         self._loops = []  # methods of this object: a cycle, which would keep the model until the garbage collector runs
         self._stage.close()
+
+
+def _row(effect: Effect, actor: Actor) -> Sequence[float]:
+    """The values of an effect's columns; ParameterError where they are not as many."""
+    row = actor.row()
+    if len(row) != len(effect.columns):
+        names = ", ".join(effect.columns)
+        raise ParameterError(
+            "robot.effects", f"{type(effect).__name__} has the columns {names}; `row` of its actor must return as many", list(row)
+        )
+    return row
 
 
 def _whole_steps(period_s: float | None, step_s: float) -> int:

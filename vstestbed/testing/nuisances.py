@@ -9,6 +9,7 @@ import numpy as np
 
 from vstestbed.camera import Image
 from vstestbed.core.geometry import Array
+from vstestbed.effects import EFFECTS, Effect
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.scenario.load import load
@@ -66,6 +67,28 @@ def _pixels(perturbation: Perturbation, seed: int) -> Array:
     uv = np.array([drawn.pixels(_UV, 0.04 * i) for i in range(DRAWS)])
     assert np.isnan(uv[:, 2]).all(), f"{perturbation.kind}: a marker that is not seen (NaN) must stay so"
     return uv
+
+
+def check_effect(effect: Effect, scenario: Scenario | None = None) -> None:
+    """An effect changes a run, fills its columns with numbers, and depends on the scenario's seed alone.
+
+    Args:
+        effect: with the parameters to test. scenario: of a robot that may have it; None: an arm for 0.3 s.
+
+    Raises:
+        AssertionError, ParameterError: it says what was expected and what was found.
+    """
+    assert EFFECTS.contract is not None
+    EFFECTS.contract.check(type(effect))
+    name = type(effect).__name__
+    plain = scenario or load("arm_ibvs", {"detector": "oracle", "stop.duration_s": SHORT_S})
+    own = replace(plain, robot=replace(plain.robot, effects=(effect,)))
+    without, one, again = (uninterrupted(run(s)).frame() for s in (plain, own, own))
+    assert one.equals(again), f"{name}: two runs of one seed have different logs; keep no state in the object, and draw from `rng` alone"
+    values = one.select(effect.columns).to_numpy()
+    assert np.isfinite(values).all(), f"{name}: the columns {', '.join(effect.columns)} must be finite numbers"
+    moved = any(not np.array_equal(one[c], without[c]) for c in without.columns if c.startswith(("cam_", "q_")))
+    assert moved, f"{name}: the robot moves as without it; give it parameters with which it acts"
 
 
 def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> None:
