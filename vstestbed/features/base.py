@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,41 +19,38 @@ MOST_CONDITION = 500.0
 camera went three to five times as far as on the straight way, or did not arrive; with 300 it went straight."""
 
 
-class Feature(Protocol):
+class Feature(ABC):
     """A feature s(x) of N markers, with e_dot = L v for a static target and v the camera twist in the camera frame.
 
     s may have more numbers than e has rows (a polygon's s has all segments, for example). L is the derivative of e: of
-    error(s(t), s*) at s* = s.
-
-    It may also have `check_goal(x, distance)`, which raises a ParameterError for both inputs in a goal view at which it cannot work.
+    error(s(t), s*) at s* = s. It may also have `check_goal(x, distance)`, which raises a ParameterError for both inputs in a goal view
+    at which it cannot work.
 
     Attributes:
-        inputs: the two fields of an observation and of a goal that it takes: mostly ("xy", "depth"), for features of wide lenses
-            ("ray", "range").
+        inputs: the two fields of an observation and of a goal that it takes; for features of wide lenses ("ray", "range").
         rows_per_marker: rows k of L and e for each marker, in the markers' order; 0 if the rows describe the set as a whole.
         least_markers: the least number of markers for which it is defined.
     """
 
-    inputs: ClassVar[tuple[str, ...]]
-    rows_per_marker: ClassVar[int]
-    least_markers: ClassVar[int]
+    kind: Any  # the word in a scenario: a field of each feature
+    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
+    rows_per_marker: ClassVar[int] = 0
+    least_markers: ClassVar[int] = 1
 
-    @property
-    def kind(self) -> str:
-        """The feature's word in a scenario."""
-        ...
-
+    @abstractmethod
     def measure(self, x: Array, /) -> Array:
-        """Feature vector s of the first input, e.g. xy (..., N, 2)."""
-        ...
+        """Feature vector s of the first input, e.g. xy (..., N, 2); ParameterError for too few markers."""
 
+    @abstractmethod
     def interaction(self, x: Array, distance: Array, /) -> Array:
-        """Interaction matrix L (..., rows, 6) of both inputs, e.g. xy (..., N, 2) and depth (..., N) [m]."""
-        ...
+        """Interaction matrix L (..., rows, 6) of both inputs, e.g. xy (..., N, 2) and depth (..., N) [m].
+
+        ParameterError where the shapes do not match, the markers are too few, or a distance is not positive (`checked`).
+        """
 
     def error(self, s: Array, s_star: Array, /) -> Array:
-        """Error e (..., rows): s - s*, angles wrapped where the feature has them."""
-        ...
+        """Error e (..., rows): s - s*; of features with angles, these wrapped."""
+        return np.subtract(s, s_star, dtype=float)
 
 
 def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) -> tuple[Array, Array]:

@@ -9,14 +9,14 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import FLOOR, Rated, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
+from vstestbed.features.base import FLOOR, Feature, Rated, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
 from vstestbed.features.points import Point
 
 # Lines in the image through consecutive markers.
 
 
 @spec
-class LineFeature:
+class LineFeature(Feature):
     """Distance rho and angle theta of the lines x cos theta + y sin theta - rho = 0; rows rho1, theta1, rho2, ...
 
     Line i goes through the markers i and i + 1, the last one through the last marker and the first; two markers define one line,
@@ -34,12 +34,11 @@ class LineFeature:
 
     kind: Literal["line"] = "line"
     directed: bool = True
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
     rows_per_marker: ClassVar[int] = 2
     least_markers: ClassVar[int] = 2
 
     def measure(self, xy: Array) -> Array:
-        """The vector s (..., 2 lines) [1, rad] of xy (..., N, 2); ParameterError for fewer than two markers."""
+        """The vector s (..., 2 lines) [1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
             raise ParameterError("xy", "must hold at least two markers: a line needs two", xy.shape)
@@ -52,11 +51,7 @@ class LineFeature:
         return np.stack([rho, theta], axis=-1).reshape(*xy.shape[:-2], 2 * theta.shape[-1])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., 2 lines, 6) of xy (..., N, 2) and depth (..., N) [m] of the markers.
-
-        Raises:
-            ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
-        """
+        """L (..., 2 lines, 6) of xy (..., N, 2) and depth (..., N) [m] of the markers."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         points = np.concatenate([xy, np.ones_like(depth)[..., None]], axis=-1) * depth[..., None]
         s = self.measure(xy)
@@ -184,7 +179,7 @@ _POINT = Point()
 
 
 @spec
-class Segment:
+class Segment(Feature):
     """Midpoint (xc, yc), length l and angle alpha of the segment between two markers; rows in this order.
 
     With (x1, y1) and (x2, y2) the first two of the markers in sight:
@@ -203,23 +198,17 @@ class Segment:
 
     kind: Literal["segment"] = "segment"
     normalised: bool = False
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
-    rows_per_marker: ClassVar[int] = 0
     least_markers: ClassVar[int] = 2
 
     def measure(self, xy: Array) -> Array:
-        """The vector s (..., 4) [1, 1, 1, rad] of xy (..., N, 2); ParameterError for fewer than two markers."""
+        """The vector s (..., 4) [1, 1, 1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
             raise ParameterError("xy", "must hold at least two markers: a segment has two ends", xy.shape)
         return np.stack(self._rows(xy[..., 0, 0], xy[..., 0, 1], xy[..., 1, 0], xy[..., 1, 1]), axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
-        """
+        """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
         ends = [Rated(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]

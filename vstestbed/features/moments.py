@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
@@ -15,7 +14,7 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import MOST_CONDITION, Rated, angle, checked, condition, require_plane, square, wrap
+from vstestbed.features.base import MOST_CONDITION, Feature, Rated, angle, checked, condition, require_plane, square, wrap
 from vstestbed.features.polygon import segments, size, spans_area
 
 # Moments of points and of regions in the image, and how they change as the camera moves.
@@ -218,126 +217,81 @@ def place(m: MomentSet, row: str) -> Any:
 
 
 # Functions of a shape's moments that do not change with its place, size and rotation in the image.
-Invariant = Callable[[MomentSet], Any]
-
-
 def over(a: Any, b: Any) -> Any:
     """The ratio a/b, and 0/0 as a finite number: of a shape whose moments vanish by symmetry."""
     below = b.value if isinstance(b, Rated) else b
     return a / (b + np.where(below == 0, np.finfo(float).tiny, 0.0))
 
 
-def c1(m: MomentSet) -> Any:
-    """The row c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
-    return over(0.25 * (square(m.complex(2, 0)) - square(m.complex(1, 1))), square(m.complex(2, 0)))
+def _c1(m: MomentSet) -> dict[str, Any]:
+    """c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
+    c20 = square(m.complex(2, 0))
+    return {"c1": over(0.25 * (c20 - square(m.complex(1, 1))), c20)}
 
 
-def c2(m: MomentSet) -> Any:
-    """The row c2 = |c30|^2 / |c21|^2."""
-    return over(square(m.complex(3, 0)), square(m.complex(2, 1)))
+def _c2(m: MomentSet) -> dict[str, Any]:
+    """c2 = |c30|^2 / |c21|^2."""
+    return {"c2": over(square(m.complex(3, 0)), square(m.complex(2, 1)))}
 
 
-def _third(m: MomentSet) -> tuple[Any, Any, Any, Any]:
-    """|c30|^2, |c21|^2, c30 conj(c21)^3, and the denominator (|c30|^2 + 3 |c21|^2)^2 - 16 Re(c30 conj(c21)^3)."""
+def _third_order(m: MomentSet) -> dict[str, Any]:
+    """With a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3 and D = (a + 3 b)^2 - 16 Re z:
+
+    c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D,  c4 = 16 Im z / D,  c5 = (b - a) (a - 9 b) / D,  c6 = (a - 9 b)^2 / D.
+    """
     c30, c21 = m.complex(3, 0), m.complex(2, 1)
     a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
-    return a, b, z, (a + 3 * b) ** 2 - 16 * z.real
+    above = {
+        "c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real,
+        "c4": 16 * z.imag,
+        "c5": (b - a) * (a - 9 * b),
+        "c6": (a - 9 * b) ** 2,
+    }
+    below = (a + 3 * b) ** 2 - 16 * z.real
+    return {row: over(value, below) for row, value in above.items()}
 
 
-def c3(m: MomentSet) -> Any:
-    """The row c3 = (a^2 - 6 a b - 3 b^2 + 8 Re z) / D, with a = |c30|^2, b = |c21|^2, z = c30 conj(c21)^3, D = (a + 3 b)^2 - 16 Re z."""
-    a, b, z, below = _third(m)
-    return over(a * a - 6 * a * b - 3 * b * b + 8 * z.real, below)
-
-
-def c4(m: MomentSet) -> Any:
-    """The row c4 = 16 Im z / D, with z and D as in c3."""
-    _, _, z, below = _third(m)
-    return over(16 * z.imag, below)
-
-
-def c5(m: MomentSet) -> Any:
-    """The row c5 = (b - a) (a - 9 b) / D, with a, b and D as in c3."""
-    a, b, _, below = _third(m)
-    return over((b - a) * (a - 9 * b), below)
-
-
-def c6(m: MomentSet) -> Any:
-    """The row c6 = (a - 9 b)^2 / D, with a, b and D as in c3."""
-    a, b, _, below = _third(m)
-    return over((a - 9 * b) ** 2, below)
-
-
-def _fourth(m: MomentSet) -> tuple[Any, Any, Any, Any]:
-    """|c40|^2, |c31|^2, |c22|^2, and the denominator |c40|^2 - 4 |c31|^2 + 3 |c22|^2."""
+def _fourth_order(m: MomentSet) -> dict[str, Any]:
+    """c7 = (a + 8 b - 9 c) / D, c8 = 4 (9 c + 4 b - a) / D, a = |c40|^2, b = |c31|^2, c = |c22|^2, D = a - 4 b + 3 c."""
     a, b, c = (square(m.complex(4 - i, i)) for i in range(3))
-    return a, b, c, a - 4 * b + 3 * c
+    below = a - 4 * b + 3 * c
+    return {"c7": over(a + 8 * b - 9 * c, below), "c8": over(4 * (9 * c + 4 * b - a), below)}
 
 
-def c7(m: MomentSet) -> Any:
-    """The row c7 = (|c40|^2 + 8 |c31|^2 - 9 |c22|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
-    a, b, c, below = _fourth(m)
-    return over(a + 8 * b - 9 * c, below)
+def _fifth_order(m: MomentSet) -> dict[str, Any]:
+    """c9 = |c32|^2 / |c50|^2, c10 = |c41|^2 / |c50|^2."""
+    below = square(m.complex(5, 0))
+    return {"c9": over(square(m.complex(3, 2)), below), "c10": over(square(m.complex(4, 1)), below)}
 
 
-def c8(m: MomentSet) -> Any:
-    """The row c8 = 4 (9 |c22|^2 + 4 |c31|^2 - |c40|^2) / (|c40|^2 - 4 |c31|^2 + 3 |c22|^2)."""
-    a, b, c, below = _fourth(m)
-    return over(4 * (9 * c + 4 * b - a), below)
-
-
-def c9(m: MomentSet) -> Any:
-    """The row c9 = |c32|^2 / |c50|^2."""
-    return over(square(m.complex(3, 2)), square(m.complex(5, 0)))
-
-
-def c10(m: MomentSet) -> Any:
-    """The row c10 = |c41|^2 / |c50|^2."""
-    return over(square(m.complex(4, 1)), square(m.complex(5, 0)))
-
-
-def _s(m: MomentSet) -> Any:
+def _tilt(m: MomentSet) -> dict[str, Any]:
+    """Sx = Re S, sy = Im S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
     c20 = m.complex(2, 0)
-    return over(1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5, square(c20) * m.complex(1, 1).real ** 1.5)
+    S = over(1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5, square(c20) * m.complex(1, 1).real ** 1.5)
+    return {"sx": S.real, "sy": S.imag}
 
 
-def sx(m: MomentSet) -> Any:
-    """The row sx = Re S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
-    return _s(m).real
+def _px(m: MomentSet) -> dict[str, Any]:
+    """Px = |c20|^2 / c11^2."""
+    return {"px": over(square(m.complex(2, 0)), square(m.complex(1, 1)))}
 
 
-def sy(m: MomentSet) -> Any:
-    """The row sy = Im S, with S as in sx."""
-    return _s(m).imag
+def _py(m: MomentSet) -> dict[str, Any]:
+    """Py = a |c30|^2 / c11^3."""
+    return {"py": over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)}
 
 
-def px(m: MomentSet) -> Any:
-    """The row px = |c20|^2 / c11^2."""
-    return over(square(m.complex(2, 0)), square(m.complex(1, 1)))
-
-
-def py(m: MomentSet) -> Any:
-    """The row py = a |c30|^2 / c11^3."""
-    return over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)
-
-
-INVARIANTS: dict[str, tuple[Invariant, int]] = {
-    "c1": (c1, 2),
-    "c2": (c2, 3),
-    "c3": (c3, 3),
-    "c4": (c4, 3),
-    "c5": (c5, 3),
-    "c6": (c6, 3),
-    "c7": (c7, 4),
-    "c8": (c8, 4),
-    "c9": (c9, 5),
-    "c10": (c10, 5),
-    "sx": (sx, 3),
-    "sy": (sy, 3),
-    "px": (px, 2),
-    "py": (py, 3),
+INVARIANTS = {
+    "c1": (_c1, 2),
+    "c2": (_c2, 3),
+    **dict.fromkeys(("c3", "c4", "c5", "c6"), (_third_order, 3)),
+    **dict.fromkeys(("c7", "c8"), (_fourth_order, 4)),
+    **dict.fromkeys(("c9", "c10"), (_fifth_order, 5)),
+    **dict.fromkeys(("sx", "sy"), (_tilt, 3)),
+    "px": (_px, 2),
+    "py": (_py, 3),
 }
-"""By word, the function and the highest order of the moments in it.
+"""By word, the function that gives it and the highest order of the moments in it.
 
 c1 to c10: Chaumette 2004, doi:10.1109/TRO.2004.829463; sx, sy, px, py: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500; here
 written in complex moments, in which an invariance is seen at once: the turns of the factors cancel.
@@ -362,7 +316,7 @@ SYMMETRIC = 0.02
 
 
 @spec
-class Moments:
+class Moments(Feature):
     """Functions of the moments of all markers together, or of the region that they enclose; the rows of e and L are `rows`.
 
     m_pq is the sum of x^p y^q over the points, or its integral over the region; mu_pq the same about the centroid (xg, yg).
@@ -402,8 +356,6 @@ class Moments:
     kind: Literal["moments"] = "moments"
     of: Of = "points"
     rows: Annotated[tuple[Row, ...], Len(1, 12)] = ("xn", "yn", "an", "sx", "sy", "alpha")
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
-    rows_per_marker: ClassVar[int] = 0
     least_markers: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
@@ -421,11 +373,7 @@ class Moments:
         return np.stack(values, axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., rows, 6) of xy (..., N, 2) and depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, there are fewer than three markers, or a depth is not positive.
-        """
+        """L (..., rows, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         m = MomentSet.measured(xy, self.of, self._order + 1).in_plane(fitted_plane(xy, depth))
         return np.stack([self._row(m, row).rate for row in self.rows], axis=-2)
@@ -496,8 +444,7 @@ class Moments:
     @property
     def _order(self) -> int:
         """The highest order of moments in the rows."""
-        orders = {row: order for row, (_, order) in INVARIANTS.items()} | {"alpha": 3}
-        return max(orders.get(row, 2) for row in self.rows)
+        return max(3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2 for row in self.rows)
 
     def _named(self, *words: str) -> str:
         """Those of the words that are rows, for a message; "" for none."""
@@ -506,7 +453,7 @@ class Moments:
     def _row(self, m: MomentSet, row: str) -> Any:
         """One row as an array (...), or as a Rated."""
         if row in INVARIANTS:
-            return INVARIANTS[row][0](m)
+            return INVARIANTS[row][0](m)[row]
         if row == "alpha":
             return 0.5 * angle(m.complex(2, 0), FADES * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))
         return place(m, row)
@@ -535,7 +482,7 @@ EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]
 
 
 @spec
-class Ellipse:
+class Ellipse(Feature):
     """Functions of the ellipse through the markers, which lie on its outline; the rows of e and L are `rows`.
 
     xg, yg         the centre
@@ -561,16 +508,10 @@ class Ellipse:
 
     kind: Literal["ellipse"] = "ellipse"
     rows: Annotated[tuple[EllipseRow, ...], Len(1, 8)] = ("xg", "yg", "n20", "n11", "n02")
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
-    rows_per_marker: ClassVar[int] = 0
     least_markers: ClassVar[int] = 5
 
     def measure(self, xy: Array) -> Array:
-        """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic that fits them is no ellipse.
-
-        Raises:
-            ParameterError: there are fewer than five.
-        """
+        """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic that fits them is no ellipse."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
             raise ParameterError("xy", "must hold at least five markers: fewer do not determine an ellipse", xy.shape)
@@ -578,18 +519,10 @@ class Ellipse:
         return np.stack([_row(m, row) for row in self.rows], axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., rows, 6) of points xy (..., N, 2) on the outline and their depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, there are fewer than five markers, or a depth is not positive.
-        """
+        """L (..., rows, 6) of points xy (..., N, 2) on the outline and their depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         m = ellipse_moments(fitted_ellipse(xy)).in_plane(fitted_plane(xy, depth))
         return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
-
-    def error(self, s: Array, s_star: Array) -> Array:
-        """The difference s - s* (..., rows)."""
-        return np.subtract(s, s_star, dtype=float)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say.

@@ -8,13 +8,13 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, joined
 from vstestbed.core.spec import spec
-from vstestbed.features.base import bearing_error, bearing_weight, checked
+from vstestbed.features.base import Feature, bearing_error, bearing_weight, checked
 
 # Image points in normalised Cartesian coordinates.
 
 
 @spec
-class Point:
+class Point(Feature):
     """The coordinates (x, y) = (X/Z, Y/Z) of each point; rows x1, y1, x2, y2, ...
 
     x_dot = -vx/Z + x vz/Z + x y wx - (1 + x^2) wy + y wz
@@ -24,9 +24,7 @@ class Point:
     """
 
     kind: Literal["point"] = "point"
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
     rows_per_marker: ClassVar[int] = 2
-    least_markers: ClassVar[int] = 1
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) of xy (..., N, 2)."""
@@ -34,11 +32,7 @@ class Point:
         return xy.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, or a depth is not positive.
-        """
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
         x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
         L = np.zeros((*xy.shape, 6))
@@ -49,14 +43,10 @@ class Point:
         L[..., 0, 5], L[..., 1, 5] = y, -x
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
-    def error(self, s: Array, s_star: Array) -> Array:
-        """The difference s - s*, shape (..., 2N)."""
-        return np.subtract(s, s_star, dtype=float)
-
 
 # Image points in polar coordinates.
 @spec
-class Polar:
+class Polar(Feature):
     """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
 
     r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
@@ -78,9 +68,7 @@ class Polar:
     kind: Literal["polar"] = "polar"
     together: bool = True
     centre_weight: bool = True
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
     rows_per_marker: ClassVar[int] = 2
-    least_markers: ClassVar[int] = 1
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
@@ -89,11 +77,7 @@ class Polar:
         return s.reshape(*xy.shape[:-2], 2 * xy.shape[-2])
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, or a depth is not positive.
-        """
+        """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
         s = self.measure(xy).reshape(xy.shape)
         r, cos, sin, inv_z = s[..., 0], np.cos(s[..., 1]), np.sin(s[..., 1]), 1 / depth
@@ -117,7 +101,7 @@ class Polar:
 
 # Points on the unit sphere around the camera's centre.
 @spec
-class Spherical:
+class Spherical(Feature):
     """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...
 
     theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
@@ -140,7 +124,6 @@ class Spherical:
     centre_weight: bool = True
     inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
     rows_per_marker: ClassVar[int] = 2
-    least_markers: ClassVar[int] = 1
 
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
@@ -150,11 +133,7 @@ class Spherical:
         return s.reshape(*ray.shape[:-2], 2 * ray.shape[-2])
 
     def interaction(self, ray: Array, range_: Array) -> Array:
-        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, or a range is not positive.
-        """
+        """L (..., 2N, 6) of rays (..., N, 3) and the distance of each point from the camera's centre (..., N) [m]."""
         ray, range_ = checked(ray, range_, self.inputs)
         s = self.measure(ray).reshape(*ray.shape[:-1], 2)
         cosines, sines = np.cos(s), np.sin(s)

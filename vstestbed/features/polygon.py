@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import bounded_inverse, checked, wrap
+from vstestbed.features.base import Feature, bounded_inverse, checked, wrap
 from vstestbed.features.points import Point
 
 _POINT = Point()
@@ -22,7 +22,7 @@ SizeError = Literal["difference", "ratio", "log"]
 
 
 @spec
-class Polygon:
+class Polygon(Feature):
     """Size sigma = sqrt(area) and the angle of the longest segment between two markers; e and L have these two rows.
 
     area = |sum_i x_i y_i+1 - x_i+1 y_i| / 2 over the markers in their order. For two markers sigma = 0, with a zero row.
@@ -40,8 +40,6 @@ class Polygon:
     """
 
     kind: Literal["polygon"] = "polygon"
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
-    rows_per_marker: ClassVar[int] = 0
     least_markers: ClassVar[int] = 2
 
     def measure(self, xy: Array) -> Array:
@@ -50,11 +48,7 @@ class Polygon:
         return np.concatenate([size(xy)[..., None], d.reshape(*d.shape[:-2], 2 * d.shape[-2])], axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the angle.
-
-        Raises:
-            ParameterError: the shapes do not match, there is only one marker, or a depth is not positive.
-        """
+        """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the angle."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
         return np.stack([_size_row(xy, points), _angle_row(xy, points)], axis=-2)

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, quaternion_wxyz, skew
 from vstestbed.core.spec import spec
-from vstestbed.features.base import checked
+from vstestbed.features.base import Feature, checked
 
 # The rotation between two camera frames as an angle times an axis.
 
@@ -120,7 +120,7 @@ class Translation:
 
 # The depth of a point as a logarithm.
 @spec
-class LogDepth:
+class LogDepth(Feature):
     """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.
 
     (log Z)_dot = -vz/Z - y wx + x wy
@@ -129,9 +129,7 @@ class LogDepth:
     """
 
     kind: Literal["log_depth"] = "log_depth"
-    inputs: ClassVar[tuple[str, ...]] = ("xy", "depth")
     rows_per_marker: ClassVar[int] = 1
-    least_markers: ClassVar[int] = 1
 
     def measure(self, depth: Array) -> Array:
         """The vector s (..., N) of depth (..., N) [m]; ParameterError where one is not positive."""
@@ -140,16 +138,8 @@ class LogDepth:
         return np.log(depth)
 
     def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., N, 6) of xy (..., N, 2) and depth (..., N) [m].
-
-        Raises:
-            ParameterError: the shapes do not match, or a depth is not positive.
-        """
+        """L (..., N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
         L = np.zeros((*depth.shape, 6))
         L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]
         return L
-
-    def error(self, s: Array, s_star: Array) -> Array:
-        """log(Z/Z*) (..., N) as the difference s - s*."""
-        return np.subtract(s, s_star, dtype=float)

@@ -13,10 +13,10 @@ from vstestbed.core.quantity import Narrower, Pixels, Sigma
 from vstestbed.core.spec import kind_of, spec
 from vstestbed.imaging.sensor import Drift
 from vstestbed.targets import Target
-from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
+from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
 
 GreySigma = Annotated[Sigma, Narrower(le=255)]
-Kinds = tuple[Annotated[Perturbation, PERTURBATIONS], ...]
+Kinds = tuple[Annotated[PerturbationBase, PERTURBATIONS], ...]
 
 
 @spec

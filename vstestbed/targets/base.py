@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import colorsys
 import pathlib
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Protocol
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Len
@@ -22,7 +23,7 @@ from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.quantity import Mass, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.markers import MARKERS, Disc, Marker
-from vstestbed.targets.motion import MOTIONS, Carrier, MotionBase, Path, Still
+from vstestbed.targets.motion import MOTIONS, Carried, MotionBase, Path, Still
 from vstestbed.targets.route import Route
 
 # What of a target is drawn besides its markers: a picture on a plane, a solid.
@@ -103,72 +104,9 @@ class Pad:
         return self.mass or 4.0 * self.side**2
 
 
-class TargetContract(Protocol):
-    """All that other rooms read of a target; `Target` has everything but `kind` and `points`."""
-
-    kind: str
-    pose: Pose
-    marker: Marker
-    motion: MotionBase
-    pad: Pad | None
-    one_sided: ClassVar[bool]
-    outlined: ClassVar[bool]
-    points: Array
-    places: Array
-    stripes: tuple[tuple[Array, Array], ...]
-    painted_route: Route | None
-    floor_path: Array
-    board_half_m: tuple[float, float] | None
-    sheet: Sheet | None
-    body: Body | Globe | None
-    figure_corners: Array | None
-    shows_markers: bool
-    normals: Array
-    source: pathlib.Path | None
-    names: tuple[str, ...]
-    moves: bool
-    on_gripper: bool
-    carrier: Carrier | None
-    T_world_start: Array
-    hues_deg: tuple[float, ...]
-    colors: Array
-
-    def path(self, rng: np.random.Generator) -> Path:
-        """Its pose in the world as a function of time."""
-        ...
-
-    def points_at(self, T_camera_target: Array) -> Array:
-        """Marker centres in the frame of a camera that sees the target at a pose."""
-        ...
-
-    def seen_from(self, T_target_camera: Array) -> Array:
-        """Marker centres in the frame of a camera."""
-        ...
-
-    def by_size(self, ray: Array) -> Array | None:
-        """Marker centres in the camera's frame from their directions and the target's known size."""
-        ...
-
-    def round_outline(self, ray: Array) -> RoundOutline | None:
-        """The outline that fits rays to the border of a round region."""
-        ...
-
-    def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
-        """Which markers its own body hides from a camera."""
-        ...
-
-    def called(self, i: int) -> str:
-        """Marker i as messages and figures call it."""
-        ...
-
-    def number(self, marker: int | str) -> int:
-        """The number of a marker, given by its number or its name."""
-        ...
-
-
 @spec
 class Target:
-    """Defaults of a target. Subclasses define `points`.
+    """All that other rooms read of a target, with defaults for everything but `kind` and `points`.
 
     Args:
         pose: its place in the world; of one that is carried or held, in the frame of what holds it.
@@ -191,12 +129,11 @@ class Target:
     outlined: ClassVar[bool] = False
     """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""
 
-    if TYPE_CHECKING:  # each target has its own; not at run time, where the contract misses it
-
-        @cached_property
-        def points(self) -> Array:
-            """Marker centres in the target frame, shape (N, 3) [m]."""
-            ...
+    @cached_property
+    @abstractmethod
+    def points(self) -> Array:
+        """Marker centres in the target frame, shape (N, 3) [m]."""
+        ...
 
     @property
     def places(self) -> Array:
@@ -259,7 +196,7 @@ class Target:
         return self.motion.on_gripper
 
     @property
-    def carrier(self) -> Carrier | None:
+    def carrier(self) -> Carried | None:
         """The vehicle that carries it, with its route and speed; None without one."""
         return self.motion.carrier
 

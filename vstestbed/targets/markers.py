@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
@@ -52,144 +52,78 @@ Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
 
 
-class Marker(Protocol):
-    """The marker at each of a target's points."""
+class Marker:
+    """The marker at each of a target's points; by default flat, of one colour, its front face in the target's plane z = 0.
 
-    @property
-    def kind(self) -> str:
-        """The marker's word in a scenario."""
-        ...
+    Attributes:
+        radius: of its circumscribed circle [m]. lit: whether the scene's lights shade it; otherwise its brightness is constant.
+        saturation, albedo: of its colour, S and V of HSV (V also of a texture's white); 1 is the pure colour.
+        solid: shape and half sizes of its geom (`Solid`); None for one that is the edge of the target's body.
+        height_m: how far it rises from the target's plane towards the camera [m].
+        textured: it has a printed texture (`vision.tags.printed`) instead of one colour.
+    """
 
-    @property
-    def radius(self) -> float:
-        """Radius of its circumscribed circle [m]."""
-        ...
-
-    @property
-    def lit(self) -> bool:
-        """Whether the scene's lights shade it; otherwise its brightness is constant."""
-        ...
-
-    @property
-    def saturation(self) -> float:
-        """S of its colour in HSV."""
-        ...
-
-    @property
-    def albedo(self) -> float:
-        """V of its colour in HSV, or of a texture's white."""
-        ...
-
-    @property
-    def solid(self) -> Solid | None:
-        """Shape and half sizes of its geom; None for one that is the edge of the target's body."""
-        ...
-
-    @property
-    def height_m(self) -> float:
-        """How far it rises from the target's plane towards the camera [m]."""
-        ...
-
-    @property
-    def textured(self) -> bool:
-        """Whether it has a printed texture (`vision.detect.tag_print`) instead of one colour."""
-        ...
+    kind: Any  # these without a type: kinds have a field or a property in their place
+    radius: Any
+    lit: Any
+    solid: Any
+    saturation: float = 1.0
+    albedo: float = 1.0
+    height_m: Any = 0.0
+    textured: ClassVar[bool] = False
 
     def looks(self, count: int) -> str:
         """What `count` of them are in a picture, in words."""
-        ...
-
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse a marker too large for the smallest `gap` between the centres of `count` markers [m].
-
-        Raises:
-            ParameterError: markers would overlap, or the kind has fewer.
-        """
-        ...
-
-
-class Flat:
-    """Defaults: flat, of one colour, its front face in the target's plane z = 0.
-
-    Attributes:
-        saturation, albedo: of its colour, S and V of HSV; 1 is the pure colour.
-    """
-
-    saturation: float = 1.0
-    albedo: float = 1.0
-
-    @property
-    def height_m(self) -> float:
-        """None: it lies in the plane."""
-        return 0.0
-
-    @property
-    def textured(self) -> bool:
-        """One colour."""
-        return False
-
-    def looks(self, count: int) -> str:
-        """Dots."""
         return "dots of the markers' colours"
 
-
-def _check_radius(radius: float, gap: float) -> None:
-    if gap <= 2 * radius:
-        raise ParameterError("marker.radius", f"must be under half of the smallest gap between markers, {gap:.4g} m", radius)
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Refuse a marker too large for the smallest `gap` between the centres of `count` markers [m], or a kind that has fewer."""
 
 
 @spec
-class Disc(Flat):
-    """A flat disc in the target's plane.
+class RoundMarker(Marker):
+    """A disc or a ball.
 
     Args:
-        radius: radius of the disc [m].
+        radius: its radius [m].
         lit: whether the scene's lights shade it; otherwise its colour is constant.
         saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
         albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
     """
 
-    kind: Literal["disc"] = "disc"
     radius: PositiveLength = 0.02
     lit: bool = True
     saturation: Share = 1.0
     albedo: Share = 1.0
+
+    def check_spacing(self, gap: float, count: int) -> None:
+        """Refuse markers that overlap."""
+        if gap <= 2 * self.radius:
+            raise ParameterError("marker.radius", f"must be under half of the smallest gap between markers, {gap:.4g} m", self.radius)
+
+
+@spec
+class Disc(RoundMarker):
+    """A flat disc in the target's plane."""
+
+    kind: Literal["disc"] = "disc"
 
     @property
     def solid(self) -> Solid:
         """A thin cylinder."""
         return "cylinder", (self.radius, HALF_THICKNESS_M, 0.0)
 
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse markers that overlap."""
-        _check_radius(self.radius, gap)
-
 
 @spec
-class Sphere(Flat):
-    """A ball round the marker point.
-
-    Args:
-        radius: radius of the ball [m].
-        lit: whether the scene's lights shade it; otherwise its colour is constant.
-        saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
-        albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
-    """
+class Sphere(RoundMarker):
+    """A ball round the marker point."""
 
     kind: Literal["sphere"] = "sphere"
-    radius: PositiveLength = 0.02
-    lit: bool = True
-    saturation: Share = 1.0
-    albedo: Share = 1.0
 
     @property
     def solid(self) -> Solid:
         """A sphere."""
         return "sphere", (self.radius, 0.0, 0.0)
-
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse markers that overlap."""
-        _check_radius(self.radius, gap)
 
     @property
     def height_m(self) -> float:
@@ -198,7 +132,7 @@ class Sphere(Flat):
 
 
 @spec
-class Tag(Flat):
+class Tag(Marker):
     """A square black-and-white tag in the target's plane; marker i carries the number first_id + i.
 
     A white quiet zone of one module surrounds the black square. Its rows run along the target's x, from the smallest y on.
@@ -220,6 +154,7 @@ class Tag(Flat):
     first_id: Annotated[int, Ge(0), Lt(2320)] = 0
     lit: bool = True
     albedo: Share = 1.0
+    textured: ClassVar[bool] = True
 
     @property
     def modules(self) -> int:
@@ -246,11 +181,6 @@ class Tag(Flat):
     def solid(self) -> Solid:
         """A thin box, the quiet zone included."""
         return "box", (self.tile / 2, self.tile / 2, HALF_THICKNESS_M)
-
-    @property
-    def textured(self) -> bool:
-        """A texture with its bits."""
-        return True
 
     def looks(self, count: int) -> str:
         """Family and numbers."""
@@ -280,7 +210,7 @@ class Tag(Flat):
 
 
 @spec
-class Stripe(Flat):
+class Stripe(Marker):
     """Paint along a line on the floor.
 
     Args:
@@ -301,9 +231,6 @@ class Stripe(Flat):
         """None: paint follows the line (`sim.scene.paint`), and no other target has stripes."""
         raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
 
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Nothing: `GroundLines` checks the spacing of its lines."""
-
     @property
     def radius(self) -> float:
         """Half its width [m]."""
@@ -315,7 +242,7 @@ MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
 
 # The marker of a region: the edge of the target's body.
 @spec
-class Outline(Flat):
+class Outline(Marker):
     """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.
 
     Args:
@@ -324,20 +251,9 @@ class Outline(Flat):
 
     kind: Literal["outline"] = "outline"
     lit: bool = True
-
-    @property
-    def solid(self) -> None:
-        """None: the target's body is drawn."""
-        return None
-
-    @property
-    def radius(self) -> float:
-        """A point of an outline has no extent [m]."""
-        return 0.0
+    solid = None
+    radius = 0.0
 
     def looks(self, count: int) -> str:
         """The region."""
         return "a region of the target's colour"
-
-    def check_spacing(self, gap: float, count: int) -> None:
-        """Nothing: the points of an outline may be as near as they like."""

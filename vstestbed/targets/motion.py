@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from vstestbed.core.quantity import (
     Velocity,
 )
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.targets.route import AnyRoute, Route
+from vstestbed.targets.route import AnyRoute
 
 Path = Callable[[float], Array]
 """Displacement (4, 4) at a time [s]."""
@@ -39,30 +39,6 @@ def _shift(x: float, y: float, z: float) -> Array:
     D = np.eye(4)
     D[:3, 3] = x, y, z
     return D
-
-
-class Carrier(Protocol):
-    """A vehicle that carries the target along a route (`targets.attached.Carried`)."""
-
-    @property
-    def by(self) -> str:
-        """The vehicle's kind."""
-        ...
-
-    @property
-    def route(self) -> Route:
-        """Where it drives."""
-        ...
-
-    @property
-    def speed_mps(self) -> float:
-        """How fast [m/s]."""
-        ...
-
-    @property
-    def from_m(self) -> float:
-        """How far along the route it starts [m]."""
-        ...
 
 
 class MotionBase:
@@ -81,7 +57,7 @@ class MotionBase:
     draws: ClassVar[bool] = False
 
     @property
-    def carrier(self) -> Carrier | None:
+    def carrier(self) -> Carried | None:
         """The vehicle that carries the target; None without one."""
         return None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 import math
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
@@ -186,43 +186,20 @@ DISC_CORNERS = 256
 Corner = Annotated[tuple[Length, ...], Len(2, 2)]
 
 
-class Figure(Protocol):
-    """The outline of a region in the plane z = 0 of a target, seen with x to the right and y down."""
+class Figure:
+    """The outline of a region in the plane z = 0 of a target, seen with x to the right and y down; by default a polygon.
 
-    @property
-    def kind(self) -> str:
-        """The figure's word in a scenario."""
-        ...
+    Attributes:
+        round: whether it is a circle, whose picture does not tell how it is turned.
+        corners: of the polygon that is drawn, (E, 2) [m], clockwise as seen.
+    """
 
-    @property
-    def round(self) -> bool:
-        """Whether it is a circle, whose picture does not tell how it is turned."""
-        ...
-
-    @property
-    def corners(self) -> Array:
-        """Corners of the polygon that is drawn, (E, 2) [m], clockwise as seen."""
-        ...
+    kind: Any
+    corners: Any  # a property of each figure
+    round: ClassVar[bool] = False
 
     def outline(self, count: int) -> Array:
-        """At least `count` points on the outline in order, all corners of a polygon among them, shape (M, 2) [m]."""
-        ...
-
-
-class Cornered:
-    """A figure that is a polygon."""
-
-    round = False
-
-    if TYPE_CHECKING:  # each figure has its own
-
-        @property
-        def corners(self) -> Array:
-            """Corners of the polygon, (E, 2) [m], clockwise as seen."""
-            ...
-
-    def outline(self, count: int) -> Array:
-        """The corners, and points on the sides between them, where those are longest."""
+        """At least `count` points on the outline in order, shape (M, 2) [m]: all corners, and points between them on long sides."""
         corners = self.corners
         side = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         parts = np.ones(len(corners), dtype=int)
@@ -233,7 +210,7 @@ class Cornered:
 
 
 @spec
-class PolygonFigure(Cornered):
+class PolygonFigure(Figure):
     """A polygon.
 
     The picture of one with rotational symmetry, such as a square, fits its outline in several ways: the detector begins with that of the
@@ -262,7 +239,7 @@ class PolygonFigure(Cornered):
 
 
 @spec
-class DiscFigure:
+class DiscFigure(Figure):
     """A disc about the target's origin.
 
     Args:
@@ -271,7 +248,7 @@ class DiscFigure:
 
     kind: Literal["disc"] = "disc"
     radius: PositiveLength
-    round = True
+    round: ClassVar[bool] = True
 
     @property
     def corners(self) -> Array:
@@ -285,7 +262,7 @@ class DiscFigure:
 
 
 @spec
-class Whale(Cornered):
+class Whale(Figure):
     """The outline of a whale, without symmetry: a polygon of 40 corners about its centroid.
 
     Args:
@@ -303,7 +280,7 @@ class Whale(Cornered):
 
 
 @spec
-class LShape(Cornered):
+class LShape(Figure):
     """The letter L, its short limb two thirds of the long one, about its centroid.
 
     Args:

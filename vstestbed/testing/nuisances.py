@@ -18,14 +18,14 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.metrics import METRICS, MetricContract, check_metrics, figures_of
 from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.testing.laws import quick
-from vstestbed.vision.perturb import PERTURBATIONS, Perturbation, Perturbed
+from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
 
 DRAWS = 200
 """Pictures or measurements of which a perturbation must change one at least."""
 SHORT_S = 0.3
 
 
-def check_noise(perturbation: Perturbation) -> None:
+def check_noise(perturbation: PerturbationBase) -> None:
     """A perturbation changes something, returns what it is given in shape and type, and depends on its seed alone.
 
     Raises:
@@ -57,12 +57,12 @@ _PICTURE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8
 _UV = np.array([[10.0, 20.0], [30.0, 5.0], [np.nan, np.nan], [60.0, 40.0]])
 
 
-def _picture(perturbation: Perturbation, seed: int) -> Array:
+def _picture(perturbation: PerturbationBase, seed: int) -> Array:
     drawn = Perturbed((perturbation,), np.random.default_rng(seed))
     return np.array([drawn.next_picture()(0.04 * i, (_PICTURE,))[0] for i in range(DRAWS)])
 
 
-def _pixels(perturbation: Perturbation, seed: int) -> Array:
+def _pixels(perturbation: PerturbationBase, seed: int) -> Array:
     drawn = Perturbed((perturbation,), np.random.default_rng(seed))
     uv = np.array([drawn.pixels(_UV, 0.04 * i) for i in range(DRAWS)])
     assert np.isnan(uv[:, 2]).all(), f"{perturbation.kind}: a marker that is not seen (NaN) must stay so"

@@ -19,7 +19,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
-from vstestbed.targets import Target, TargetContract
+from vstestbed.targets import Target
 from vstestbed.targets.motion import MotionBase
 from vstestbed.tasks import Task, TaskBase
 
@@ -30,7 +30,7 @@ def check_target(target: Target) -> None:
     Raises:
         AssertionError: it says what was expected and what was found.
     """
-    Contract(TargetContract, base=Target).check(type(target))
+    Contract(Target, base=Target).check(type(target))
     points, places = target.points, target.places
     assert points.ndim == 2 and points.shape[1] == 3, f"points must have shape (N, 3), got {points.shape}"
     assert np.isfinite(points).all(), "points must be finite"

@@ -6,7 +6,7 @@ Each draws from streams of its own, so that one more changes neither the others 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
@@ -24,52 +24,30 @@ Share = Annotated[float, Ge(0), Le(1)]
 Probability = Annotated[float, Ge(0), Lt(1)]
 
 
-class Perturbation(Protocol):
-    """A nuisance: its parameters are frozen in the object. `PerturbationBase` has defaults for all but `kind` and what it changes.
+class PerturbationBase:
+    """A nuisance: its parameters are frozen in the object. By default nothing is drawn once a run, and nothing changed.
 
     Attributes:
         changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are changed they are always rendered
             whole, so that no number depends on where the detector looks.
     """
 
-    changes: ClassVar[tuple[str, ...]]
-
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
+    kind: Any  # the word in a scenario: a field of each
+    changes: ClassVar[tuple[str, ...]] = ("picture",)
 
     def begin(self, rng: np.random.Generator) -> Any:
         """What is drawn once a run, for `picture` and `pixels`."""
-        ...
+        return None
 
     def picture(self, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
         """The picture (H, W, 3) uint8 RGB of time t [s], changed; `image` is a copy that may be written to.
 
         rng: of this picture. Of a camera with panels each is changed by itself, with the same random numbers.
         """
-        ...
-
-    def pixels(self, memory: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
-        """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not seen."""
-        ...
-
-
-class PerturbationBase:
-    """Defaults of a perturbation: of pictures, nothing drawn once a run, nothing changed."""
-
-    changes: ClassVar[tuple[str, ...]] = ("picture",)
-
-    def begin(self, rng: np.random.Generator) -> Any:
-        """Nothing."""
-        return None
-
-    def picture(self, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
-        """As it is."""
         return image
 
     def pixels(self, memory: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
-        """As they are."""
+        """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not seen."""
         return uv
 
 
@@ -218,7 +196,7 @@ class Outliers(PerturbationBase):
         return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)
 
 
-CONTRACT = Contract(Perturbation, base=PerturbationBase, words={"changes": ("picture", "pixels")})
+CONTRACT = Contract(PerturbationBase, base=PerturbationBase, words={"changes": ("picture", "pixels")})
 PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
 
 
@@ -229,7 +207,7 @@ class Perturbed:
         kinds: in the order in which they act. rng: of the scenario's stream for them.
     """
 
-    def __init__(self, kinds: Sequence[Perturbation], rng: np.random.Generator):
+    def __init__(self, kinds: Sequence[PerturbationBase], rng: np.random.Generator):
         n = len(kinds)
         streams = rng.spawn(3 * n)  # independent: what is drawn once a run, for pictures, for pixels
         begun = [(kind, kind.begin(stream)) for kind, stream in zip(kinds, streams, strict=False)]
@@ -262,7 +240,7 @@ class Perturbed:
         return uv
 
 
-def _picture(kind: Perturbation, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+def _picture(kind: PerturbationBase, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
     """A picture changed by one perturbation, which must return a picture."""
     shape, after = image.shape, kind.picture(memory, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
