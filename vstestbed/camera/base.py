@@ -39,8 +39,7 @@ class Picture:
     """One exposure of a camera.
 
     Attributes:
-        t: time of the exposure [s].
-        images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
+        t: time of the exposure [s]. images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
         own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
@@ -137,7 +136,6 @@ class Camera(ABC):
     """Whether it may have a depth sensor: depth cameras have perspective lenses."""
 
     def __post_init__(self) -> None:
-        """Refuse more samples than fit into memory, a principal point outside the picture, and a depth sensor behind a wide lens."""
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
             most = MOST_SAMPLES // (self.width * self.height)
             words = f"must be at most {most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
@@ -196,9 +194,7 @@ class Camera(ABC):
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
         """The same camera with calibration errors: f (1 + focal_error), another principal point, no distortion.
-
-        Raises:
-            ParameterError: the lens has no such parameter.
+        Raises ParameterError: the lens has no such parameter.
         """
         raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
 

@@ -73,9 +73,7 @@ class Calibration:
 
     def believed(self, camera: Camera) -> Camera:
         """The camera as robot, detector, observer and law know it.
-
-        Raises:
-            ParameterError: the lens has no such parameter, or is impossible with this error.
+        Raises ParameterError: the lens has no such parameter, or is impossible with this error.
         """
         if self.camera_exact:
             return camera

@@ -47,7 +47,6 @@ class Perspective(Camera):
     with_depth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse contradictory intrinsics and a distortion that folds the picture over itself."""
         super().__post_init__()
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"

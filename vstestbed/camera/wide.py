@@ -143,7 +143,6 @@ class Fisheye(Radial):
     coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse a polynomial that turns back within the field of view."""
         super().__post_init__()
         if self.reach[1] >= self.turn:
             words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
@@ -220,7 +219,6 @@ class Catadioptric(Radial):
     blind_deg: Annotated[float, Ge(0), Lt(180)] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a field of view beyond the model's validity, and a blind spot as large as the field of view."""
         super().__post_init__()
         end = 2 * math.degrees(math.acos(-self.xi if self.xi <= 1 else -1 / self.xi))
         if self.fov_deg >= end:

@@ -57,13 +57,10 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
     """Both inputs of a feature as floating-point arrays, validated.
 
     Args:
-        x: coordinates (..., N, 2) for xy, (..., N, 3) for ray.
-        distance: depth or range of each (..., N) [m].
-        inputs: their names.
+        x: coordinates (..., N, 2) for xy, (..., N, 3) for ray. distance: depth or range of each (..., N) [m]. inputs: their names.
         least: the smallest N.
 
-    Raises:
-        ParameterError: the shapes do not match, the markers are too few, or a distance is not positive.
+    Raises ParameterError: the shapes do not match, the markers are too few, or a distance is not positive.
     """
     x, distance = np.asarray(x, dtype=float), np.asarray(distance, dtype=float)
     name, of = inputs
@@ -80,9 +77,7 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
 
 def require_plane(xy: Array, depth: Array, kind: str) -> None:
     """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of this kind.
-
-    Raises:
-        ParameterError: it names the target.
+    Raises ParameterError: it names the target.
     """
     p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
@@ -180,8 +175,7 @@ class Rated:
     the derivative by the rules of calculus (forward differentiation): exact, and never in disagreement with the formula.
 
     Attributes:
-        value: of any shape (...).
-        rate: q with value_dot = q v, shape (..., 6).
+        value: of any shape (...). rate: q with value_dot = q v, shape (..., 6).
     """
 
     value: NDArray[Any]

@@ -23,8 +23,7 @@ class DepthCues(NamedTuple):
     """What an observer has computed of one frame; a source takes what it needs.
 
     Attributes:
-        goal: the goal view.
-        xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
+        goal: the goal view. xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
         p_estimated: markers in the camera frame by the estimated pose, shape (N, 3) [m]; None without a pose.
         p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
@@ -242,7 +241,6 @@ class Sensed(DepthSource):
     measured: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse a square without a middle."""
         if self.window_px % 2 == 0:
             raise ParameterError("window_px", "must be odd: the marker's pixel is in the middle", self.window_px)
 

@@ -78,8 +78,7 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
     theta_dot = (c vx + s vy - rho vz) l_theta - rho (c wx + s wy) - wz,       l_theta = (A s - B c)/D
     c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre gives the same L.
 
-    Raises:
-        ParameterError: D = 0, a plane through the camera's centre.
+    Raises ParameterError: D = 0, a plane through the camera's centre.
 
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
@@ -153,12 +152,10 @@ def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array |
         dy   = -dN . ((X, y, 0) - t) / N_y,  dphi = (N_x dN_y - N_y dN_x) / (N_x^2 + N_y^2)
 
     Args:
-        rho, theta: the line, shape (...) [1, rad].
-        T_base_camera: the camera's mount (4, 4).
-        ahead: X, shape (...) [m].
+        rho, theta: the line, shape (...) [1, rad]. T_base_camera: the camera's mount (4, 4). ahead: X, shape (...) [m].
 
     Returns:
-        (y, phi), shape (..., 2) [m, rad], and their derivatives J (..., 2, 2). The interaction matrix of (y, phi) is J L, with L
+        (y, phi), shape (..., 2) [m, rad], and their derivatives J (..., 2, 2). The interaction matrix of (y, phi) is J L, with L.
         (..., 2, 6) that of (rho, theta).
     """
     rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)

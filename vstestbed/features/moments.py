@@ -95,8 +95,7 @@ class MomentSet:
 
     Attributes:
         mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs those of one order more.
-        centre: the centroid (..., 2). of: points or region.
-        plane: A, B, C (..., 3); None for values without rates.
+        centre: the centroid (..., 2). of: points or region. plane: A, B, C (..., 3); None for values without rates.
 
     Reference: Chaumette 2004, doi:10.1109/TRO.2004.829463; for points: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
     """
@@ -359,7 +358,6 @@ class Moments(Feature):
     least_markers: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
-        """Refuse a row that is there twice."""
         if twice := [row for i, row in enumerate(self.rows) if row in self.rows[:i]]:
             raise ParameterError("rows", f"has {twice[0]} twice; name each row once", list(self.rows))
 
@@ -389,9 +387,7 @@ class Moments(Feature):
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view, xy (N, 2) and depth (N,) [m], that leaves a row undefined or the rows dependent on one another.
-
-        Raises:
-            ParameterError: it names the target or the rows, and what would work.
+        Raises ParameterError: it names the target or the rows, and what would work.
         """
         require_plane(xy, depth, self.kind)
         if self.of == "region" and not spans_area(size(xy), segments(xy)):
@@ -526,9 +522,7 @@ class Ellipse(Feature):
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say.
-
-        Raises:
-            ParameterError: it names the target or the rows, and what would work.
+        Raises ParameterError: it names the target or the rows, and what would work.
         """
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)

@@ -62,9 +62,7 @@ class Polygon(Feature):
 
     def check_goal(self, xy: Array, depth: Array) -> None:
         """Refuse a goal view xy (N, 2) in which three or more markers span no area.
-
-        Raises:
-            ParameterError: the markers lie on one line, or the polygon crosses itself so that its loops cancel.
+        Raises ParameterError: the markers lie on one line, or the polygon crosses itself so that its loops cancel.
         """
         if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
             words = "spans no area in the goal view, by which the law measures size; the markers must not lie on one line, and must be in"
@@ -90,8 +88,7 @@ def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") 
     Positive where the target appears too large, because the camera is too close. For a target that faces the camera
     sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
 
-    Raises:
-        ParameterError: a ratio or a logarithm of a size that is not positive.
+    Raises ParameterError: a ratio or a logarithm of a size that is not positive.
     """
     sigma, sigma_star = np.asarray(sigma, dtype=float), np.asarray(sigma_star, dtype=float)
     if form == "difference":

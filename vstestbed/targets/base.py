@@ -38,8 +38,7 @@ class Sheet:
         png: the picture as a PNG file, with a margin at its right and below that repeats the outermost pixels, of the right (lower) edge
             and then, since textures repeat themselves, of the left (upper) one.
         share: of the file's width and height that the picture takes up, without the margin.
-        lit: shaded by the scene's lights, else of constant brightness.
-        gloss: share of a light that it mirrors as a highlight, 0 to 1.
+        lit: shaded by the scene's lights, else of constant brightness. gloss: share of a light that it mirrors as a highlight, 0 to 1.
         albedo: by which the file's colours are multiplied.
     """
 

@@ -61,7 +61,6 @@ class GroundLines(Target):
     look_m: Annotated[tuple[Length, ...], Len(2, 2)] = (0.1, 0.3)
 
     def __post_init__(self) -> None:
-        """Refuse lines off the floor, lines that touch, and lines that fold over themselves."""
         if self.moves:
             raise ParameterError("motion", "must be still: lines are painted on the floor")
         if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:

@@ -36,8 +36,7 @@ def read_triangles(path: Path) -> Triangles:
 
     Of an OBJ file vertices and faces count; polygons are cut into triangles, normals, textures and materials are left out.
 
-    Raises:
-        ParameterError: `file` has none, too many, or cannot be read.
+    Raises ParameterError: `file` has none, too many, or cannot be read.
     """
     return _read(path, path.stat().st_mtime_ns)
 
@@ -190,7 +189,6 @@ class MeshTarget(Target):
     color: Annotated[tuple[Channel, ...], Len(3, 3)] = (0.72, 0.74, 0.77)
 
     def __post_init__(self) -> None:
-        """Read the solid; refuse markers off its surface, discs on curved places, and markers that overlap."""
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its solid is
         if not self.file.lower().endswith(KINDS):
             raise ParameterError("file", "must be a solid, FILE.stl or FILE.obj", self.file)

@@ -62,11 +62,7 @@ class MotionBase:
         return None
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time.
-
-        Raises:
-            ParameterError: something else moves the target.
-        """
+        """The displacement as a function of time. Raises ParameterError: something else moves the target."""
         raise ParameterError("target.motion", "has no path of its own: the target goes where it is carried")
 
     def start(self, pose: Array) -> Array:

@@ -54,9 +54,7 @@ def textures() -> dict[str, Path]:
 
 def picture_name(file: str) -> str:
     """A picture's name that does not depend on the folder: its absolute path, `package:NAME/path`, or `texture:NAME` as it is.
-
-    Raises:
-        ParameterError: `file` names no kind of picture, or no bundled texture.
+    Raises ParameterError: `file` names no kind of picture, or no bundled texture.
     """
     if file.startswith(TEXTURE):
         if file.removeprefix(TEXTURE) not in textures():
@@ -69,28 +67,20 @@ def picture_name(file: str) -> str:
 
 
 def place_of_picture(file: str) -> Path:
-    """The path of a picture of a name by `picture_name`.
-
-    Raises:
-        ParameterError: it is not there.
-    """
+    """The path of a picture of a name by `picture_name`. Raises ParameterError: it is not there."""
     return textures()[file.removeprefix(TEXTURE)] if file.startswith(TEXTURE) else place_of_file(file)
 
 
 def read_picture(path: Path) -> PictureFile:
     """A PNG or JPEG file, upright as its EXIF data says, in 8 bits a channel; what is transparent is white.
-
-    Raises:
-        ParameterError: `file` is no picture, or too large.
+    Raises ParameterError: `file` is no picture, or too large.
     """
     return _read(path, path.stat().st_mtime_ns)
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Pixels (H, W, 3) of a PNG or JPEG file, red first, as `read_picture` reads them, at the file's own size.
-
-    Raises:
-        ParameterError: `file` is no picture.
+    Raises ParameterError: `file` is no picture.
     """
     return np.ascontiguousarray(decoded(path)[..., ::-1])
 
@@ -116,8 +106,7 @@ def read_tile(path: Path, albedo: float) -> PictureFile:
 
     Each side has a power of two of pixels: the smaller copies of the texture are then halves of each other.
 
-    Raises:
-        ParameterError: `file` is no picture.
+    Raises ParameterError: `file` is no picture.
     """
     image = decoded(path)
     height, width = image.shape[:2]
@@ -129,11 +118,7 @@ def read_tile(path: Path, albedo: float) -> PictureFile:
 
 
 def as_png(path: Path) -> bytes:
-    """A picture file as PNG, the only kind that MuJoCo reads.
-
-    Raises:
-        ParameterError: `file` is no picture.
-    """
+    """A picture file as PNG, the only kind that MuJoCo reads. Raises ParameterError: `file` is no picture."""
     return cv2.imencode(".png", decoded(path))[1].tobytes()
 
 
@@ -158,9 +143,7 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
 
 def decoded(path: Path) -> NDArray[np.uint8]:
     """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is transparent is white.
-
-    Raises:
-        ParameterError: `file` is no picture.
+    Raises ParameterError: `file` is no picture.
     """
     raw = np.frombuffer(path.read_bytes(), np.uint8)
     try:
@@ -213,7 +196,6 @@ class PictureTarget(Target):
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Read the picture; refuse points beyond it, and markers that overlap."""
         object.__setattr__(self, "file", picture_name(self.file))  # frozen; a run remembers where its picture is
         if self.pad:
             raise ParameterError("pad", "has no place behind a picture, which has a board of its own; works: target square or points")

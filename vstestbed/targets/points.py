@@ -30,7 +30,6 @@ class Square(Target):
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse markers that overlap, and numbers that no tag has."""
         self._check_markers()
 
     @cached_property
@@ -58,7 +57,6 @@ class Points(Target):
     at: Annotated[tuple[Position, ...], Len(1, 24)]
 
     def __post_init__(self) -> None:
-        """Refuse markers that overlap, and numbers that no tag has."""
         self._check_markers()
 
     @cached_property

@@ -225,7 +225,6 @@ class PolygonFigure(Figure):
     at: Annotated[tuple[Corner, ...], Len(3, 96)]
 
     def __post_init__(self) -> None:
-        """Refuse a polygon that crosses or touches itself, or has no area."""
         given = np.array(self.at)
         if sides := crossing(given):
             words = f"must not cross or touch itself: the sides from corners {sides[0]} and {sides[1]} meet"
@@ -391,7 +390,6 @@ class Shape(OneRegion):
     one_sided: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse names and a pad."""
         self._check_region()
 
     @cached_property
@@ -477,7 +475,6 @@ class Ball(OneRegion):
     radius: PositiveLength
 
     def __post_init__(self) -> None:
-        """Refuse names and a pad."""
         self._check_region()
 
     @cached_property

@@ -160,7 +160,6 @@ class CircularRoute(Route):
     radius_m: Length = 3.0
 
     def __post_init__(self) -> None:
-        """Refuse a radius near 0."""
         if abs(self.radius_m) < 0.1:
             raise ParameterError("radius_m", "must be 0.1 m or more in size (negative: to the right)", self.radius_m)
 
@@ -226,7 +225,6 @@ class Piece:
     radius_m: PositiveLength | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a piece that is neither, or both."""
         bend = self.turn_deg is not None and self.radius_m is not None
         if bend == (self.length_m is not None) or (self.turn_deg is None) != (self.radius_m is None):
             raise ParameterError("length_m", "a piece has either length_m (straight), or turn_deg and radius_m (a bend)")
@@ -252,7 +250,6 @@ class Track(Route):
     pieces: Annotated[tuple[Piece, ...], Len(1, 100)]
 
     def __post_init__(self) -> None:
-        """Refuse a track whose table would be too large."""
         length = sum(piece.length_and_curvature[0] for piece in self.pieces)
         if length > LONGEST_M:
             raise ParameterError("pieces", f"are {length:.5g} m long together; {LONGEST_M:g} m are the most")

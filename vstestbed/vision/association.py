@@ -39,8 +39,7 @@ class Outlines(NamedTuple):
     """Images of N markers.
 
     Attributes:
-        bias: their centroids less the images of their centres, shape (N, 2) [px].
-        area: shape (N,) [px^2].
+        bias: their centroids less the images of their centres, shape (N, 2) [px]. area: shape (N,) [px^2].
         centre: the images of their centres, shape (N, 2) [px].
     """
 
@@ -58,9 +57,7 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
     This holds for any lens. Where the lens does not see a whole rim the result is NaN.
 
     Args:
-        camera: the camera.
-        target: marker points, normals, kind and radius.
-        T_camera_target: the target's pose, shape (4, 4).
+        target: marker points, normals, kind and radius. T_camera_target: the target's pose, shape (4, 4).
 
     Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
     """
@@ -174,9 +171,7 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
     first candidate, or the one nearest to the last pose, is taken.
 
     Args:
-        candidates: for each marker the blobs of its hue.
-        camera: the camera, of one panel.
-        target: the marker layout.
+        candidates: for each marker the blobs of its hue. camera: the camera, of one panel. target: the marker layout.
         previous: last pose of the target, shape (4, 4).
     """
     few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]

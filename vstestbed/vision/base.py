@@ -24,8 +24,7 @@ class TruthView:
     """Ground truth of the markers, for the oracle alone.
 
     Attributes:
-        p_camera: true marker centres in the camera frame, shape (N, 3) [m].
-        hidden: which markers are occluded, shape (N,).
+        p_camera: true marker centres in the camera frame, shape (N, 3) [m]. hidden: which markers are occluded, shape (N,).
     """
 
     p_camera: Array
@@ -201,10 +200,8 @@ def windows_round(
     """A window around each object's predicted box, in its panel; None where an object is lost or a whole search is faster.
 
     Args:
-        boxes: bounding boxes in the last picture [px]; None for a lost object.
-        moves: displacements since the picture before [px].
-        panels: index of the camera's panel in which each object is.
-        margin: margin around the predicted box [px].
+        boxes: bounding boxes in the last picture [px]; None for a lost object. moves: displacements since the picture before [px].
+        panels: index of the camera's panel in which each object is. margin: margin around the predicted box [px].
     """
     out: list[Window] = []
     for box, move, panel in zip(boxes, moves, panels, strict=True):

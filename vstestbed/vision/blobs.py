@@ -41,8 +41,7 @@ class BlobsMemory:
     Attributes:
         blobs: each marker's blob in the last picture; None for a lost one.
         moves: last known displacement of each blob from one picture to the next [px]; zero at first.
-        T_camera_target: last known pose of the target, shape (4, 4).
-        bias: perspective bias in the last picture, shape (N, 2) [px].
+        T_camera_target: last known pose of the target, shape (4, 4). bias: perspective bias in the last picture, shape (N, 2) [px].
         panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
     """
 
@@ -188,9 +187,7 @@ class MarkerFit:
     """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each blob was found.
 
     Args:
-        camera: the camera.
-        target: the marker layout, of N markers.
-        panels: index of the panel of each marker's blob, N of them.
+        target: the marker layout, of N markers. panels: index of the panel of each marker's blob, N of them.
         area_tolerance: largest relative difference between a blob's area and the predicted one.
         edge: error of a blob's border, inwards or outwards [px].
     """
@@ -205,8 +202,7 @@ class MarkerFit:
         """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective bias (N, 2) in the panels'.
 
         Args:
-            blobs: of each marker; None where none was found.
-            memory: the last picture, whose bias and pose start the iteration.
+            blobs: of each marker; None where none was found. memory: the last picture, whose bias and pose start the iteration.
             correct: subtract the bias from the centres.
         """
         centroid, area = _whole(blobs)
@@ -449,9 +445,7 @@ class Blobs(DetectorBase):
         self, memory: BlobsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[BlobsMemory, Detection]:
         """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
-
-        Raises:
-            ParameterError: there is no picture.
+        Raises ParameterError: there is no picture.
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")

@@ -42,10 +42,7 @@ class Blob:
     """A connected region of saturated colour.
 
     Attributes:
-        u, v: centroid [px].
-        area: area [px^2].
-        hue_deg: hue at the centroid [deg].
-        box: bounding box [px].
+        u, v: centroid [px]. area: area [px^2]. hue_deg: hue at the centroid [deg]. box: bounding box [px].
         whole: neither cut by the image's border nor, judging by its own shape, partly occluded.
     """
 
@@ -121,12 +118,11 @@ class Region(NamedTuple):
     """A part of an image in which blobs are searched.
 
     Attributes:
-        image: the whole image, shape (H, W, 3).
-        window: the part of it [px].
-        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images
-            of one sample a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
-        noise: standard deviation of the image's noise [grey levels]; if positive, blobs are segmented in the smoothed image,
-            which has three eighths of it, and measured as in `_noisy_coverage`.
+        image: the whole image, shape (H, W, 3). window: the part of it [px].
+        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images of one sample
+            a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
+        noise: standard deviation of the image's noise [grey levels]; if positive, blobs are segmented in the smoothed image, which has
+            three eighths of it, and measured as in `_noisy_coverage`.
     """
 
     image: Image
@@ -146,8 +142,7 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
     """All blobs of at least `least_area` pixels whose chroma exceeds the threshold, in each of the regions.
 
     Args:
-        regions: where to search.
-        threshold: chroma above which a pixel belongs to a blob, 0..255.
+        regions: where to search. threshold: chroma above which a pixel belongs to a blob, 0..255.
         least_area: smaller blobs are noise [px^2].
     """
     mask, lefts = _masks(regions, threshold)

@@ -44,8 +44,7 @@ def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
     The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes.
 
     Args:
-        twist: of the camera in its own frame (6,) [m/s, rad/s].
-        tilt: roll and pitch (2,) [rad].
+        twist: of the camera in its own frame (6,) [m/s, rad/s]. tilt: roll and pitch (2,) [rad].
         R_base_camera: the mount's rotation (3, 3).
     """
     R = level_from_tilt(tilt, R_base_camera)
@@ -74,10 +73,8 @@ def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Arra
     trim <- trim + k (tilt by the pose - tilt - trim).
 
     Args:
-        trim: before this picture.
-        tilt: roll and pitch by the IMU, shape (2,) [rad].
-        T_camera_target, T_goal_target: poses (4, 4) of the target now and in the goal view.
-        R_base_camera: the mount's rotation (3, 3).
+        trim: before this picture. tilt: roll and pitch by the IMU, shape (2,) [rad].
+        T_camera_target, T_goal_target: poses (4, 4) of the target now and in the goal view. R_base_camera: the mount's rotation (3, 3).
         gain: k of later pictures; the first ones are averaged.
     """
     down = R_base_camera.T @ np.array([0.0, 0.0, -1.0])
@@ -91,9 +88,7 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
     """Unit rays (N, 3) in the level camera's frame from those in the camera's; NaN stays NaN.
 
     Args:
-        ray: measured unit rays (N, 3).
-        tilt: roll and pitch (2,) [rad] as the craft estimates them.
-        camera: the camera and its mount.
+        ray: measured unit rays (N, 3). tilt: roll and pitch (2,) [rad] as the craft estimates them. camera: the camera and its mount.
         how: the method, see above.
     """
     R = camera.mount.T[:3, :3]

@@ -34,8 +34,7 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     the heading stays as it was (0 without a previous pose).
 
     Args:
-        rays: unit rays in the camera frame, shape (N, 3).
-        points: the landmarks in the map's frame, z up from the floor, shape (N, 3) [m].
+        rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame, z up from the floor, shape (N, 3) [m].
         T_base_camera: the camera's mount, shape (4, 4); the base's origin is on the floor.
         previous: the planar pose a frame ago, shape (3,) [m, rad].
 
@@ -148,10 +147,8 @@ def fused_place(
 
     Args:
         predicted: by odometry from the last frame, shape (3,) [m, rad]; None where it was not known then.
-        T_map_camera: camera pose by the landmarks, shape (4, 4); None where they are not seen.
-        T_base_camera: the mount, shape (4, 4).
-        compass: measured heading [rad]; None without a compass.
-        gains: k_c and k_l of this frame, shape (2,).
+        T_map_camera: camera pose by the landmarks, shape (4, 4); None where they are not seen. T_base_camera: the mount, shape (4, 4).
+        compass: measured heading [rad]; None without a compass. gains: k_c and k_l of this frame, shape (2,).
     """
     known = predicted if T_map_camera is None else place_of(T_map_camera @ inverse(T_base_camera))
     if known is None:

@@ -49,8 +49,7 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     takes the points in single precision, which costs half of the digits.)
 
     Args:
-        a, b: the points in either view.
-        least: H is open if two of the nine singular values are below this share of the largest.
+        a, b: the points in either view. least: H is open if two of the nine singular values are below this share of the largest.
 
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """

@@ -130,8 +130,7 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     compositional Lucas-Kanade).
 
     Args:
-        goal, image: the pictures (H, W), `smooth`.
-        A: d uv / d uv_goal (K, 2, 2) of the map between the pictures at each point.
+        goal, image: the pictures (H, W), `smooth`. A: d uv / d uv_goal (K, 2, 2) of the map between the pictures at each point.
 
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
@@ -217,8 +216,7 @@ class PlanarMap:
     """The map of a plane's points from the goal's picture into another, by their rays: r ~ H r*.
 
     Attributes:
-        H: homography (3, 3) of rays in the cameras' frames, from the goal's to this one's.
-        camera: the lens of both pictures.
+        H: homography (3, 3) of rays in the cameras' frames, from the goal's to this one's. camera: the lens of both pictures.
     """
 
     H: Array
@@ -353,8 +351,7 @@ class KeypointsMemory:
     Attributes:
         goal: the goal view, with its picture.
         learned: the goal picture's key points uv (R, 2) and descriptors (R, D); None of features that match pictures themselves.
-        smooth: the goal's picture as the patches are taken from it.
-        slots: the points that are reported.
+        smooth: the goal's picture as the patches are taken from it. slots: the points that are reported.
         last: brightness of the last picture, where points are followed from there; since: pictures since the last matching.
     """
 
@@ -417,7 +414,6 @@ class Keypoints(DetectorBase):
     changing = True
 
     def __post_init__(self) -> None:
-        """Refuse numbers that contradict each other, and a ratio where no descriptors are compared."""
         if self.least > self.best:
             raise ParameterError("least", f"must be at most best = {self.best}", self.least)
         if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
@@ -443,10 +439,8 @@ class Keypoints(DetectorBase):
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsMemory:
         """The goal picture's key points.
-
-        Raises:
-            ParameterError: there is no picture of the goal, or it has fewer key points than can ever match, or fewer where they are
-                looked for; or the target has no board.
+        Raises ParameterError: there is no picture of the goal, or it has fewer key points than can ever match, or fewer where they are
+        looked for; or the target has no board.
         """
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
@@ -505,9 +499,7 @@ class Keypoints(DetectorBase):
         rng: np.random.Generator,
     ) -> tuple[KeypointsMemory, Detection]:
         """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points.
-
-        Raises:
-            ParameterError: there is no picture, or `begin` was not called.
+        Raises ParameterError: there is no picture, or `begin` was not called.
         """
         image = None if picture is None else picture.completed().image
         if image is None:

@@ -38,8 +38,7 @@ class Strip:
     """A strip of floor as a raster of ROWS x K cells, in the vehicle's frame (x ahead, y left), and its pixels.
 
     Attributes:
-        ahead: x of its middle row, the look-ahead distance [m].
-        row_m, column_m: size of a cell [m].
+        ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell [m].
         lefts: y of the columns, shape (K,) [m], from left to right.
         maps: for each of the camera's panels the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
     """
@@ -114,9 +113,7 @@ class Lines(DetectorBase):
         self, memory: LinesMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[LinesMemory, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen.
-
-        Raises:
-            ParameterError: there is no picture, or the target is not of kind lines.
+        Raises ParameterError: there is no picture, or the target is not of kind lines.
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
@@ -181,9 +178,7 @@ def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
 
 def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     """The strip of floor at a look-ahead distance [m], `reach` [m] to each side, with its pixels in each panel.
-
-    Raises:
-        ParameterError: the camera does not see the floor there.
+    Raises ParameterError: the camera does not see the floor there.
     """
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
     mount, step = camera.mount.T, 0.002

@@ -131,7 +131,6 @@ class Akaze:
     threshold: Annotated[float, Gt(0), Lt(1)] = 0.001
 
     def __post_init__(self) -> None:
-        """Refuse it where this OpenCV lacks it."""
         if _akaze() is None:
             words = "may not be akaze: this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless in place of"
             raise ParameterError("", f"{words} opencv-python-headless")
@@ -164,11 +163,7 @@ def _rows(descriptors: Any, width: int, dtype: type) -> Descriptors:
 
 
 def extracted(features: Extractor, image: Image) -> tuple[Array, Descriptors]:
-    """`extract`, checked.
-
-    Raises:
-        ParameterError: arrays of other shapes, or numbers that are not finite.
-    """
+    """`extract`, checked. Raises ParameterError: arrays of other shapes, or numbers that are not finite."""
     uv, descriptors = _arrays(features, "extract", features.extract(image), ("uv", "descriptors"))
     uv = _points(features, "extract", "uv", uv)
     if descriptors.ndim != 2 or len(descriptors) != len(uv):
@@ -181,11 +176,7 @@ def extracted(features: Extractor, image: Image) -> tuple[Array, Descriptors]:
 
 
 def matched(features: Matcher, goal_image: Image, image: Image) -> tuple[Array, Array, Array]:
-    """`match`, checked.
-
-    Raises:
-        ParameterError: arrays of other shapes, or numbers that are not finite.
-    """
+    """`match`, checked. Raises ParameterError: arrays of other shapes, or numbers that are not finite."""
     uv_goal, uv, distance = _arrays(features, "match", features.match(goal_image, image), ("uv_goal", "uv", "distance"))
     uv_goal, uv = _points(features, "match", "uv_goal", uv_goal), _points(features, "match", "uv", uv)
     if not len(uv_goal) == len(uv) == len(distance) or distance.ndim != 1:

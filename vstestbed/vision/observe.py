@@ -46,10 +46,8 @@ class FlowMemory:
 
     Attributes:
         inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen.
-        information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2].
-        ray: unit rays at the last frame, shape (N, 3).
-        t: time of the last frame [s].
-        ids: number of the point in each row, shape (N,), where they are not always the same markers.
+        information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2]. ray: unit rays at the last frame, shape (N, 3).
+        t: time of the last frame [s]. ids: number of the point in each row, shape (N,), where they are not always the same markers.
     """
 
     inverse_range: Array
@@ -84,11 +82,8 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting.
 
     Args:
-        estimate: the parameters.
-        memory: the state at the last frame.
-        t: time of this frame [s].
-        ray: unit rays in the camera's frame, shape (N, 3), NaN where not seen.
-        twist: camera twist in its own frame, shape (6,).
+        memory: the state at the last frame. t: time of this frame [s].
+        ray: unit rays in the camera's frame, shape (N, 3), NaN where not seen. twist: camera twist in its own frame, shape (6,).
 
     Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
     Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
@@ -134,9 +129,7 @@ def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: 
     with the believed calibration. Where the pixels leave the pose open, the true one is kept. (Of a ball the depths follow from its size.)
 
     Args:
-        true: the camera that took the picture.
-        believed: its calibration as known to the robot.
-        target: its markers.
+        true: the camera that took the picture. believed: its calibration as known to the robot.
         T_camera_target: true pose where the picture was taken, shape (4, 4).
     """
     points = target.points
@@ -183,8 +176,7 @@ class ObserverMemory:
     """What an observer keeps from one frame to the next.
 
     Attributes:
-        t: exposure of the last frame [s].
-        T_camera_target: pose then, shape (4, 4); None where it has never been known.
+        t: exposure of the last frame [s]. T_camera_target: pose then, shape (4, 4); None where it has never been known.
         flow: state of the depth estimator; None without one.
         place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not known.
         odometry: a vehicle's planar pose by odometry alone, from where it started; None for other robots.
@@ -215,14 +207,11 @@ class Observer:
     """Turns detections into observations.
 
     Attributes:
-        camera: the calibrated camera.
-        target: the marker layout.
-        goal: the goal view.
-        depth: source of the depths.
+        camera: the calibrated camera. target: the marker layout. goal: the goal view. depth: source of the depths.
         pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever the detector [px].
         dropout: probability that a marker is not reported, for each marker and picture.
-        required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose that the detector has not
-            solved are computed only where they are required.
+        required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose that the detector has not solved are
+            computed only where they are required.
         grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
         derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
@@ -278,18 +267,14 @@ class Observer:
         markers the last one is propagated by the camera's own motion, T <- exp(-twist dt) T, which holds for a target at rest.
 
         Args:
-            memory: the last frame.
-            t: time of exposure [s].
-            detection: pixels (N, 2), and what else the detector found.
+            memory: the last frame. t: time of exposure [s]. detection: pixels (N, 2), and what else the detector found.
             twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it [m/s, rad/s].
-            rng: source of the pixel noise and of the dropout.
-            compass: a vehicle's measured heading [rad]; None without a compass.
+            rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading [rad]; None without a compass.
             tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
             own: the camera's own motion, passed on to a law that requires it.
             depth_image: the depth camera's picture (H, W) [m], NaN in its holes; None without one.
 
-        Raises:
-            ParameterError: the oracle's depth is asked for and the detector is not the oracle.
+        Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))

@@ -45,11 +45,7 @@ class Oracle(DetectorBase):
     def detect(
         self, memory: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
-        """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others.
-
-        Raises:
-            ParameterError: no truth was given.
-        """
+        """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others. Raises ParameterError: no truth was given."""
         if view is None:
             raise ParameterError("view", "is missing: the oracle needs the true view of the target; use detector blobs where there is none")
         p = view.p_camera

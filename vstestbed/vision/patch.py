@@ -50,15 +50,11 @@ class TemplateSize:
     """A template in one size, (h, w) texels; n = h w.
 
     Attributes:
-        grey: grey levels (h, w).
-        x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
-        to_plane: (3, 3), from (column, row, 1) to (x, y, 1).
-        slopes: derivatives of the grey levels by x and y, (2, n).
-        texel: width and height of a texel, in the same units.
-        inner: which texels count, (n,); those at the border do not.
+        grey: grey levels (h, w). x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
+        to_plane: (3, 3), from (column, row, 1) to (x, y, 1). slopes: derivatives of the grey levels by x and y, (2, n).
+        texel: width and height of a texel, in the same units. inner: which texels count, (n,); those at the border do not.
         spread: what a residual is measured by at each texel (n,), in grey levels: at edges two samplings differ more.
-        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,).
-        blocks: how many there are along x and y.
+        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,). blocks: how many there are along x and y.
     """
 
     grey: GreyImage
@@ -101,9 +97,7 @@ class Template:
 
 def template_of(path: Path, width_m: float, most_texels: int) -> Template:
     """The template of a picture file that is printed `width_m` wide; its largest copy has `most_texels` or a few less.
-
-    Raises:
-        ParameterError: `file` is no picture, or too large.
+    Raises ParameterError: `file` is no picture, or too large.
     """
     return _template(path, path.stat().st_mtime_ns, width_m, most_texels)
 
@@ -608,9 +602,7 @@ class PatchDetector(DetectorBase):
         self, memory: PatchMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[PatchMemory, Detection]:
         """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found.
-
-        Raises:
-            ParameterError: there is no picture, or the target has none to track.
+        Raises ParameterError: there is no picture, or the target has none to track.
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector patch needs one; use detector oracle where there is none")

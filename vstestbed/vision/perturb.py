@@ -28,8 +28,8 @@ class PerturbationBase:
     """A nuisance: its parameters are frozen in the object. By default nothing is drawn once a run, and nothing changed.
 
     Attributes:
-        changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are changed they are always rendered
-            whole, so that no number depends on where the detector looks.
+        changes: `picture`, `pixels` (measured marker coordinates), or both. Where pictures are changed they are always rendered whole, so
+            that no number depends on where the detector looks.
     """
 
     kind: Any  # the word in a scenario: a field of each
@@ -75,7 +75,6 @@ class Erasing(PerturbationBase):
     tries: ClassVar[int] = 100
 
     def __post_init__(self) -> None:
-        """Refuse an empty range of areas."""
         if self.area[0] > self.area[1]:
             raise ParameterError("area", "must be the smallest and the largest share, in this order", list(self.area))
 

@@ -117,8 +117,7 @@ def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = No
 
     Args:
         rays: unit rays in the camera frame, shape (N, 3), N >= 3 with a previous pose, else N >= 4.
-        points: the markers in the target frame, shape (N, 3) [m].
-        previous: the pose a frame ago, shape (4, 4).
+        points: the markers in the target frame, shape (N, 3) [m]. previous: the pose a frame ago, shape (4, 4).
 
     Reference: minimising the object-space error over rotations, Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199.
     """
@@ -230,8 +229,7 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     The refinement is kept where it fits better.
 
     Args:
-        xy: normalised, undistorted coordinates, shape (N, 2).
-        points: the same markers in the target frame, shape (N, 3) [m].
+        xy: normalised, undistorted coordinates, shape (N, 2). points: the same markers in the target frame, shape (N, 3) [m].
         previous: the pose a frame ago, shape (4, 4).
 
     References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis 2020,

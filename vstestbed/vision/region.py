@@ -403,8 +403,7 @@ class RegionMemory:
     Attributes:
         expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry.
         box, middle: of the region in the last picture [px]; None where it was not found.
-        move: its displacement since the picture before [px].
-        turn: how the shape was turned in the last picture [rad].
+        move: its displacement since the picture before [px]. turn: how the shape was turned in the last picture [rad].
     """
 
     expected: float = 0.0
@@ -484,9 +483,7 @@ class RegionDetector(DetectorBase):
         rng: np.random.Generator,
     ) -> tuple[RegionMemory, Detection]:
         """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole.
-
-        Raises:
-            ParameterError: there is no picture, or the target is not a region.
+        Raises ParameterError: there is no picture, or the target is not a region.
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector region needs one; use detector oracle where there is none")

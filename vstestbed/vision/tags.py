@@ -47,8 +47,7 @@ class Edges:
     """The measured edges of N tags.
 
     Attributes:
-        corners: shape (N, 4, 2) [px].
-        astray: largest distance of a measured point from its line, shape (N,) [px].
+        corners: shape (N, 4, 2) [px]. astray: largest distance of a measured point from its line, shape (N,) [px].
         contrast: least step from black to white as a share of the tag's median step, shape (N,).
         border: least distance of a profile's ends from the picture's border, shape (N,) [px]; negative outside.
     """
@@ -68,8 +67,7 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
     by total least squares; their intersections are the corners.
 
     Args:
-        grey: the image (H, W).
-        corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
+        grey: the image (H, W). corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
         modules: number of modules along a tag's edge.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
@@ -174,11 +172,7 @@ def tag_png(tag: Tag, number: int) -> bytes:
 
 
 def printed(marker: Marker, i: int) -> tuple[str, bytes]:
-    """Name and PNG file of what is printed on marker i of a target.
-
-    Raises:
-        TypeError: nothing is.
-    """
+    """Name and PNG file of what is printed on marker i of a target. Raises TypeError: nothing is."""
     if not isinstance(marker, Tag):  # the one marker with a print; the picture comes from OpenCV, which targets do without
         raise TypeError(f"nothing is printed on a {marker.kind}")
     number = marker.first_id + i
@@ -248,9 +242,7 @@ class Tags(DetectorBase):
         self, memory: TagsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[TagsMemory, Detection]:
         """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
-
-        Raises:
-            ParameterError: there is no picture, or the target's markers are not tags.
+        Raises ParameterError: there is no picture, or the target's markers are not tags.
         """
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
