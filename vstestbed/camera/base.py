@@ -22,8 +22,7 @@ from vstestbed.imaging.optics import Optics
 from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.stream import STREAMS, VideoStream
 
-Window = tuple[int, int, int, int]
-"""Left, top, right, bottom [px]; right and bottom are exclusive."""
+Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
 Look = tuple[tuple[Window, ...], ...]
 """Regions of interest: for each panel of a camera its windows; empty for a panel that is not needed."""
 LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
@@ -66,10 +65,7 @@ class Picture:
         return all(image is None for image in self.images)
 
     def completed(self) -> Picture:
-        """The whole picture of the same exposure, with the same noise; the same object if it is whole. Valid as long as this one.
-
-        A detector whose regions of interest failed searches this one, so that what it finds does not depend on what was drawn.
-        """
+        """The whole picture of the same exposure, with the same noise, so that what a detector finds does not depend on its windows."""
         return self if self.whole or self.draw_whole is None else self.draw_whole()
 
     def copy(self) -> Picture:
@@ -163,12 +159,10 @@ class Camera(ABC):
         return not (self.optics is None and self.exposure is None and self.sensor is None and self.stream is None)
 
     def _check_imaging(self) -> None:
-        """Refuse what its lens, its rate or its size cannot have."""
         if len(self.panels) > 1:
             field = next(name for name in ("optics", "exposure", "sensor", "stream") if getattr(self, name) is not None)
-            several = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several"
-            words = f"{several}; works: perspective, fisheye or catadioptric"
-            raise ParameterError(field, words)
+            words = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several"
+            raise ParameterError(field, f"{words}; works: perspective, fisheye or catadioptric")
         if self.optics is not None:
             self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))
         if self.exposure is not None and self.exposure.auto is not None:
@@ -193,9 +187,7 @@ class Camera(ABC):
         return replace(self, mount=mount)
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
-        """The same camera with calibration errors: f (1 + focal_error), another principal point, no distortion.
-        Raises ParameterError: the lens has no such parameter.
-        """
+        """The same camera with f (1 + focal_error), another principal point, no distortion; ParameterError where the lens has none such."""
         raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
 
     @property
@@ -236,10 +228,7 @@ class Camera(ABC):
             return np.all((uv >= -0.5 + margin) & (uv <= high), axis=-1)
 
     def borders(self, uv: Array) -> tuple[Array, Array]:
-        """Distances of pixels uv (N, 2) from each border of the image (N, B) [px], and its inward unit normal (N, B, 2).
-
-        Here the four sides: left, top, right, bottom.
-        """
+        """Distances of pixels uv (N, 2) from each border of the image (N, B) [px], here its four sides, and inward normals (N, B, 2)."""
         high = np.array([self.width, self.height]) - 0.5
         return np.concatenate([uv + 0.5, high - uv], axis=1), np.broadcast_to(SIDES, (len(uv), 4, 2))
 
@@ -261,18 +250,14 @@ class Camera(ABC):
     def half_size(self, p_camera: Array, radius: float) -> Array:
         """Apparent half width and half height (N, 2) [px] of markers of a radius [m] at p_camera (N, 3); NaN where it cannot be seen.
 
-        The half width is the root of the summed squared displacements in u by one radius along the two directions of `across`, the
-        half height the same in v.
+        The roots of the summed squared displacements in u, and in v, by one radius along the two directions of `across`.
         """
         uv = self.project(p_camera)
         a, b = (radius * direction for direction in self.across(p_camera))
         return np.hypot(self.project(p_camera + a) - uv, self.project(p_camera + b) - uv)
 
     def across(self, p_camera: Array) -> tuple[Array, Array]:
-        """For each point (N, 3) two orthonormal vectors, each (N, 3) or (3,), orthogonal to its ray: a marker's extent.
-
-        Reference: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
-        """
+        """For each point (N, 3) two unit vectors across its ray, each (N, 3) or (3,): a marker's extent (Duff et al. 2017, JCGT 6(1))."""
         with np.errstate(invalid="ignore", divide="ignore"):
             x, y, z = (p_camera / np.linalg.norm(p_camera, axis=-1, keepdims=True)).T
         sign = np.copysign(1.0, z)

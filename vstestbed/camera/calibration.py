@@ -72,9 +72,7 @@ class Calibration:
         return self.depth_factor * np.exp(self.depth_spread * rng.standard_normal(markers))
 
     def believed(self, camera: Camera) -> Camera:
-        """The camera as robot, detector, observer and law know it.
-        Raises ParameterError: the lens has no such parameter, or is impossible with this error.
-        """
+        """The camera as robot, detector, observer and law know it; ParameterError where the lens is impossible with this error."""
         if self.camera_exact:
             return camera
         mount = Pose.of(camera.mount.T @ self.mount_error.T)

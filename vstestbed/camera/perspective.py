@@ -59,7 +59,6 @@ class Perspective(Camera):
             self._check_distortion()
 
     def _check_distortion(self) -> None:
-        """Refuse a distortion whose inverse does not lead back to the image's border."""
         u, v = self.width - 0.5, self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
@@ -103,10 +102,7 @@ class Perspective(Camera):
 
     @cached_property
     def reach2(self) -> float:
-        """Largest x^2 + y^2 up to which the distorted radius rises; farther out the polynomial folds the scene back.
-
-        The first positive root in r^2 of d(r_d)/dr = 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6.
-        """
+        """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6."""
         k1, k2, _, _, k3 = self.distortion or (0.0,) * 5
         roots = np.roots(np.trim_zeros([7 * k3, 5 * k2, 3 * k1, 1.0], "f"))
         real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]

@@ -39,8 +39,7 @@ the front one comes to right, back, left; `up` and `down` stand at the front's u
 
 
 # Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees.
-RIM = 1e-9
-"""Relative tolerance for rounding at the border of the image circle."""
+RIM = 1e-9  # relative tolerance for rounding at the border of the image circle
 
 
 @spec

@@ -54,13 +54,9 @@ class Feature(ABC):
 
 
 def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) -> tuple[Array, Array]:
-    """Both inputs of a feature as floating-point arrays, validated.
+    """Both inputs of a feature as floating-point arrays, validated: xy (..., N, 2) or ray (..., N, 3), and distances (..., N) [m].
 
-    Args:
-        x: coordinates (..., N, 2) for xy, (..., N, 3) for ray. distance: depth or range of each (..., N) [m]. inputs: their names.
-        least: the smallest N.
-
-    Raises ParameterError: the shapes do not match, the markers are too few, or a distance is not positive.
+    Raises ParameterError: the shapes do not match, the markers are fewer than `least`, or a distance is not positive.
     """
     x, distance = np.asarray(x, dtype=float), np.asarray(distance, dtype=float)
     name, of = inputs
@@ -76,9 +72,7 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
 
 
 def require_plane(xy: Array, depth: Array, kind: str) -> None:
-    """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of this kind.
-    Raises ParameterError: it names the target.
-    """
+    """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of this kind, by a ParameterError."""
     p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
     if spread[-1] > UNEVEN * spread[0]:
@@ -88,10 +82,7 @@ def require_plane(xy: Array, depth: Array, kind: str) -> None:
 def condition(L: Array, scale: Array, depth: Array) -> float:
     """Condition of an L (rows, 6) at the goal view: its largest over its smallest singular value, inf where that is 0.
 
-    Rows are in units of their quantities, translations in units of the mean depth. Of more than six rows, six count.
-
-    Args:
-        L: at the goal view. scale: size of each row's quantity (rows,). depth: of the markers (N,) [m].
+    Rows are in units of their quantities `scale` (rows,), translations in units of the mean depth. Of more than six rows, six count.
     """
     A = L / np.asarray(scale)[:, None] * np.array([np.mean(depth)] * 3 + [1.0] * 3)
     if not np.isfinite(A).all():
@@ -142,8 +133,7 @@ def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array
 def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
     """Weight of a bearing at a radius (or sine of a colatitude), any shape: 1, and 0 at the centre itself, where it is undefined.
 
-    With `less_at_centre` it is r/1e-2 up to r = 1e-2: close to the centre any error of position may turn a bearing by up to half a
-    turn.
+    With `less_at_centre` it is r/1e-2 up to r = 1e-2: close to the centre any error of position may turn a bearing by up to half a turn.
     """
     radius = np.asarray(radius, dtype=float)
     return np.minimum(radius / CENTRE, 1.0) if less_at_centre else np.where(radius > ROUNDING, 1.0, 0.0)
@@ -152,7 +142,7 @@ def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
 def bearing_error(s: Array, s_star: Array, weight: Array, weight_star: Array, together: bool) -> Array:
     """Error of bearings w w* wrap(phi - phi*), of s and s* (..., N) [rad], with their weights w and w* (..., N) (`bearing_weight`).
 
-    With `together`, all have one sign near a half turn (`wrap_together`), that of the markers of full weight in both views. At
+    With `together`, all have one sign near a half turn, that of the markers of full weight in both views (`wrap_together`). At
     s* = s its derivative is w^2 phi_dot.
     """
     weight = weight * weight_star
@@ -169,13 +159,10 @@ def bounded_inverse(x: Array) -> Array:
 # A quantity together with its rate under a camera twist, so that a formula gives both s and its row of L.
 @dataclass(frozen=True, slots=True)
 class Rated:
-    """A real or complex quantity and its derivative to the six velocities of the camera.
+    """A real or complex quantity (...) and its derivative to the six velocities of the camera, q (..., 6) with value_dot = q v.
 
     With +, -, *, /, powers, `real`, `imag` and `conj()` as numpy arrays have them, a formula written for arrays also takes these, and gives
     the derivative by the rules of calculus (forward differentiation): exact, and never in disagreement with the formula.
-
-    Attributes:
-        value: of any shape (...). rate: q with value_dot = q v, shape (..., 6).
     """
 
     value: NDArray[Any]
@@ -183,7 +170,6 @@ class Rated:
     __array_ufunc__ = None  # `array * rated` comes to __rmul__, not to numpy
 
     def __add__(self, other: Any) -> Rated:
-        """The sum with a Rated, or with a constant."""
         if isinstance(other, Rated):
             return Rated(self.value + other.value, self.rate + other.rate)
         return Rated(self.value + other, self.rate)
@@ -191,15 +177,12 @@ class Rated:
     __radd__ = __add__
 
     def __neg__(self) -> Rated:
-        """The quantity with the other sign."""
         return Rated(-self.value, -self.rate)
 
     def __sub__(self, other: Any) -> Rated:
-        """The difference from a Rated, or from a constant."""
         return self + -other
 
     def __mul__(self, other: Any) -> Rated:
-        """The product with a Rated, or with a constant."""
         if isinstance(other, Rated):
             return Rated(self.value * other.value, self.rate * other.value[..., None] + self.value[..., None] * other.rate)
         return Rated(self.value * other, self.rate * other)
@@ -207,14 +190,12 @@ class Rated:
     __rmul__ = __mul__
 
     def __truediv__(self, other: Any) -> Rated:
-        """The ratio to a Rated, or to a constant."""
         if isinstance(other, Rated):
             value = self.value / other.value
             return Rated(value, (self.rate - value[..., None] * other.rate) / other.value[..., None])
         return Rated(self.value / other, self.rate / other)
 
     def __pow__(self, power: float) -> Rated:
-        """The power with a constant exponent."""
         return Rated(self.value**power, (power * self.value ** (power - 1))[..., None] * self.rate)
 
     @property

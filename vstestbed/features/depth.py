@@ -20,15 +20,13 @@ NEAREST_M = 0.01
 
 
 class DepthCues(NamedTuple):
-    """What an observer has computed of one frame; a source takes what it needs.
+    """What an observer has computed of one frame; a source takes what it needs, and None stands for what there is not.
 
     Attributes:
         goal: the goal view. xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
-        p_estimated: markers in the camera frame by the estimated pose, shape (N, 3) [m]; None without a pose.
-        p_true: true markers in the camera frame, shape (N, 3) [m]; None without the oracle.
-        by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate; None where there is none.
-        measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`); None without one.
-        p_by_size: markers in the camera frame by the target's known size, shape (N, 3) [m]; None where that is not asked for.
+        p_estimated, p_true, p_by_size: markers in the camera frame (N, 3) [m], by the estimated pose, in truth (oracle), by their size.
+        by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate.
+        measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`).
     """
 
     goal: Goal
@@ -44,16 +42,12 @@ class DepthSource(ABC):
     """Where depths Z (along the optical axis) and ranges (along the ray) of the markers come from."""
 
     kind: Any  # the word in a scenario: a field of each
-    needs_pose: ClassVar[bool] = False
-    """The target's pose must be estimated."""
-    needs_size: ClassVar[bool] = False
-    """The target's known size must tell its place."""
-    true: ClassVar[bool] = False
-    """Depths are the simulator's truth."""
+    needs_pose: ClassVar[bool] = False  # the target's pose must be estimated
+    needs_size: ClassVar[bool] = False  # the target's known size must tell its place
+    true: ClassVar[bool] = False  # depths are the simulator's truth
     on_floor: ClassVar[bool] = False
     """That pose is one of a base that stands upright on the floor: three unknowns."""
-    preset: ClassVar[bool] = False
-    """Depths are given numbers, not measured: derotation leaves them as they are."""
+    preset: ClassVar[bool] = False  # depths are given numbers, not measured: derotation leaves them as they are
 
     measured: ClassVar[bool] = False
     """Depths are read from the picture of a depth camera (`camera.depth_sensor`)."""
@@ -261,9 +255,9 @@ class Sensed(DepthSource):
 
 
 def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Array:
-    """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2); NaN where under half of a square is valid.
+    """Median (N,) [m] of the valid pixels in squares of odd `side` [px] round pixels uv (N, 2) of a picture (H, W).
 
-    What lies outside of the picture (H, W) is not valid.
+    NaN where under half of a square is valid; what lies outside of the picture is not.
     """
     half, (height, width) = side // 2, depth_image.shape
     known = np.isfinite(uv[:, 0]) & np.isfinite(uv[:, 1])

@@ -76,9 +76,7 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
 
     rho_dot   = (c vx + s vy - rho vz) l_rho + (1 + rho^2) (s wx - c wy),      l_rho = (A rho c + B rho s + C)/D
     theta_dot = (c vx + s vy - rho vz) l_theta - rho (c wx + s wy) - wz,       l_theta = (A s - B c)/D
-    c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre gives the same L.
-
-    Raises ParameterError: D = 0, a plane through the camera's centre.
+    c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre (D = 0, a ParameterError) gives the same L.
 
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
@@ -130,10 +128,7 @@ def floor_plane(T_base_camera: Array) -> Array:
 
 
 def floor_point(xy: Array, T_base_camera: Array) -> Array:
-    """Intersections (..., 2) of rays with normalised coordinates xy (..., 2) with the floor, in the base frame [m].
-
-    NaN for rays that do not descend to it. The camera's mount is T_base_camera (4, 4).
-    """
+    """Intersections (..., 2) of rays with normalised coordinates xy (..., 2) with the floor, in the base frame [m]; NaN where they rise."""
     xy = np.asarray(xy, dtype=float)
     d = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ T_base_camera[:3, :3].T
     t = T_base_camera[:3, 3]
@@ -142,21 +137,16 @@ def floor_point(xy: Array, T_base_camera: Array) -> Array:
 
 
 def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array | float) -> tuple[Array, Array]:
-    """A line of the image projected on the floor, s = (y, phi), and ds/d(rho, theta).
+    """A line (rho, theta) (...) [1, rad] of the image projected on the floor, s = (y, phi) (..., 2) [m, rad], and J = ds/d(rho, theta).
 
     The line x cos theta + y sin theta - rho = 0 and the camera's centre t span a plane with the normal
     N = R (cos theta, sin theta, -rho) in the base frame, which meets the floor in N_x X + N_y Y = N . t:
 
-        y   = (N . t - N_x X) / N_y          lateral position (left positive) at X = `ahead`
+        y   = (N . t - N_x X) / N_y          lateral position (left positive) at X = `ahead` (...) [m]
         phi = atan(-N_x / N_y)               direction, in (-pi/2, pi/2)
         dy   = -dN . ((X, y, 0) - t) / N_y,  dphi = (N_x dN_y - N_y dN_x) / (N_x^2 + N_y^2)
 
-    Args:
-        rho, theta: the line, shape (...) [1, rad]. T_base_camera: the camera's mount (4, 4). ahead: X, shape (...) [m].
-
-    Returns:
-        (y, phi), shape (..., 2) [m, rad], and their derivatives J (..., 2, 2). The interaction matrix of (y, phi) is J L, with L.
-        (..., 2, 6) that of (rho, theta).
+    The interaction matrix of (y, phi) is J L, with J (..., 2, 2) and L (..., 2, 6) that of (rho, theta).
     """
     rho, theta, ahead = np.broadcast_arrays(rho, theta, ahead)
     R, t = T_base_camera[:3, :3], T_base_camera[:3, 3]

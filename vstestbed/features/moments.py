@@ -29,12 +29,9 @@ FLAT = 1e-9
 
 
 def image_moments(xy: Array, of: Of, order: int) -> Array:
-    """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: element [p, q] of (..., order+1, order+1).
+    """Moments m_pq = sum of x^p y^q, or the integral over the region, for p + q <= order: [p, q] of (..., order+1, order+1), else 0.
 
-    Args:
-        xy: points, or the vertices of the outline in order, either way round (..., N, 2). of: which of the two.
-        order: highest p + q; elements beyond are 0.
-
+    Of points, or of the vertices of the outline in order, either way round, xy (..., N, 2).
     Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
     mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
 
@@ -223,13 +220,13 @@ def over(a: Any, b: Any) -> Any:
 
 
 def _c1(m: MomentSet) -> dict[str, Any]:
-    """c1 = (mu11^2 - mu20 mu02) / |c20|^2."""
+    """With complex moments: c1 = (c20 conj(c20) - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2."""
     c20 = square(m.complex(2, 0))
     return {"c1": over(0.25 * (c20 - square(m.complex(1, 1))), c20)}
 
 
 def _c2(m: MomentSet) -> dict[str, Any]:
-    """c2 = |c30|^2 / |c21|^2."""
+    """With complex moments: c2 = |c30|^2 / |c21|^2."""
     return {"c2": over(square(m.complex(3, 0)), square(m.complex(2, 1)))}
 
 
@@ -251,32 +248,32 @@ def _third_order(m: MomentSet) -> dict[str, Any]:
 
 
 def _fourth_order(m: MomentSet) -> dict[str, Any]:
-    """c7 = (a + 8 b - 9 c) / D, c8 = 4 (9 c + 4 b - a) / D, a = |c40|^2, b = |c31|^2, c = |c22|^2, D = a - 4 b + 3 c."""
+    """With a = |c40|^2, b = |c31|^2, c = |c22|^2 and D = a - 4 b + 3 c: c7 = (a + 8 b - 9 c) / D, c8 = 4 (9 c + 4 b - a) / D."""
     a, b, c = (square(m.complex(4 - i, i)) for i in range(3))
     below = a - 4 * b + 3 * c
     return {"c7": over(a + 8 * b - 9 * c, below), "c8": over(4 * (9 * c + 4 * b - a), below)}
 
 
 def _fifth_order(m: MomentSet) -> dict[str, Any]:
-    """c9 = |c32|^2 / |c50|^2, c10 = |c41|^2 / |c50|^2."""
+    """With complex moments: c9 = |c32|^2 / |c50|^2, c10 = |c41|^2 / |c50|^2."""
     below = square(m.complex(5, 0))
     return {"c9": over(square(m.complex(3, 2)), below), "c10": over(square(m.complex(4, 1)), below)}
 
 
 def _tilt(m: MomentSet) -> dict[str, Any]:
-    """Sx = Re S, sy = Im S, S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)); S is 0 for a symmetric shape, and its rate is not."""
+    """With S = i c30 conj(c20)^2 sqrt(a) / (|c20|^2 c11^(3/2)), 0 for a symmetric shape, whose rate is not: sx = Re S, sy = Im S."""
     c20 = m.complex(2, 0)
     S = over(1j * m.complex(3, 0) * (c20 * c20).conj() * m.area**0.5, square(c20) * m.complex(1, 1).real ** 1.5)
     return {"sx": S.real, "sy": S.imag}
 
 
 def _px(m: MomentSet) -> dict[str, Any]:
-    """Px = |c20|^2 / c11^2."""
+    """With complex moments: px = |c20|^2 / c11^2."""
     return {"px": over(square(m.complex(2, 0)), square(m.complex(1, 1)))}
 
 
 def _py(m: MomentSet) -> dict[str, Any]:
-    """Py = a |c30|^2 / c11^3."""
+    """With complex moments: py = a |c30|^2 / c11^3."""
     return {"py": over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)}
 
 
@@ -301,15 +298,12 @@ written in complex moments, in which an invariance is seen at once: the turns of
 Row = Literal[  # fmt: skip - one name a line would hide the groups
     "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
 ]
-FADES = 0.01
-"""Elongation |c20|/c11 under which the row of alpha fades."""
+FADES = 0.01  # elongation |c20|/c11 under which the row of alpha fades
 DIRECTED = 0.1
 """Skewness over which third-order moments tell the two ends of the principal axis apart. A tilt of some 20 degrees gives a symmetric shape
 a third of that."""
-ROUND = 0.05
-"""Elongation of a shape in the goal view under which its principal axis counts as undefined."""
-SINGULAR = 1e12
-"""Condition over which L counts as singular, whatever rounding has made of it."""
+ROUND = 0.05  # elongation of a shape in the goal view under which its principal axis counts as undefined
+SINGULAR = 1e12  # condition over which L counts as singular, whatever rounding has made of it
 SYMMETRIC = 0.02
 """Share of third-order moments in the goal view under which a shape counts as symmetric about its centre."""
 
@@ -386,9 +380,7 @@ class Moments(Feature):
         return e
 
     def check_goal(self, xy: Array, depth: Array) -> None:
-        """Refuse a goal view, xy (N, 2) and depth (N,) [m], that leaves a row undefined or the rows dependent on one another.
-        Raises ParameterError: it names the target or the rows, and what would work.
-        """
+        """Refuse a goal view, xy (N, 2) and depth (N,) [m], that leaves a row undefined or the rows dependent on one another."""
         require_plane(xy, depth, self.kind)
         if self.of == "region" and not spans_area(size(xy), segments(xy)):
             words = "encloses no area in the goal view, which moments {of: region} need; its markers must be in order around an outline"
@@ -403,7 +395,6 @@ class Moments(Feature):
             raise ParameterError("law.feature.rows", f"{words} {limit}; {self._advice(m, xy, depth)}")
 
     def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
-        """The condition of L at a view."""
         scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
         return condition(self.interaction(xy, depth), scale, depth)
 
@@ -439,7 +430,6 @@ class Moments(Feature):
 
     @property
     def _order(self) -> int:
-        """The highest order of moments in the rows."""
         return max(3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2 for row in self.rows)
 
     def _named(self, *words: str) -> str:
@@ -447,7 +437,6 @@ class Moments(Feature):
         return ", ".join(word for word in words if word in self.rows)
 
     def _row(self, m: MomentSet, row: str) -> Any:
-        """One row as an array (...), or as a Rated."""
         if row in INVARIANTS:
             return INVARIANTS[row][0](m)[row]
         if row == "alpha":
@@ -521,9 +510,7 @@ class Ellipse(Feature):
         return np.stack([_row(m, row).rate for row in self.rows], axis=-2)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
-        """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say.
-        Raises ParameterError: it names the target or the rows, and what would work.
-        """
+        """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say."""
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)
         if not (np.isfinite(s).all() and np.abs(_distance(s, xy) - 1).max() < OFF):
@@ -539,7 +526,6 @@ class Ellipse(Feature):
 
 
 def _row(m: MomentSet, row: str) -> Any:
-    """One row as an array (...), or as a Rated."""
     return m.central(int(row[1]), int(row[2])) / m.central(0, 0) if row[0] == "n" else place(m, row)
 
 
@@ -556,11 +542,8 @@ def ellipse_moments(s: Array) -> MomentSet:
 def fitted_ellipse(xy: Array) -> Array:
     """The ellipse (xg, yg, n20, n11, n02) (..., 5) that fits points xy (..., N, 2) best; NaN where the conic is no ellipse.
 
-    About the points' mean, in units of their distance from it, it is the least squares of
-
-    x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0;
-
-    any ellipse has such an equation.
+    About the points' mean, in units of their distance from it: the least squares of
+    x^2 + y^2 + a (x^2 - y^2) + 2 b x y + c x + d y + e = 0, an equation that any ellipse has.
     """
     xy = np.asarray(xy, dtype=float)
     middle = xy.mean(axis=-2)

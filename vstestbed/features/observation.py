@@ -16,11 +16,7 @@ from vstestbed.robots.own_model import OwnModel
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """A whole picture, for laws and detectors that compare it with the goal's.
-
-    Attributes:
-        image: (H, W, 3) uint8 RGB. depth: (H, W) [m] along the optical axis, NaN where nothing was measured; None without a depth camera.
-    """
+    """A whole picture (H, W, 3) uint8 RGB; depth (H, W) [m] along the optical axis, NaN where none was measured, or None."""
 
     image: NDArray[np.uint8]
     depth: NDArray[np.float32] | None = None

@@ -61,9 +61,7 @@ class Polygon(Feature):
         return np.stack([np.broadcast_to(size_error(s[..., 0], s_star[..., 0]), turned.shape), turned], axis=-1)
 
     def check_goal(self, xy: Array, depth: Array) -> None:
-        """Refuse a goal view xy (N, 2) in which three or more markers span no area.
-        Raises ParameterError: the markers lie on one line, or the polygon crosses itself so that its loops cancel.
-        """
+        """Refuse a goal view xy (N, 2) in which three or more markers span no area: on one line, or with loops that cancel."""
         if len(xy) > 2 and not spans_area(size(xy), segments(xy)):
             words = "spans no area in the goal view, by which the law measures size; the markers must not lie on one line, and must be in"
             raise ParameterError("target", f"{words} order around the polygon: the areas of a bow tie's two loops cancel")
@@ -77,7 +75,7 @@ def size(xy: Array) -> Array:
 def spans_area(sigma: Array, d: Array) -> NDArray[np.bool_]:
     """Whether a polygon of size sigma (...) with the segments d (..., P, 2) between its vertices spans an area.
 
-    It does not if the vertices lie on one line, or if it crosses itself and the areas of its loops, of opposite sign, cancel.
+    It does not if the vertices lie on one line, or if it crosses itself and the areas of its loops cancel.
     """
     return np.asarray(sigma > FLAT * np.hypot(d[..., 0], d[..., 1]).max(axis=-1))
 
@@ -86,9 +84,7 @@ def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") 
     """The error of sigma, any shape: sigma - sigma*, sigma/sigma* - 1 or log(sigma/sigma*).
 
     Positive where the target appears too large, because the camera is too close. For a target that faces the camera
-    sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z).
-
-    Raises ParameterError: a ratio or a logarithm of a size that is not positive.
+    sigma_dot = sigma vz/Z, so that the last form is that of the depth, log(Z*/Z). A size that is not positive has no ratio: ParameterError.
     """
     sigma, sigma_star = np.asarray(sigma, dtype=float), np.asarray(sigma_star, dtype=float)
     if form == "difference":

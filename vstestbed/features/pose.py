@@ -54,8 +54,7 @@ class ThetaU:
 def theta_u(R: Array) -> Array:
     """The vector theta u (..., 3) [rad], theta in [0, pi], of rotations R (..., 3, 3), exact near 0 and near a half turn.
 
-    From the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn, where u and -u are the same rotation,
-    the largest component of u is positive.
+    From the unit quaternion (w, q), w >= 0: theta = 2 atan2(|q|, w). At an exact half turn the largest component of u is positive.
     """
     quaternion = quaternion_wxyz(np.asarray(R, dtype=float))
     w, q = quaternion[..., :1], quaternion[..., 1:]

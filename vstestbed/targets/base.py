@@ -34,12 +34,11 @@ class Sheet:
     """A picture in the target's plane, its middle at the origin, its rows along x from the smallest y on.
 
     Attributes:
-        width, height: of the picture [m].
+        width, height: of the picture [m]. lit: shaded by the scene's lights, else of constant brightness.
         png: the picture as a PNG file, with a margin at its right and below that repeats the outermost pixels, of the right (lower) edge
             and then, since textures repeat themselves, of the left (upper) one.
         share: of the file's width and height that the picture takes up, without the margin.
-        lit: shaded by the scene's lights, else of constant brightness. gloss: share of a light that it mirrors as a highlight, 0 to 1.
-        albedo: by which the file's colours are multiplied.
+        gloss: share of a light that it mirrors as a highlight, 0 to 1. albedo: by which the file's colours are multiplied.
     """
 
     width: float
@@ -53,7 +52,7 @@ class Sheet:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A solid in the target's frame: corners of its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1.
+    """A solid in the target's frame: its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1.
 
     lit: shaded by the scene's lights, else of constant brightness.
     """
@@ -77,8 +76,8 @@ Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
 
 
 class RoundOutline(NamedTuple):
-    """The outline of a disc or a ball: directions of its points in the camera's frame, (N, 3), and how far each of K rays to which it was
-    fitted is off it, (K,), as a share of its apparent radius.
+    """The outline of a disc or a ball: directions of its points in the camera's frame (N, 3), and how far each of K rays to which it was
+    fitted is off it (K,), as a share of its apparent radius.
     """
 
     p: Array
@@ -211,10 +210,7 @@ class Target:
         return self.motion.start(self.pose.T)
 
     def points_at(self, T_camera_target: Array) -> Array:
-        """Marker centres (..., N, 3) in the frame of a camera that sees the target at a pose (..., 4, 4) [m].
-
-        NaN for one that the camera cannot see from there, of a target whose measured points depend on the camera's place.
-        """
+        """Marker centres (..., N, 3) [m] in the frame of a camera that sees the target at a pose (..., 4, 4); NaN where it sees none."""
         return transform(T_camera_target, self.points)
 
     def seen_from(self, T_target_camera: Array) -> Array:
@@ -234,10 +230,7 @@ class Target:
         return None
 
     def round_outline(self, ray: Array) -> RoundOutline | None:
-        """The outline that fits unit rays (K, 3) in the camera's frame best, which touch the border of a round region at any places.
-
-        None where none fits, or the target's outline is not round.
-        """
+        """The outline that fits unit rays (K, 3) to the border of a round region; None where none fits, or the outline is not round."""
         return None
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:

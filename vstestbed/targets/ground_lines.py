@@ -21,10 +21,7 @@ from vstestbed.targets.route import AnyRoute, Route, Straight
 
 
 def foot_of(T: Array) -> Array:
-    """(x, y, heading) of the ground frame under a camera at a pose T (4, 4) over the floor z = 0, shape (3,).
-
-    Its x axis is the horizontal part of (camera z - camera y).
-    """
+    """(x, y, heading) of the ground frame under a camera at T (4, 4) over z = 0: its x is the horizontal part of (camera z - camera y)."""
     # Camera z alone has no horizontal part in a camera that looks straight down, and -y none in one that looks straight ahead: the
     # sum points ahead for both (the top of the picture ahead), and for every tilt between them.
     ahead = T[:2, 2] - T[:2, 1]
@@ -144,7 +141,7 @@ class GroundLines(Target):
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """The hue of each point's line; the lines' hues are spread evenly from red on [deg]."""
+        """The hue of each point's line [deg]."""
         n = len(self.offsets_m)
         return tuple(360 * i / n for i in range(n) for _ in self.look_m)
 

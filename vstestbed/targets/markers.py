@@ -37,7 +37,7 @@ Family = Literal[
     "aruco_7x7_100",
     "aruco_7x7_250",
     "aruco_7x7_1000",
-]
+]  # fmt: skip - a set of tags a line
 """Families of square tags. AprilTag: bits and least Hamming distance of two tags; ArUco: bits and number of tags."""
 APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 587)}
 """Bits along a side and number of tags of the AprilTag families."""
@@ -198,7 +198,7 @@ class Tag(Marker):
 
     @property
     def radius(self) -> float:
-        """Half the diagonal of the tag with its quiet zone [m]: the room that the tag needs, however it is rotated."""
+        """Half the diagonal of the tag with its quiet zone [m], which no neighbour may cover: its room, however it is rotated."""
         # The quiet zone belongs to it: a neighbour that covers it would hide the black square's edge.
         return self.tile / math.sqrt(2)
 

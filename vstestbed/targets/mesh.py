@@ -22,21 +22,17 @@ from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
 # Triangles: read from STL and OBJ files, the nearest point on them, what they hide.
 
 
-MOST_FACES = 200_000
-"""MuJoCo reads no more from a file."""
+MOST_FACES = 200_000  # MuJoCo reads no more from a file
 MOST_BYTES = 64_000_000
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 """A triangle in a binary STL file."""
-Triangles = NDArray[np.float64]
-"""Corners (F, 3, 3), counter-clockwise from outside."""
+Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
 
 def read_triangles(path: Path) -> Triangles:
     """The triangles of an STL (binary or text) or OBJ file, in its units, without those that have no area.
 
     Of an OBJ file vertices and faces count; polygons are cut into triangles, normals, textures and materials are left out.
-
-    Raises ParameterError: `file` has none, too many, or cannot be read.
     """
     return _read(path, path.stat().st_mtime_ns)
 
@@ -63,7 +59,6 @@ def _read(path: Path, changed: int) -> Triangles:
 
 
 def _stl(raw: bytes) -> Triangles:
-    """Triangles of an STL file."""
     count = int.from_bytes(raw[80:84], "little")
     if len(raw) >= 84 and len(raw) == 84 + 50 * count:
         records = np.frombuffer(raw, RECORD, count, 84)
@@ -77,7 +72,6 @@ def _stl(raw: bytes) -> Triangles:
 
 
 def _obj(raw: bytes) -> Triangles:
-    """Triangles of a Wavefront OBJ file."""
     places: list[list[bytes]] = []
     corners: list[int] = []
     for number, line in enumerate(raw.replace(b"\\\n", b" ").splitlines(), start=1):
@@ -109,10 +103,7 @@ def as_stl(triangles: Triangles) -> bytes:
 
 
 def nearest(triangles: Triangles, point: Array) -> tuple[Array, int]:
-    """The point of triangles (F, 3, 3) nearest to a point (3,), and the number of its triangle.
-
-    In each triangle it is the point's projection where that is inside, else the nearest point of an edge.
-    """
+    """The point of triangles (F, 3, 3) nearest to a point (3,), and its triangle's number: its projection, or a point of an edge."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -157,8 +148,7 @@ KINDS = (".stl", ".obj")
 ON_SURFACE_M, ON_SURFACE = 1e-3, 5e-3
 """Largest distance of a marker point from the surface, and as a share of the solid's size: the triangles of a file deviate from curved
 surfaces by tenths of a millimetre."""
-FLAT_M = 1e-3
-"""Largest distance of a disc's rim from the surface [m]."""
+FLAT_M = 1e-3  # largest distance of a disc's rim from the surface [m]
 RIM = 12
 Channel = Annotated[float, Ge(0), Le(1)]
 LARGEST_M = 100.0
@@ -210,7 +200,6 @@ class MeshTarget(Target):
             self._check_flat()
 
     def _check_flat(self) -> None:
-        """Refuse discs where the surface is curved or ends."""
         angle, normals = np.arange(RIM) * (2 * np.pi / RIM), self.normals
         for i, (p, n) in enumerate(zip(self.points, normals, strict=True)):
             across = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
@@ -225,7 +214,6 @@ class MeshTarget(Target):
 
     @cached_property
     def _triangles(self) -> Array:
-        """Corners (F, 3, 3) [m]."""
         return read_triangles(self.source) * self.scale
 
     @property

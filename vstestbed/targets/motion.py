@@ -31,8 +31,7 @@ from vstestbed.core.quantity import (
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.route import AnyRoute
 
-Path = Callable[[float], Array]
-"""Displacement (4, 4) at a time [s]."""
+Path = Callable[[float], Array]  # displacement (4, 4) at a time [s]
 
 
 def _shift(x: float, y: float, z: float) -> Array:
@@ -222,9 +221,7 @@ class RandomWalk(MotionBase):
         return at
 
     def exact_step(self, dt: float) -> tuple[Array, Array]:
-        """Exact discretisation of (position, speed) at unit variance of position: transition (2, 2) over dt, and Cholesky factor (2, 2)
-        of the noise's covariance.
-        """
+        """Exact step of (position, speed) at unit variance of position: transition (2, 2), and the noise's Cholesky factor (2, 2)."""
         from scipy.linalg import expm
 
         W = 2 * math.pi * self.corner_hz

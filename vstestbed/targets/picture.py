@@ -26,15 +26,13 @@ from vstestbed.targets.points import BOARD_MARGIN
 # Picture files: read, and made into textures.
 
 
-MOST_PX = 2048
-"""Longest side of a texture, with its margin [px]."""
+MOST_PX = 2048  # longest side of a texture, with its margin [px]
 MARGIN = 16
 """The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right
 edge would shine through at its left edge, from afar most."""
 MOST_BYTES = 64_000_000
 KINDS = (".png", ".jpg", ".jpeg")
-TEXTURE = "texture:"
-"""Before the name of a bundled texture, in place of a file's."""
+TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,7 @@ def textures() -> dict[str, Path]:
 
 
 def picture_name(file: str) -> str:
-    """A picture's name that does not depend on the folder: its absolute path, `package:NAME/path`, or `texture:NAME` as it is.
-    Raises ParameterError: `file` names no kind of picture, or no bundled texture.
-    """
+    """A picture's name that does not depend on the folder: its absolute path, `package:NAME/path`, or `texture:NAME` as it is."""
     if file.startswith(TEXTURE):
         if file.removeprefix(TEXTURE) not in textures():
             names = ", ".join(f"{TEXTURE}{name}" for name in textures())
@@ -67,21 +63,17 @@ def picture_name(file: str) -> str:
 
 
 def place_of_picture(file: str) -> Path:
-    """The path of a picture of a name by `picture_name`. Raises ParameterError: it is not there."""
+    """The path of a picture of a name by `picture_name`; ParameterError where it is not there."""
     return textures()[file.removeprefix(TEXTURE)] if file.startswith(TEXTURE) else place_of_file(file)
 
 
 def read_picture(path: Path) -> PictureFile:
-    """A PNG or JPEG file, upright as its EXIF data says, in 8 bits a channel; what is transparent is white.
-    Raises ParameterError: `file` is no picture, or too large.
-    """
+    """A PNG or JPEG file as a texture, its pixels as of `decoded`."""
     return _read(path, path.stat().st_mtime_ns)
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """Pixels (H, W, 3) of a PNG or JPEG file, red first, as `read_picture` reads them, at the file's own size.
-    Raises ParameterError: `file` is no picture.
-    """
+    """Pixels (H, W, 3) of a PNG or JPEG file, red first, as of `decoded`, at the file's own size."""
     return np.ascontiguousarray(decoded(path)[..., ::-1])
 
 
@@ -105,8 +97,6 @@ def read_tile(path: Path, albedo: float) -> PictureFile:
     """A PNG or JPEG file as a texture that is repeated, without a margin, its colours multiplied by `albedo`.
 
     Each side has a power of two of pixels: the smaller copies of the texture are then halves of each other.
-
-    Raises ParameterError: `file` is no picture.
     """
     image = decoded(path)
     height, width = image.shape[:2]
@@ -118,7 +108,7 @@ def read_tile(path: Path, albedo: float) -> PictureFile:
 
 
 def as_png(path: Path) -> bytes:
-    """A picture file as PNG, the only kind that MuJoCo reads. Raises ParameterError: `file` is no picture."""
+    """A picture file as PNG, the only kind that MuJoCo reads."""
     return cv2.imencode(".png", decoded(path))[1].tobytes()
 
 
@@ -143,6 +133,7 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
 
 def decoded(path: Path) -> NDArray[np.uint8]:
     """The pixels (H, W, 3) of a picture file, blue first, upright as its EXIF data says; what is transparent is white.
+
     Raises ParameterError: `file` is no picture.
     """
     raw = np.frombuffer(path.read_bytes(), np.uint8)

@@ -13,8 +13,7 @@ from vstestbed.core.quantity import Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 
-BOARD_MARGIN = 1.5
-"""The board behind a square reaches this many marker radii beyond the markers' edges."""
+BOARD_MARGIN = 1.5  # the board behind a square reaches this many marker radii beyond the markers' edges
 
 
 @spec

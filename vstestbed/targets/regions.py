@@ -23,10 +23,8 @@ from vstestbed.targets.markers import Outline
 def circle_conic(T_camera_circle: Array, radius: float) -> Array:
     """The conic C (..., 3, 3) with m^T C m = 0 for the images m = (x, y, 1) of a circle in the plane z = 0 of a frame at T (..., 4, 4).
 
-    A point of the plane has the image H (X, Y, 1) with H = [R ex, R ey, t]; the circle X^2 + Y^2 = radius^2 becomes
-    C = H^-T diag(1, 1, -radius^2) H^-1.
-
-    Reference: Hartley & Zisserman 2004, Multiple View Geometry, result 2.13 (conics under a homography).
+    With H = [R ex, R ey, t] the circle X^2 + Y^2 = radius^2 becomes C = H^-T diag(1, 1, -radius^2) H^-1 (Hartley & Zisserman 2004,
+    Multiple View Geometry, result 2.13).
     """
     H = np.concatenate([T_camera_circle[..., :3, :2], T_camera_circle[..., :3, 3:]], axis=-1)
     G = np.linalg.inv(H)
@@ -47,9 +45,9 @@ def ellipse_points(C: Array, count: int) -> Array:
     """Points xy (..., count, 2) on the ellipses C (..., 3, 3), from the picture's right downwards; NaN where C is no ellipse.
 
     They are m + S (cos phi_i, sin phi_i), with the centre m and the symmetric root S of the ellipse's matrix,
-    (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse the one without a rotation. It depends on the ellipse
-    alone, and on nothing that the picture of a circle does not show; the points of a circle begin at its right. Their polygon is an
-    affine image of the regular one, so that its moments are those of the ellipse times constants.
+    (x - m)^T S^-2 (x - m) = 1: of all maps of the unit circle onto the ellipse the one without a rotation, which depends on nothing that
+    the picture of a circle does not show. Their polygon is an affine image of the regular one, so that its moments are those of the
+    ellipse times constants.
     """
     A, b = C[..., :2, :2], C[..., :2, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -64,7 +62,7 @@ def ellipse_points(C: Array, count: int) -> Array:
 
 
 def distance_to_conic(C: Array, xy: Array) -> Array:
-    """Distance of points xy (K, 2) from a conic C (3, 3), to first order: m^T C m / |grad|, shape (K,); its sign is that side's of C.
+    """Distance (K,) of points xy (K, 2) from a conic C (3, 3), to first order: m^T C m / |grad|; its sign is that side's of C.
 
     Reference: Sampson 1982, doi:10.1016/0146-664X(82)90101-0.
     """
@@ -104,10 +102,7 @@ def centroid(xy: Array) -> Array:
 
 
 def covariance(xy: Array) -> Array:
-    """Second central moments (2, 2) of a polygon's area over that area, corners (E, 2).
-
-    Reference: Steger 1996, On the calculation of arbitrary moments of polygons, FGBV-96-05.
-    """
+    """Second central moments (2, 2) of a polygon's area over that area, corners (E, 2) (Steger 1996, FGBV-96-05)."""
     p = xy - centroid(xy)
     q = np.roll(p, -1, axis=0)
     cross = p[:, 0] * q[:, 1] - q[:, 0] * p[:, 1]
@@ -125,10 +120,7 @@ def evenly_along(xy: Array, count: int) -> Array:
 
 
 def crossing(xy: Array) -> tuple[int, int] | None:
-    """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do; None where there are none.
-
-    The side of a corner runs to the next one. Neighbours that fold back onto each other meet, too.
-    """
+    """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do, or fold back onto each other; None without such."""
     n = len(xy)
     pairs = ((i, j) for i in range(n) for j in range(i + 1, n))
     return next(((i, j) for i, j in pairs if _meet(xy, i, j)), None)
@@ -333,12 +325,9 @@ def _smooth(points: Array, parts: int) -> Array:
     return np.stack(out, axis=1).reshape(-1, 2)
 
 
-BOARD_MARGIN = 0.25
-"""The board behind a shape reaches this share of the shape's longer side beyond it."""
-LEAST_AHEAD = 0.05
-"""Least Z of a unit ray to the border of a flat region: 87 degrees off the axis."""
-LEAST_SEEN = 3
-"""Fewest points of an outline from which a ball's place is found."""
+BOARD_MARGIN = 0.25  # the board behind a shape reaches this share of the shape's longer side beyond it
+LEAST_AHEAD = 0.05  # least Z of a unit ray to the border of a flat region: 87 degrees off the axis
+LEAST_SEEN = 3  # fewest points of an outline from which a ball's place is found
 
 
 @spec
@@ -357,7 +346,6 @@ class OneRegion(Target):
     outlined: ClassVar[bool] = True
 
     def _check_region(self) -> None:
-        """Refuse names of points that are not distinct things, and a pad."""
         if self.names:
             raise ParameterError("names", "are for markers; the points of an outline have none", list(self.names))
         if self.pad:
@@ -400,7 +388,6 @@ class Shape(OneRegion):
 
     @cached_property
     def _drawn(self) -> Array:
-        """Corners of the figure as it is drawn, (E, 2) [m], clockwise as seen."""
         return self.figure.corners
 
     @property

@@ -19,8 +19,7 @@ from vstestbed.core.spec import OneOf, spec
 SPACING_M = 0.01
 """Distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um."""
 
-LONGEST_M = 10_000.0
-"""Longest track [m]: its table has a million samples."""
+LONGEST_M = 10_000.0  # longest track [m]: its table has a million samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +90,6 @@ class Route(ABC):
         """(s, offset) of the route's point nearest to xy (2,): arc length [m], and the offset of xy to the left of it [m].
 
         Args:
-            xy: a place on the floor [m].
             around: arc length near which to search, which selects the branch where a route crosses itself; None: everywhere.
             reach: largest distance from it along the route [m].
         """
@@ -106,10 +104,7 @@ class Route(ABC):
         return float(s[i] + along), float(-(xy[0] - x) * np.sin(heading) + (xy[1] - y) * np.cos(heading))
 
     def beside(self, place: Array) -> float:
-        """Lateral offset of a vehicle at (x, y, heading) from the route [m], positive to the left of the direction in which it drives.
-
-        Where the route crosses itself, the branch within 45 degrees of the vehicle's heading, in either sense, counts.
-        """
+        """Lateral offset of a vehicle at (x, y, heading) from the route [m], positive to the left of its driving direction (`branch`)."""
         s, with_it = self.branch(place)
         offset = self.nearest(place[:2], around=s, reach=3 * SPACING_M)[1]
         return offset if with_it >= 0 else -offset
@@ -117,7 +112,7 @@ class Route(ABC):
     def branch(self, place: Array) -> tuple[float, float]:
         """(s, cosine) of the sample nearest to a vehicle at (x, y, heading): arc length [m], cosine of the angle between their headings.
 
-        Where the route crosses itself, it is on the branch within 45 degrees of the vehicle's heading, in either sense.
+        Where the route crosses itself, the branch within 45 degrees of the vehicle's heading, in either sense, counts.
         """
         way = self.samples
         distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])

@@ -21,8 +21,7 @@ from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 BALL_ROUNDS = 5
 """Iterations after which distance and bias have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)."""
-CORNERS = 32
-"""Corners of the polygon that approximates an outline: its bias and area are then right to 1e-4."""
+CORNERS = 32  # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
 
 
 def _circle() -> tuple[Array, Array]:
@@ -36,12 +35,7 @@ _COS, _SIN = _circle()
 
 
 class Outlines(NamedTuple):
-    """Images of N markers.
-
-    Attributes:
-        bias: their centroids less the images of their centres, shape (N, 2) [px]. area: shape (N,) [px^2].
-        centre: the images of their centres, shape (N, 2) [px].
-    """
+    """Images of N markers: centroids less the images of their centres (N, 2) [px], areas (N,) [px^2], images of the centres (N, 2) [px]."""
 
     bias: Array
     area: Array
@@ -54,12 +48,8 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
     The rim (of a disc: across its normal; of a sphere: the circle where the rays touch it, centre p (d^2 - r^2)/d^2,
     radius r sqrt(1 - r^2/d^2), d = |p|) is projected as a polygon; with its corners q_i relative to the image of the centre,
     a_i = q_i x q_i+1,  area = |sum a_i|/2,  bias = sum (q_i + q_i+1) a_i / (3 sum a_i).
-    This holds for any lens. Where the lens does not see a whole rim the result is NaN.
-
-    Args:
-        target: marker points, normals, kind and radius. T_camera_target: the target's pose, shape (4, 4).
-
-    Reference: Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468 (the bias in closed form for a pinhole and a disc).
+    This holds for any lens. Where the lens does not see a whole rim the result is NaN. In closed form for a pinhole and a disc:
+    Heikkila & Silven 1997, doi:10.1109/CVPR.1997.609468.
     """
     points, radius = target.points, target.marker.radius
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -82,10 +72,7 @@ def _of_rims(camera: Camera, p: Array) -> Outlines:
 
 
 def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Array:
-    """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], without a pose.
-
-    The area gives a ball's distance; an error of 5 % in the area makes one of 5 % in the bias. NaN stays NaN.
-    """
+    """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], which give their distances; NaN stays NaN."""
     bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
     with np.errstate(invalid="ignore", divide="ignore"):
         for _ in range(BALL_ROUNDS):
@@ -98,10 +85,7 @@ def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Ar
 
 @lru_cache(maxsize=256)
 def _disc_rims(points: bytes, normals: bytes, radius: float) -> Array:
-    """Each disc's centre and rim in the target's frame, shape (N (CORNERS + 2), 3).
-
-    points, normals: of the discs, (N, 3) each, as bytes, which can be hashed.
-    """
+    """Each disc's centre and rim in the target's frame, (N (CORNERS + 2), 3), from points and normals (N, 3) as bytes, for the cache."""
     centre = np.frombuffer(points).reshape(-1, 1, 3)
     across = np.array([_across(*normal) for normal in np.frombuffer(normals).reshape(-1, 3).tolist()])
     rim = centre + radius * (_COS[:, None] * across[:, :1] - _SIN[:, None] * across[:, 1:])
@@ -109,10 +93,7 @@ def _disc_rims(points: bytes, normals: bytes, radius: float) -> Array:
 
 
 def _sphere_rims(p: Array, radius: float) -> Array:
-    """Centres of spheres, and the circles of tangency of the camera's rays, shape (N, CORNERS + 2, 3); NaN from inside.
-
-    Reference for the basis across a ray: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6(1).
-    """
+    """Centres of spheres, and the circles of tangency of the camera's rays, shape (N, CORNERS + 2, 3); NaN from inside."""
     d2 = np.einsum("ni,ni->n", p, p)
     shrink = 1 - radius**2 / d2
     rho = radius * np.sqrt(shrink)
@@ -127,7 +108,7 @@ def _sphere_rims(p: Array, radius: float) -> Array:
 
 
 def _across(x: float, y: float, z: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Two unit vectors across a ray (x, y, z); in plain floats, a quarter of the time of numpy's for some five markers."""
+    """Two unit vectors across a ray (Duff et al. 2017, JCGT 6(1)); in plain floats, a quarter of numpy's time for some five markers."""
     sign = math.copysign(1.0, z)  # the branch without a singularity at z = -1
     a = -1 / (sign + z)
     b = x * y * a
@@ -135,17 +116,14 @@ def _across(x: float, y: float, z: float) -> tuple[tuple[float, float, float], t
 
 
 # Data association: which blob is which marker where several have its hue, by the pose of the target that explains them.
-Placed = tuple[int, Blob]
-"""Index of the camera's panel, and a blob in it."""
-Candidates = list[list[Placed]]
-"""For each marker the blobs of its hue."""
+Placed = tuple[int, Blob]  # index of the camera's panel, and a blob in it
+Candidates = list[list[Placed]]  # for each marker the blobs of its hue
 Hypothesis = tuple[Array, Candidates, int]
 """A pose (4, 4), the blobs that it may explain, and how many of them it must explain."""
 
 MOST_OF_A_HUE = 4
 """Candidates of one marker at most: blobs that are not cut first, then the largest. Bounds the number of hypotheses."""
-SEEDS = 4
-"""Markers whose blobs make hypotheses: at most 4^4 of four."""
+SEEDS = 4  # markers whose blobs make hypotheses: at most 4^4 of four
 OFF_PX, OFF_SHARE = 3.0, 0.03
 """A blob farther than this from the predicted marker is another object [px], or by this share of the target's size in the image.
 It is far more than the detection's error, and more than the distortion of a target by a lens some percent out of calibration."""
@@ -162,17 +140,12 @@ def allowed_px(uv: Array) -> float:
 
 
 def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
-    """One blob for each marker, None where none fits.
+    """One blob for each marker, None where none fits, from the blobs of each marker's hue in a camera of one panel.
 
     Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs of the markers with the fewest candidates
     gives a pose. The pose that explains most blobs by position and area wins, each blob weighted by how well it fits. Four blobs
-    must agree with a pose, or three near the previous pose: three blobs have a pose wherever they are, so only continuity tells
-    them from others. Where no pose is explained so, no marker is reported. Fewer than three markers determine no pose: then the
-    first candidate, or the one nearest to the last pose, is taken.
-
-    Args:
-        candidates: for each marker the blobs of its hue. camera: the camera, of one panel. target: the marker layout.
-        previous: last pose of the target, shape (4, 4).
+    must agree with a pose, or three near the previous pose (4, 4): three blobs have a pose wherever they are, so only continuity tells
+    them from others. Fewer than three markers determine no pose: then the first candidate, or the one nearest to the last pose, is taken.
     """
     few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]
     present = [i for i, c in enumerate(few) if c]
@@ -186,7 +159,6 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
 
 
 def _best(hypotheses: Iterator[Hypothesis], camera: Camera, target: Target) -> list[Placed | None] | None:
-    """The blobs that the best hypothesis explains; None where none explains enough of them."""
     best, found = 0.0, None
     for T, candidates, least in hypotheses:
         score, chosen = _explained(candidates, T, camera, target)
@@ -217,7 +189,6 @@ def _of_three(few: Candidates, present: list[int], camera: Camera, target: Targe
 
 
 def _near(few: Candidates, camera: Camera, target: Target, previous: Array) -> Candidates:
-    """The candidates within the search radius of their marker under the last pose."""
     uv = camera.project(transform(previous, target.points))
     radius = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
     return [[f for f in c if _off(f[1], uv[i]) <= radius] for i, c in enumerate(few)]

@@ -21,11 +21,7 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, slots=True)
 class TruthView:
-    """Ground truth of the markers, for the oracle alone.
-
-    Attributes:
-        p_camera: true marker centres in the camera frame, shape (N, 3) [m]. hidden: which markers are occluded, shape (N,).
-    """
+    """True marker centres in the camera frame (N, 3) [m], and which are occluded (N,): for the oracle alone."""
 
     p_camera: Array
     hidden: NDArray[np.bool_]
@@ -39,9 +35,9 @@ class Detection:
         uv: images of the marker centres, shape (N, 2) [px], NaN where a marker is not seen.
         p_camera: true marker centres in the camera frame, shape (N, 3) [m]; only the oracle has them.
         T_camera_target: pose of the target, shape (4, 4), if the detector solves it anyway.
-        goal: the goal's view of the very points in these rows, where they are not the target's markers.
+        goal: the goal's view of the points in these rows, where they are not the target's markers.
         ids: then, the number of the point in each row (N,), the same as long as the row shows the same point; -1 in an empty row.
-        why: why none is seen, in words for a run that ends thereby; "" where there is nothing to say.
+        why: why none is seen, in words for a run that ends thereby.
     """
 
     uv: Array
@@ -68,18 +64,12 @@ class Detector(Protocol[M]):
         """The detector's name in a scenario."""
         ...
 
-    needs_image: ClassVar[bool]
-    """It reads the picture."""
-    needs_truth: ClassVar[bool]
-    """It reads the ground truth: the oracle."""
-    markers: ClassVar[tuple[str, ...]]
-    """Kinds of markers that it can detect; empty: any."""
-    needs_sheet: ClassVar[bool]
-    """It finds the picture of a target `picture`."""
-    needs_goal: ClassVar[bool]
-    """It finds the goal picture's points, not the target's markers."""
-    draws: ClassVar[bool]
-    """`detect` draws from its generator, so that another seed gives other points."""
+    needs_image: ClassVar[bool]  # it reads the picture
+    needs_truth: ClassVar[bool]  # it reads the ground truth: the oracle
+    markers: ClassVar[tuple[str, ...]]  # kinds of markers that it can detect; empty: any
+    needs_sheet: ClassVar[bool]  # it finds the picture of a target `picture`
+    needs_goal: ClassVar[bool]  # it finds the goal picture's points, not the target's markers
+    draws: ClassVar[bool]  # `detect` draws from its generator, so that another seed gives other points
 
     @property
     def rows(self) -> int | None:
@@ -111,7 +101,10 @@ class Detector(Protocol[M]):
     def detect(
         self, memory: M, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[M, Detection]:
-        """One picture: the next state and the marker positions."""
+        """One picture: the next state and the marker positions.
+
+        Raises ParameterError: the picture, or the truth, is missing; or the target is of another kind.
+        """
         ...
 
 
@@ -142,13 +135,13 @@ class DetectorBase:
 
 # Points of the goal's picture as a goal: their depths by the depth camera or by the target's plane.
 def goal_of_points(goal: Goal, uv: Array) -> Goal:
-    """The goal with other points: those at uv (K, 2) [px] of its picture, in place of the target's markers.
+    """The goal with the points at uv (K, 2) [px] of its picture in place of the target's markers.
 
-    Their depths are the depth camera's at the nearest pixel where it measured, else those of the target's plane z = 0 at the goal pose,
-    which the robot knows as it knows a target's dimensions.
+    Their depths are the depth camera's at the nearest pixel where it measured, else those of the target's plane z = 0 at the goal pose.
     """
-    ray = goal.camera.ray(uv)
-    z = _depth_of_plane(goal.T_camera_target, ray)
+    ray, normal = goal.camera.ray(uv), goal.T_camera_target[:3, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = (normal @ goal.T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]  # where rays meet the plane; negative behind the camera
     if goal.image is not None and goal.image.depth is not None:
         measured = depth_at(goal.image.depth, uv)
         z = np.where(np.isfinite(measured), measured, z)
@@ -168,24 +161,16 @@ def points_of(goal: Goal) -> Array:
     return transform(inverse(goal.T_camera_target), goal.ray * goal.range[:, None])
 
 
-def _depth_of_plane(T_camera_target: Array, ray: Array) -> Array:
-    """Depth (K,) [m] along unit rays (K, 3) at which they meet the target's plane z = 0; negative behind the camera."""
-    normal = T_camera_target[:3, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return (normal @ T_camera_target[:3, 3]) / (ray @ normal) * ray[:, 2]
-
-
 # Search windows around tracked objects in the next picture.
-Move = tuple[float, float]
-"""Displacement (du, dv) of an object from one picture to the next [px]."""
+Move = tuple[float, float]  # displacement (du, dv) of an object from one picture to the next [px]
 MOST_WINDOWED = 0.3
 """Share of the image area that the windows may cover together; beyond it a search of the whole image is faster."""
 
 
 def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window | None:
-    """The window around an object's predicted box, clipped to the image; None outside of the image.
+    """The window around an object's box, moved on at constant velocity, with `margin` [px] and half of the last move around it.
 
-    The box is predicted at constant velocity; the window has `margin` [px] and half of the last move around it.
+    It is clipped to the image; None outside of it.
     """
     (left, top, right, bottom), (du, dv) = box, move
     grow_u, grow_v = margin + abs(du) / 2, margin + abs(dv) / 2
@@ -201,7 +186,7 @@ def windows_round(
 
     Args:
         boxes: bounding boxes in the last picture [px]; None for a lost object. moves: displacements since the picture before [px].
-        panels: index of the camera's panel in which each object is. margin: margin around the predicted box [px].
+        panels: index of the camera's panel in which each object is. margin: around the predicted box [px].
     """
     out: list[Window] = []
     for box, move, panel in zip(boxes, moves, panels, strict=True):

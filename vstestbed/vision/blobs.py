@@ -39,9 +39,8 @@ class BlobsMemory:
     """State of the blob detector, of N markers.
 
     Attributes:
-        blobs: each marker's blob in the last picture; None for a lost one.
-        moves: last known displacement of each blob from one picture to the next [px]; zero at first.
-        T_camera_target: last known pose of the target, shape (4, 4). bias: perspective bias in the last picture, shape (N, 2) [px].
+        blobs: each marker's blob in the last picture; None for a lost one. moves: last known move of each blob [px]; zero at first.
+        T_camera_target: last known pose of the target (4, 4). bias: perspective bias in the last picture (N, 2) [px].
         panels: index of the panel in which each marker will be searched; blob and move are in that panel's pixels.
     """
 
@@ -86,24 +85,19 @@ def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin:
 
 
 def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
-    """Displacement of each blob since the last picture [px]; of one that was not seen then, or is not now, the last known one.
+    """Displacement of each blob since the last picture [px]; the last known one of a blob that was not seen then, or is not now.
 
-    It is zero where none is known in the panel in which the blob is now.
+    Zero where none is known in the panel in which the blob is now.
     """
     none = (None,) * len(blobs)
     out: list[Move] = []
     last = zip(memory.blobs or none, memory.moves or none, memory.panels or none, strict=True)
     for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
         if before is not None and before != panel:
-            a, move = _blob_there(a, before, panel, camera), None
+            seen = seen_from(a, (0.0, 0.0), before, panel, camera) if a else None
+            a, move = seen[0] if seen else None, None
         out.append((b.u - a.u, b.v - a.v) if a and b else move or (0.0, 0.0))
     return tuple(out)
-
-
-def _blob_there(blob: Blob | None, panel: int, other: int, camera: Camera) -> Blob | None:
-    """A blob in another panel's pixels; None where it lies outside of that panel."""
-    seen = seen_from(blob, (0.0, 0.0), panel, other, camera) if blob else None
-    return seen[0] if seen else None
 
 
 def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
@@ -144,17 +138,11 @@ def _slack(blob: Blob, move: Move, lens: Camera) -> float:
     return min(left + du, top + dv, lens.width - right - du, lens.height - bottom - dv)
 
 
-def at_border(blob: Blob, lens: Camera) -> bool:
-    """Whether a blob touches the image's border."""
-    left, top, right, bottom = blob.box
-    return left <= 0 or top <= 0 or right >= lens.width or bottom >= lens.height
-
-
 def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] | None:
     """Of the blobs of one hue, each with its panel, the largest, blobs that are not cut first; in panels by solid angle.
 
-    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Where panels overlap, a marker may
-    be seen twice; the panel whose axis is nearer to it is taken.
+    A pinhole image enlarges the area of what lies at an angle a off the axis by 1 / cos^3 a. Of a marker that is seen in two panels
+    the blob nearer to its panel's axis is taken.
     """
     if len(camera.panels) == 1 or not found:
         return max(found, key=lambda f: (f[1].whole, f[1].area), default=None)
@@ -177,8 +165,7 @@ AREA_NOISE_PX = 3.5
 """Error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)."""
 SAME_BIAS_PX = 0.02
 """The bias has converged when it changes by less than this [px]; another round would change it by a tenth of that."""
-MOST_ROUNDS = 3
-"""Most poses solved for one picture, besides one for each rejected marker."""
+MOST_ROUNDS = 3  # most poses solved for one picture, besides one for each rejected marker
 SURPRISE = 0.15
 """Sum over three markers of |log(area / predicted)|: under .05 for the right pose of rendered discs, over .6 for most others."""
 
@@ -187,9 +174,8 @@ class MarkerFit:
     """Fits one picture's blobs by a pose of the target; pixels are those of the panel in which each blob was found.
 
     Args:
-        target: the marker layout, of N markers. panels: index of the panel of each marker's blob, N of them.
+        panels: index of the panel of each marker's blob, N of them. edge: error of a blob's border, inwards or outwards [px].
         area_tolerance: largest relative difference between a blob's area and the predicted one.
-        edge: error of a blob's border, inwards or outwards [px].
     """
 
     def __init__(self, camera: Camera, target: Target, panels: list[int], area_tolerance: float, edge: float):
@@ -216,8 +202,8 @@ class MarkerFit:
     def _fitted(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> tuple[Array | None, Array]:
         """The pose (4, 4) that fits the markers, None where there is none, and their bias (N, 2) [px].
 
-        Alternates between the pose from the centroids less the assumed bias and the bias under that pose, until the bias has
-        converged. Rejected markers become NaN in `centroid` (N, 2) and `area` (N,), in place.
+        Alternates between the pose from the centroids less the assumed bias and the bias under that pose. Rejected markers become NaN in
+        `centroid` (N, 2) and `area` (N,), in place.
         """
         T = self._pose(centroid - assumed, area, previous)
         for _ in range(len(centroid) + MOST_ROUNDS):
@@ -241,9 +227,16 @@ class MarkerFit:
 
     def _bias_without_pose(self, centroid: Array, area: Array, assumed: Array, previous: Array | None) -> Array:
         """Bias (N, 2) [px] of markers too few for a pose: of balls by their size, of discs under the last pose."""
-        if self._target.marker.height_m:
-            return self._by_size(centroid, area)
-        return assumed if previous is None else self._expected(previous).bias
+        radius = self._target.marker.radius
+        if not self._target.marker.height_m:
+            return assumed if previous is None else self._expected(previous).bias
+        if self._of is None:
+            bias = ball_bias(self._camera, radius, centroid, area)
+        else:
+            bias = np.zeros_like(centroid)
+            for panel, mine in self._of:
+                bias[mine] = ball_bias(panel.lens, radius, centroid[mine], area[mine])
+        return np.where(np.isfinite(bias), bias, 0.0)
 
     def _outlier(
         self, centroid: Array, expected: Outlines, area: Array, previous: Array | None, misfit: float
@@ -251,8 +244,7 @@ class MarkerFit:
         """The blob that is not this target's, with the pose and bias of the others; None where the pose of all explains them.
 
         Leave one out: that blob is dropped without which the others fit best, by position and, since three points always have a
-        pose, by area. Four blobs of which one is another object may have a pose that nearly fits their positions, but hardly
-        one that fits their areas too.
+        pose, by area. Four blobs of which one is another object hardly have a pose that fits their areas, too.
         """
         if self._of is not None:
             return None
@@ -293,7 +285,6 @@ class MarkerFit:
         return float(np.nansum(np.abs(np.log(area / self._expected(T).area))))
 
     def _expected(self, T_camera_target: Array) -> Outlines:
-        """Predicted outline of each marker in its panel."""
         if self._of is None:
             return centre_bias(self._camera, self._target, T_camera_target)
         n = len(self._target.points)
@@ -304,17 +295,6 @@ class MarkerFit:
             for all_of_them, there in zip(out, centre_bias(panel.lens, self._target, T), strict=True):
                 all_of_them[mine] = there[mine]
         return out
-
-    def _by_size(self, centroid: Array, area: Array) -> Array:
-        """Perspective bias (N, 2) [px] of balls, from the apparent size of each; 0 for those not seen."""
-        radius = self._target.marker.radius
-        if self._of is None:
-            bias = ball_bias(self._camera, radius, centroid, area)
-        else:
-            bias = np.zeros_like(centroid)
-            for panel, mine in self._of:
-                bias[mine] = ball_bias(panel.lens, radius, centroid[mine], area[mine])
-        return np.where(np.isfinite(bias), bias, 0.0)
 
     def _rays(self, uv: Array) -> Array:
         """Unit rays (N, 3) in the camera frame of the markers' pixels (N, 2), each in its panel."""
@@ -359,7 +339,6 @@ class MarkerFit:
 
 
 def _off(centroid: Array, expected: Outlines) -> Array:
-    """Distance of each centroid (N, 2) from its prediction, shape (N,) [px]."""
     return lengths(centroid - (expected.centre + expected.bias))[:, 0]
 
 
@@ -380,10 +359,8 @@ def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:
 EDGE_PX = 0.15
 """Error of a smoothed, shaded blob's border, inwards or outwards [px] (measured on rendered balls of 5 px radius and more)."""
 
-Place = tuple[int, Window]
-"""Index of the camera's panel, and a window in it."""
-Found = tuple[int, Blob] | None
-"""Index of the camera's panel and a marker's blob in it; None: not found."""
+Place = tuple[int, Window]  # index of the camera's panel, and a window in it
+Found = tuple[int, Blob] | None  # index of the camera's panel and a marker's blob in it; None: not found
 
 
 @spec
@@ -430,7 +407,6 @@ class Blobs(DetectorBase):
     area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06
     window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
     needs_image: ClassVar[bool] = True
-    needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
 
     def init(self) -> BlobsMemory:
@@ -444,9 +420,7 @@ class Blobs(DetectorBase):
     def detect(
         self, memory: BlobsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[BlobsMemory, Detection]:
-        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
-        Raises ParameterError: there is no picture.
-        """
+        """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")
         noise = _noise_levels(picture)
@@ -456,8 +430,10 @@ class Blobs(DetectorBase):
             noise = _noise_levels(picture)
             found = self._search(picture, noise, memory, camera, target)
         blobs, panels = _split(found, memory)
-        level = max((noise[f[0]] for f in found if f), default=0.0)
-        markers = MarkerFit(camera, target, panels, self.area_tolerance, _edge_px(level, camera.panels[0].lens))
+        noisy = any(noise[f[0]] > 0 for f in found if f)
+        # A clean image of one sample a pixel has exact colours.
+        edge = EDGE_PX if noisy or _smooth(camera.panels[0].lens) else 0.0
+        markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
         uv, T, bias = markers.centres(blobs, memory, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
             blobs[i] = None  # not tracked: its window would follow the wrong object
@@ -490,18 +466,19 @@ class Blobs(DetectorBase):
             lens = camera.panels[panel].lens
             if last is None:
                 return None
-            blob = _nearest(self._of_hue(blobs, hue, len(own)), last.u + move[0], last.v + move[1])
+            u, v = last.u + move[0], last.v + move[1]
+            alike = [b for b in blobs if self._has_hue(b, hue, len(own))]
+            blob = min(alike, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
             if blob is None or blob.cut_by(window, lens.width, lens.height):
                 return None
-            if len(camera.panels) > 1 and at_border(blob, lens):
-                return None  # another panel may have the whole of it
+            if len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0:
+                return None  # at the image's border: another panel may have the whole of it
             found.append((panel, blob))
         return found
 
     def _search(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
-        """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains.
-
-        In a camera with panels instead the largest, blobs that are not cut first.
+        """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains; with panels the largest
+        one.
         """
         hues, everywhere = target.hues_deg, self._all_blobs(picture, noise, camera)
         by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
@@ -510,14 +487,10 @@ class Blobs(DetectorBase):
         return [largest(some, camera) for some in by_marker]
 
     def _all_blobs(self, picture: Picture, noise: list[float], camera: Camera) -> list[tuple[int, Blob]]:
-        """All blobs of all panels, each with the index of its panel."""
         drawn = [i for i, image in enumerate(picture.images) if image is not None]
         whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
         # One by one: a panel is too large for the time of a call to count.
         return [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
-
-    def _of_hue(self, blobs: list[Blob], hue_deg: float, n_hues: int) -> list[Blob]:
-        return [b for b in blobs if self._has_hue(b, hue_deg, n_hues)]
 
     def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
         """Whether a blob has a marker's hue, of `n_hues` that must be told apart."""
@@ -526,7 +499,6 @@ class Blobs(DetectorBase):
 
 
 def _noise_levels(picture: Picture) -> list[float]:
-    """The noise of each panel's image [grey levels]; 0 for one that was not drawn."""
     return [0.0 if image is None else noise_level(image) for image in picture.images]
 
 
@@ -542,16 +514,6 @@ def _split(found: list[Found], memory: BlobsMemory) -> tuple[list[Blob | None], 
     """The blobs and their panels; for a marker not found the panel in which it was seen last, at first 0."""
     panels = memory.panels or (0,) * len(found)
     return [f[1] if f else None for f in found], [f[0] if f else last for f, last in zip(found, panels, strict=True)]
-
-
-def _nearest(blobs: list[Blob], u: float, v: float) -> Blob | None:
-    """The blob whose centroid is nearest to (u, v) [px]."""
-    return min(blobs, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
-
-
-def _edge_px(noise: float, lens: Camera) -> float:
-    """Error of a blob's border [px]: none in a clean image of one sample a pixel, whose colours are exact."""
-    return EDGE_PX if noise > 0 or _smooth(lens) else 0.0
 
 
 def _smooth(lens: Camera) -> bool:

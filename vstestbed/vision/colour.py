@@ -65,10 +65,7 @@ class Blob:
 
 
 def chroma(image: Image) -> Image:
-    """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3).
-
-    Zero for every grey, however bright, and proportional to the share of a pixel that a coloured object covers on grey.
-    """
+    """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3): zero for every grey, and on grey proportional to coverage."""
     r, g, b = cv2.split(image)
     high = cv2.max(cv2.max(r, g), b)
     return np.asarray(cv2.subtract(high, cv2.min(cv2.min(r, g), b)), np.uint8)
@@ -118,11 +115,10 @@ class Region(NamedTuple):
     """A part of an image in which blobs are searched.
 
     Attributes:
-        image: the whole image, shape (H, W, 3). window: the part of it [px].
-        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images of one sample
-            a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
-        noise: standard deviation of the image's noise [grey levels]; if positive, blobs are segmented in the smoothed image, which has
-            three eighths of it, and measured as in `_noisy_coverage`.
+        image: the whole image, shape (H, W, 3). window: the part of it [px]. noise: standard deviation of its noise [grey levels]; if
+            positive, blobs are segmented in the smoothed image, which has three eighths of it, and measured as in `_noisy_coverage`.
+        rim: weights of the pixels at a blob's edge. `sharp`: by the threshold (by coverage where there is noise), for images
+            of one sample a pixel; for images with smooth edges `binary` (in or out at half coverage) or `grey` (by coverage).
     """
 
     image: Image
@@ -139,12 +135,7 @@ class Region(NamedTuple):
 
 
 def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> list[list[Blob]]:
-    """All blobs of at least `least_area` pixels whose chroma exceeds the threshold, in each of the regions.
-
-    Args:
-        regions: where to search. threshold: chroma above which a pixel belongs to a blob, 0..255.
-        least_area: smaller blobs are noise [px^2].
-    """
+    """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in each of the regions."""
     mask, lefts = _masks(regions, threshold)
     boxed = [(contour, cv2.boundingRect(contour)) for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]]
     where = [bisect_right(lefts, box[0]) - 1 for _, box in boxed]
@@ -167,7 +158,7 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
 def _masks(regions: Sequence[Region], threshold: int) -> tuple[Image, list[int]]:
     """The chroma masks of all regions in one image, side by side with a gap of a pixel, and the column at which each begins.
 
-    OpenCV's calls take longer to make than to run on a window of some 40 pixels.
+    One call of OpenCV takes longer to make than to run on a window of some 40 pixels.
     """
     if len(regions) == 1:
         return chroma_mask(regions[0].searched, threshold), [0]

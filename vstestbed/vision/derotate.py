@@ -39,13 +39,9 @@ def level_from_tilt(tilt: Array, R_base_camera: Array) -> Array:
 
 
 def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
-    """Twist (6,) of the level camera in its own frame, from the camera's: same velocity, rotation by the heading's rate alone.
+    """Twist (6,) of the level camera in its own frame, from the camera's (6,): same velocity, rotation by the heading's rate alone.
 
-    The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes.
-
-    Args:
-        twist: of the camera in its own frame (6,) [m/s, rad/s]. tilt: roll and pitch (2,) [rad].
-        R_base_camera: the mount's rotation (3, 3).
+    The heading's rate is w_z + w_x tan(pitch), with w the craft's angular velocity in level axes; tilt: roll and pitch (2,) [rad].
     """
     R = level_from_tilt(tilt, R_base_camera)
     wx, _, wz = (R_base_camera @ R @ twist[3:]).tolist()
@@ -68,13 +64,11 @@ NO_TRIM = Trim(np.zeros(2))
 def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, gain: float) -> Trim:
     """The trim after one more picture: it removes the steady tilt error of a biased accelerometer and averages image noise.
 
-    The goal view is that of a level craft, so it gives the direction of gravity in the target's frame,
-    R_goal_target^T R_camera_base (0, 0, -1), and the measured pose takes it to the camera's frame.
-    trim <- trim + k (tilt by the pose - tilt - trim).
+    The goal view is that of a level craft, so it gives the direction of gravity in the target's frame, R_goal_target^T R_camera_base
+    (0, 0, -1), and the measured pose takes it to the camera's frame.   trim <- trim + k (tilt by the pose - tilt - trim).
 
     Args:
-        trim: before this picture. tilt: roll and pitch by the IMU, shape (2,) [rad].
-        T_camera_target, T_goal_target: poses (4, 4) of the target now and in the goal view. R_base_camera: the mount's rotation (3, 3).
+        tilt: roll and pitch by the IMU, shape (2,) [rad]. R_base_camera: the mount's rotation (3, 3).
         gain: k of later pictures; the first ones are averaged.
     """
     down = R_base_camera.T @ np.array([0.0, 0.0, -1.0])
@@ -85,12 +79,7 @@ def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Arra
 
 
 def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Array:
-    """Unit rays (N, 3) in the level camera's frame from those in the camera's; NaN stays NaN.
-
-    Args:
-        ray: measured unit rays (N, 3). tilt: roll and pitch (2,) [rad] as the craft estimates them. camera: the camera and its mount.
-        how: the method, see above.
-    """
+    """Unit rays (N, 3) in the level camera's frame from those in the camera's, for roll and pitch (2,) [rad]; NaN stays NaN."""
     R = camera.mount.T[:3, :3]
     if how == "none":
         return ray

@@ -10,36 +10,28 @@ from vstestbed.core.geometry import Array, inverse, lengths, transform
 from vstestbed.core.planar import place_of, pose_on_ground, wrapped
 from vstestbed.vision.pnp import AT_THE_LENS
 
-ROUNDS = 12
-"""Most Gauss-Newton steps; three or four suffice from the pose a frame ago."""
-SETTLED = 1e-10
-"""Converged when a step is smaller than this [m, rad]."""
+ROUNDS = 12  # most Gauss-Newton steps; three or four suffice from the pose a frame ago
+SETTLED = 1e-10  # converged when a step is smaller than this [m, rad]
 UNTOLD = 1e-4
 """Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
-LEVEL = 0.03
-"""Least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance."""
-SAME_BASIN = 0.05
-"""A guess no farther than this from a solution leads to it [m, rad]."""
-ALIKE = 1e-9
-"""Errors below this [rad] are rounding."""
+LEVEL = 0.03  # least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance
+SAME_BASIN = 0.05  # a guess no farther than this from a solution leads to it [m, rad]
+ALIKE = 1e-9  # errors below this [rad] are rounding
 _EYE = np.eye(3)
-FITS = 0.1
-"""A solution whose angular errors have a larger root mean square than this [rad] is rejected."""
+FITS = 0.1  # a solution whose angular errors have a larger root mean square than this [rad] is rejected
 
 
 def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Array | None = None) -> Array | None:
     """Planar pose (x, y, heading) of a base on the floor from N >= 1 rays; None where they leave it open.
 
-    Minimises the angles between the rays and the landmarks, with two equations a landmark for three unknowns. With one landmark
-    the heading stays as it was (0 without a previous pose).
+    Minimises the angles between the rays and the landmarks by Gauss-Newton, with two equations a landmark for three unknowns. With one
+    landmark the heading stays as it was (0 without a previous pose).
 
     Args:
-        rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame, z up from the floor, shape (N, 3) [m].
-        T_base_camera: the camera's mount, shape (4, 4); the base's origin is on the floor.
-        previous: the planar pose a frame ago, shape (3,) [m, rad].
+        rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame, z up from the floor (N, 3) [m].
+        T_base_camera: the camera's mount (4, 4); the base's origin is on the floor. previous: the planar pose a frame ago (3,) [m, rad].
 
-    Reference: Gauss-Newton on bearings, as in virtual visual servoing: Marchand, Uchiyama & Spindler 2016,
-    doi:10.1109/TVCG.2015.2513408; with three unknowns instead of six.
+    Reference: virtual visual servoing (there with six unknowns): Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
     """
     d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]
     # The previous pose may be a local minimum: the closed form competes with it, unless it leads to the same one.
@@ -114,9 +106,7 @@ def _errors(d: Array, across: Array, points: Array, origin: Array, place: Array)
 def pose_on_floor(rays: Array, points: Array, T_base_camera: Array, T_world_target: Array, predicted: Array | None) -> Array | None:
     """The pose T_camera_target (4, 4) for a base that stands upright on the floor; None where the rays do not determine it.
 
-    Args:
-        rays, points: as `solve_place`, but points (n, 3) in the target's frame [m]. T_base_camera: the mount (4, 4).
-        T_world_target: the target's pose (4, 4). predicted: T_camera_target (4, 4), or None.
+    As `solve_place`, with points (n, 3) in the target's frame [m], and T_camera_target predicted (4, 4) or None.
     """
     before = None if predicted is None else place_of(T_world_target @ inverse(T_base_camera @ predicted))
     place = solve_place(rays, transform(T_world_target, points), T_base_camera, before)
@@ -124,10 +114,8 @@ def pose_on_floor(rays: Array, points: Array, T_base_camera: Array, T_world_targ
 
 
 # Planar pose of a ground vehicle: odometry, corrected by a compass and by landmarks (complementary filter).
-COMPASS_S = 0.5
-"""Time constant with which the heading by odometry follows the compass [s]."""
-LANDMARKS_S = 0.25
-"""Time constant with which the position by odometry follows the landmarks [s]."""
+COMPASS_S = 0.5  # time constant with which the heading by odometry follows the compass [s]
+LANDMARKS_S = 0.25  # time constant with which the position by odometry follows the landmarks [s]
 
 
 def corrections(dt: float) -> Array:
@@ -146,9 +134,9 @@ def fused_place(
     arm at the filtered heading. Noise is averaged by the filter; biases of compass and landmarks remain.
 
     Args:
-        predicted: by odometry from the last frame, shape (3,) [m, rad]; None where it was not known then.
-        T_map_camera: camera pose by the landmarks, shape (4, 4); None where they are not seen. T_base_camera: the mount, shape (4, 4).
-        compass: measured heading [rad]; None without a compass. gains: k_c and k_l of this frame, shape (2,).
+        predicted: by odometry from the last frame (3,) [m, rad]; None where it was not known then. gains: k_c, k_l of this frame (2,).
+        T_map_camera: camera pose by the landmarks (4, 4); None where they are not seen. T_base_camera: the mount (4, 4).
+        compass: measured heading [rad]; None without a compass.
     """
     known = predicted if T_map_camera is None else place_of(T_map_camera @ inverse(T_base_camera))
     if known is None:

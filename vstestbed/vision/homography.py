@@ -46,10 +46,8 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     """The homography (3, 3) from points a to points b (N, 2), N >= 4, up to its factor; None where they leave it open.
 
     The normalised direct linear transformation: the right singular vector of the smallest singular value of b_i x H a_i = 0. (OpenCV
-    takes the points in single precision, which costs half of the digits.)
-
-    Args:
-        a, b: the points in either view. least: H is open if two of the nine singular values are below this share of the largest.
+    takes the points in single precision, which costs half of the digits.) H is open if two of the nine singular values are below the
+    share `least` of the largest.
 
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Picture
+from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels
@@ -23,8 +23,7 @@ from vstestbed.vision.local_features import KEYPOINTS, Extractor, Features, Matc
 # Points followed from one picture to the next, in place of matching each picture with the goal's.
 
 
-LEVELS = 3
-"""Levels of the pyramid besides the picture itself: a window reaches 2^3 times as far."""
+LEVELS = 3  # levels of the pyramid besides the picture itself: a window reaches 2^3 times as far
 
 
 @spec
@@ -64,11 +63,7 @@ Tracking = Annotated[NoTracking | Klt, TRACKS]
 
 
 def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Array) -> Array:
-    """Where points uv (K, 2) of the picture before are now (K, 2); NaN where they are lost, or were.
-
-    Args:
-        before, now: the pictures' brightness (H, W).
-    """
+    """Where points uv (K, 2) are in the picture now, by the brightness (H, W) before and now; NaN where they are lost, or were."""
     known = np.isfinite(uv).all(axis=1)
     out = np.full(uv.shape, np.nan)
     if not known.any():
@@ -88,8 +83,7 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
 
 
 # Pairs of places that match in two pictures.
-Pairs = tuple[Array, Array]
-"""Places (M, 2) in the goal's picture and in this one [px]."""
+Pairs = tuple[Array, Array]  # places (M, 2) in the goal's picture and in this one [px]
 
 
 def among(uv: Array, others: Array) -> NDArray[np.bool_]:
@@ -103,14 +97,10 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 
 
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
-HALF = 10
-"""Half the side of a patch, without its middle [px of the goal's picture]."""
-ROUNDS, SETTLED_PX = 8, 0.005
-"""Most Gauss-Newton steps, and the step under which none follows [px]."""
-REACH_PX = 3.0
-"""A patch that moves farther than this from its match has found something else [px]."""
-ALIKE = 0.8
-"""Least correlation of a patch with the goal's [1]."""
+HALF = 10  # half the side of a patch, without its middle [px of the goal's picture]
+ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
+REACH_PX = 3.0  # a patch that moves farther than this from its match has found something else [px]
+ALIKE = 0.8  # least correlation of a patch with the goal's [1]
 TEXTURE = 1e-3
 """Least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place."""
 SMOOTH_PX = 0.8
@@ -127,10 +117,7 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
 
     Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
     over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
-    compositional Lucas-Kanade).
-
-    Args:
-        goal, image: the pictures (H, W), `smooth`. A: d uv / d uv_goal (K, 2, 2) of the map between the pictures at each point.
+    compositional Lucas-Kanade). Pictures (H, W) as of `smooth`; A: d uv / d uv_goal (K, 2, 2) of the map between them at each point.
 
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
@@ -159,20 +146,13 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
 
 
 def whole(image: NDArray[Any], uv_goal: Array, uv: Array, A: Array) -> NDArray[np.bool_]:
-    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; the others `refined` does not find.
-
-    Args:
-        uv_goal, uv, A: as of `refined`.
-    """
+    """Which patches (K,) lie wholly in both pictures, of the size (H, W) of `image`; uv_goal, uv and A as of `refined`."""
     corners = HALF * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     return _inside(image, uv_goal[:, None] + corners) & _inside(image, uv[:, None] + np.einsum("kij,pj->kpi", A, corners))
 
 
 def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
-    """Brightness (K, P) at uv (K, P, 2), linear between pixels; outside, that of the border.
-
-    OpenCV's own rounds places to a 32nd of a pixel.
-    """
+    """Brightness (K, P) at uv (K, P, 2), linear between pixels (OpenCV rounds to a 32nd of one); outside, that of the border."""
     height, width = image.shape
     u, v = np.clip(uv[..., 0], 0, width - 1.001), np.clip(uv[..., 1], 0, height - 1.001)
     i, j = u.astype(np.intp), v.astype(np.intp)
@@ -202,22 +182,15 @@ def _textured(normal: Array) -> NDArray[np.bool_]:
 
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one image.
-LEAST_INLIERS = 8
-"""A homography has eight unknowns; one that fewer pairs agree with may be a chance."""
-SEED = 1
-"""Of the random samples, so that a run repeats."""
+LEAST_INLIERS = 8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
+SEED = 1  # of the random samples, so that a run repeats
 CONFIDENCE, MOST_SAMPLES = 0.9999, 5000
-STEP_PX = 0.5
-"""Half the distance over which the map's derivatives are taken [px]."""
+STEP_PX = 0.5  # half the distance over which the map's derivatives are taken [px]
 
 
 @dataclass(frozen=True, slots=True)
 class PlanarMap:
-    """The map of a plane's points from the goal's picture into another, by their rays: r ~ H r*.
-
-    Attributes:
-        H: homography (3, 3) of rays in the cameras' frames, from the goal's to this one's. camera: the lens of both pictures.
-    """
+    """The map of a plane's points from the goal's picture into another, by their rays: r ~ H r*, H (3, 3), through the lens of both."""
 
     H: Array
     camera: Camera
@@ -267,10 +240,7 @@ def _focal_px(camera: Camera) -> float:
 
 
 def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
-    """Indices of at most `most` of the points uv (M, 2), far from each other: the `first` ones, then always the farthest from all chosen.
-
-    In the order in which they were chosen; points at one place are taken once.
-    """
+    """Indices of at most `most` of the points uv (M, 2): the `first` ones, then always the farthest from all chosen, in this order."""
     chosen = list(range(min(first, most)))
     far = np.full(len(uv), np.inf)
     for k in chosen:
@@ -291,8 +261,7 @@ class Slots:
 
     Attributes:
         uv_goal, uv: where each is in the goal's picture and in this one (K, 2) [px]; NaN in an empty row.
-        ids: number of the point in each row (K,), -1 in an empty row; a point that comes to a row gets a new one.
-        next_id: the next point's number.
+        ids: number of the point in each row (K,), -1 in an empty row; a point that comes to a row gets a new one, `next_id`.
     """
 
     uv_goal: Array
@@ -311,9 +280,9 @@ class Slots:
         return self.ids >= 0
 
     def placed(self, uv_goal: Array, uv: Array) -> Slots:
-        """The rows with these M <= K points (M, 2) in place of the present ones: those that are there already, by their place in the
+        """The rows with these M <= K points (M, 2) in place of the present ones.
 
-        goal's picture, keep their row and number; the others come into free rows in their order.
+        Those that are there already, by their place in the goal's picture, keep their row and number; the others come into free rows.
         """
         rows = {tuple(place): k for k, place in enumerate(self.uv_goal.tolist()) if self.ids[k] >= 0}
         made = Slots.empty(len(self.ids))
@@ -438,10 +407,7 @@ class Keypoints(DetectorBase):
         return isinstance(self.track, NoTracking)
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsMemory:
-        """The goal picture's key points.
-        Raises ParameterError: there is no picture of the goal, or it has fewer key points than can ever match, or fewer where they are
-        looked for; or the target has no board.
-        """
+        """The goal picture's key points. Raises ParameterError: it has no picture, or too few key points; or the target has no board."""
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
         if self.within == "board" and target.board_half_m is None:
@@ -486,9 +452,6 @@ class Keypoints(DetectorBase):
                 there &= (np.abs(p[:, :2]) <= half).all(axis=1)
         return there
 
-    def look(self, memory: KeypointsMemory, camera: Camera, target: Target) -> Look | None:
-        """None: the whole picture."""
-
     def detect(
         self,
         memory: KeypointsMemory,
@@ -498,9 +461,7 @@ class Keypoints(DetectorBase):
         target: Target,
         rng: np.random.Generator,
     ) -> tuple[KeypointsMemory, Detection]:
-        """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points.
-        Raises ParameterError: there is no picture, or `begin` was not called.
-        """
+        """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points."""
         image = None if picture is None else picture.completed().image
         if image is None:
             raise ParameterError("picture", "is missing: detector keypoints needs one whole picture")
@@ -530,7 +491,6 @@ class Keypoints(DetectorBase):
         return f"{words}: the others are cut by the border or not alike; subpixel: false does without patches"
 
     def _due(self, slots: Slots, since: int) -> bool:
-        """Whether points that were followed are to be matched with the goal's picture."""
         assert isinstance(self.track, Klt)
         keep = max(self.least, self.best // 2) if self.track.keep is None else self.track.keep
         return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < keep
@@ -553,7 +513,6 @@ class Keypoints(DetectorBase):
         return slots.moved(uv)
 
     def _matches(self, memory: KeypointsMemory, image: Image, target: Target) -> Pairs:
-        """All matches with the goal's picture, the best first."""
         if self._extractor is not None and memory.learned is not None:
             uv, descriptors = extracted(self._extractor, image)
             i, j, _ = mutual_matches(memory.learned[1], descriptors, self.ratio)

@@ -23,14 +23,11 @@ from vstestbed.vision.colour import chroma
 
 ROWS = 9
 """Rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight."""
-LEAST_ROWS = 5
-"""Fewest rows from which a line is fitted."""
-FINEST_M, COARSEST_M = 5e-4, 0.02
-"""Limits of a strip's raster [m]; between them a cell is as large as a pixel."""
+LEAST_ROWS = 5  # fewest rows from which a line is fitted
+FINEST_M, COARSEST_M = 5e-4, 0.02  # limits of a strip's raster [m]; between them a cell is as large as a pixel
 OUTSIDE = np.float32(-9)
 """Coordinate for a cell that the camera does not see [px]: far enough outside for interpolation not to reach the image."""
-BACKDROP = (128, 128, 128)
-"""Grey for cells outside of the image: without hue."""
+BACKDROP = (128, 128, 128)  # grey for cells outside of the image: without hue
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +37,7 @@ class Strip:
     Attributes:
         ahead: x of its middle row, the look-ahead distance [m]. row_m, column_m: size of a cell [m].
         lefts: y of the columns, shape (K,) [m], from left to right.
-        maps: for each of the camera's panels the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
+        maps: for each panel the pixels u and v of the cells, each (ROWS, K), or OUTSIDE where it is not seen.
     """
 
     ahead: float
@@ -95,7 +92,6 @@ class Lines(DetectorBase):
     reach_m: Annotated[PositiveLength, Narrower(le=10)] = 0.7
     width_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.4
     needs_image: ClassVar[bool] = True
-    needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("stripe",)
 
     def init(self) -> LinesMemory:
@@ -112,9 +108,7 @@ class Lines(DetectorBase):
     def detect(
         self, memory: LinesMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[LinesMemory, Detection]:
-        """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen.
-        Raises ParameterError: there is no picture, or the target is not of kind lines.
-        """
+        """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
         # a scenario refuses other targets; called directly, without lines there is nothing to look for
@@ -145,9 +139,7 @@ class Lines(DetectorBase):
     def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
         """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.
 
-        Args:
-            strip: the strip. colour: its chroma (ROWS, K). mask: 1 in the line's cells (ROWS, K).
-            width_m: width of the stripe [m]. last: y in the last picture [m], NaN where it was not seen.
+        colour: chroma (ROWS, K); mask: 1 in the line's cells (ROWS, K); width_m: of the stripe; last: y in the last picture [m], or NaN.
         """
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         if count < 2:
@@ -177,9 +169,7 @@ def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
 
 
 def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
-    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side, with its pixels in each panel.
-    Raises ParameterError: the camera does not see the floor there.
-    """
+    """The strip of floor at a look-ahead distance [m], `reach` [m] to each side; ParameterError where the camera does not see the floor."""
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
     mount, step = camera.mount.T, 0.002
     here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))

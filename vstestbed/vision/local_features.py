@@ -19,8 +19,7 @@ from vstestbed.core.spec import OneOf, spec
 Descriptors = NDArray[Any]
 """(M, D): floats, compared by their Euclidean distance, or uint8, whose bits are compared (Hamming distance)."""
 Most = Annotated[int, Ge(10), Le(10_000)]
-ORB_SCALE = 1.2
-"""Ratio of one level of ORB's pyramid to the next."""
+ORB_SCALE = 1.2  # ratio of one level of ORB's pyramid to the next
 
 
 class Extractor(Protocol):
@@ -218,9 +217,8 @@ def mutual_matches(a: NDArray[Any], b: NDArray[Any], ratio: float | None = None)
 
     Args:
         a, b: descriptors (M, D) and (N, D), floats (Euclidean distance) or uint8 (number of differing bits).
-        ratio: a pair counts only if it is nearer than this share of the distance to the second nearest in b; None: all count.
-
-    Reference: ratio of distances: Lowe 2004, section 7.1, doi:10.1023/B:VISI.0000029664.99615.94.
+        ratio: a pair counts only if it is nearer than this share of the distance to the second nearest in b (Lowe 2004, section 7.1,
+            doi:10.1023/B:VISI.0000029664.99615.94); None: all count.
     """
     if len(a) == 0 or len(b) == 0:
         nothing = np.empty(0, dtype=np.intp)

@@ -27,10 +27,8 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
 
 
-FLOW_NOISE = 3e-4
-"""Standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px."""
-RANGE = 50.0
-"""The estimate is limited to the initial depth divided and multiplied by this."""
+FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
+RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
 BESIDE = 0.2
 """A unit ray with a z below this starts with the initial depth as its range: there depth is a small share of the range."""
 CLEAR = 30.0
@@ -45,9 +43,9 @@ class FlowMemory:
     """State of the estimator, of N markers.
 
     Attributes:
-        inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen.
+        inverse_range: estimates theta, shape (N,) [1/m], NaN until the marker is first seen. t: time of the last frame [s].
         information: sum of phi.phi with forgetting, shape (N,) [(m/s)^2]. ray: unit rays at the last frame, shape (N, 3).
-        t: time of the last frame [s]. ids: number of the point in each row, shape (N,), where they are not always the same markers.
+        ids: number of the point in each row, shape (N,), where they are not always the same markers.
     """
 
     inverse_range: Array
@@ -71,7 +69,7 @@ def init_flow(n: int) -> FlowMemory:
 
 
 def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, twist: Array) -> FlowMemory:
-    """One frame of recursive least squares on theta = 1/R of each marker, under the twist in force since the last frame.
+    """One frame of recursive least squares on theta = 1/R of each marker, under the camera's twist (6,) in force since the last frame.
 
     The flow of a unit ray r to a point at the range R:   r_dot = -(v - r (r.v)) / R - w x r
     at mid-interval:   y = r_dot + w x r = phi theta + noise,   phi = r (r.v) - v
@@ -79,11 +77,8 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
                  c = phi.phi / (phi.phi + CLEAR least), so that I settles no lower than CLEAR least forget / dt
     prediction:  theta_dot = theta^2 r.v,   since R_dot = -r.v (half before, half after)
     A marker starts at the initial depth. I starts at and never falls below least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which
-    is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting.
-
-    Args:
-        memory: the state at the last frame. t: time of this frame [s].
-        ray: unit rays in the camera's frame, shape (N, 3), NaN where not seen. twist: camera twist in its own frame, shape (6,).
+    is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting. Rays (N, 3) are those of
+    the time t [s], NaN where not seen.
 
     Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
     Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
@@ -125,12 +120,9 @@ def _advance(theta: Array, nearing: Array, dt: float) -> Array:
 def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: Array) -> Goal:
     """The goal view recorded by the true camera and interpreted with the believed calibration (teach by showing).
 
-    The pixels are those of the true camera; the pose, and with it every depth, is solved from them and the target's dimensions
-    with the believed calibration. Where the pixels leave the pose open, the true one is kept. (Of a ball the depths follow from its size.)
-
-    Args:
-        true: the camera that took the picture. believed: its calibration as known to the robot.
-        T_camera_target: true pose where the picture was taken, shape (4, 4).
+    The pixels are those of the true camera at T_camera_target (4, 4); the pose, and with it every depth, is solved from them and the
+    target's dimensions with the believed calibration. Where the pixels leave it open, the true pose is kept. (Of a ball the depths follow
+    from its size.)
     """
     points = target.points
     uv = true.project(target.points_at(T_camera_target))
@@ -146,10 +138,8 @@ def shown_goal(true: Camera, believed: Camera, target: Target, T_camera_target: 
 def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     """The pose (4, 4) that fits markers whose depths along their rays are multiplied by `scale` (N,).
 
-    Rigid registration of the points P_i to scale_i T P_i: R from the singular vectors of the covariance,
-    t = mean(scale_i T P_i) - R mean(P_i). A common factor leaves the rotation and scales the centroid's position.
-
-    Reference: Umeyama 1991, eqs 40-42 without scale, doi:10.1109/34.88573.
+    Rigid registration of the points P_i to scale_i T P_i: R from the singular vectors of the covariance, t = mean(scale_i T P_i)
+    - R mean(P_i) (Umeyama 1991, eqs 40-42 without scale, doi:10.1109/34.88573). A common factor leaves the rotation.
     """
     q = scale[:, None] * transform(T, points)
     at, to = points.mean(axis=0), q.mean(axis=0)
@@ -161,26 +151,15 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     return out
 
 
-def scaled(
-    depth: Array, reach: Array | None, pose: Array | None, points: Array, scale: Array | None
-) -> tuple[Array, Array | None, Array | None]:
-    """Depths and ranges (N,) [m] of points (N, 3) in the target's frame and its pose (4, 4), with depths wrong by `scale` (N,)."""
-    if scale is None:
-        return depth, reach, pose
-    wrong = None if pose is None else pose_by_depth(pose, points, scale)
-    return depth * scale, None if reach is None else reach * scale, wrong
-
-
 @dataclass(frozen=True, slots=True)
 class ObserverMemory:
     """What an observer keeps from one frame to the next.
 
     Attributes:
-        t: exposure of the last frame [s]. T_camera_target: pose then, shape (4, 4); None where it has never been known.
-        flow: state of the depth estimator; None without one.
+        t: exposure of the last frame [s]. T_camera_target: pose then (4, 4); None where it has never been known.
+        flow: state of the depth estimator; None without one. trim: correction of a craft's measured tilt.
         place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not known.
         odometry: a vehicle's planar pose by odometry alone, from where it started; None for other robots.
-        trim: correction of a craft's measured tilt.
     """
 
     t: float = np.nan
@@ -207,17 +186,15 @@ class Observer:
     """Turns detections into observations.
 
     Attributes:
-        camera: the calibrated camera. target: the marker layout. goal: the goal view. depth: source of the depths.
-        pixel_sigma_px: standard deviation of the noise added to every measured coordinate, whatever the detector [px].
+        camera: as calibrated. pixel_sigma_px: standard deviation of the noise added to every measured coordinate [px].
         dropout: probability that a marker is not reported, for each marker and picture.
         required_fields: fields of the observation that the law reads; `ray`, `relative` and a pose that the detector has not solved are
             computed only where they are required.
         grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
         derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
-        depth_scale: factor on each marker's reported depth, (N,), a calibration error, or None. The memory stays unscaled.
-        perturbed: perturbs the measured coordinates further; None for nothing.
-        rows: number of points that the detector reports; None: the target's markers.
+        depth_scale: factor on each marker's reported depth (N,), a calibration error. The memory stays unscaled.
+        perturbed: perturbs the measured coordinates further. rows: number of points that the detector reports, where not the markers.
         points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
 
@@ -267,12 +244,10 @@ class Observer:
         markers the last one is propagated by the camera's own motion, T <- exp(-twist dt) T, which holds for a target at rest.
 
         Args:
-            memory: the last frame. t: time of exposure [s]. detection: pixels (N, 2), and what else the detector found.
-            twist: camera twist (6,) since the last frame, in the camera frame, as the robot measures it [m/s, rad/s].
+            t: time of exposure [s]. twist: of the camera (6,) since the last frame, in its frame, as the robot measures it [m/s, rad/s].
             rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading [rad]; None without a compass.
             tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
-            own: the camera's own motion, passed on to a law that requires it.
-            depth_image: the depth camera's picture (H, W) [m], NaN in its holes; None without one.
+            own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W) [m], NaN in its holes; None without one.
 
         Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
@@ -285,7 +260,9 @@ class Observer:
         tilt = tilt if self.derotation != "none" else None
         ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
-        flow = self._flow(memory.flow, detection.ids, t, ray, twist)
+        flow, estimator = memory.flow, self.depth.estimator
+        if estimator is not None and flow is not None and ray is not None:
+            flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
         view, trim = self._view(ray, T, flow, cues, own), memory.trim
         if tilt is not None:
@@ -299,7 +276,8 @@ class Observer:
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
         sized = self.target.by_size(ray) if ray is not None and self.depth.needs_size else None
         cues = cues._replace(p_estimated=p, p_by_size=sized, by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range))
-        return _View(ray, cues.xy, self.depth.depths(cues), self.depth.ranges(cues) if self._needs_ranges else None, T, own)
+        needs_ranges = "ray" in self.required_fields or self.derotation != "none"
+        return _View(ray, cues.xy, self.depth.depths(cues), self.depth.ranges(cues) if needs_ranges else None, T, own)
 
     def _reported(self, detection: Detection, t: float, rng: np.random.Generator) -> tuple[Array, Array | None]:
         """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
@@ -318,12 +296,7 @@ class Observer:
         return self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
 
     @cached_property
-    def _needs_ranges(self) -> bool:
-        return "ray" in self.required_fields or self.derotation != "none"
-
-    @cached_property
     def _always_rays(self) -> bool:
-        """Whether rays are computed even where no pose is solved."""
         return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
 
     @cached_property
@@ -346,11 +319,7 @@ class Observer:
         return self._needs_pose and (T is None or self.pixel_sigma_px > 0)
 
     def _pose(self, ray: Array | None, t: float, memory: ObserverMemory, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
-        """The pose (4, 4) in this frame, and whether it was measured rather than propagated.
-
-        Args:
-            ray: unit rays of the markers (N, 3). T: the detector's pose. The others as `observe`.
-        """
+        """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it was measured rather than propagated."""
         if ray is None or not self._solves(T):
             return T, T is not None
         last = memory.T_camera_target
@@ -371,11 +340,6 @@ class Observer:
             # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
             found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
-
-    def _flow(self, flow: FlowMemory | None, ids: NDArray[np.intp] | None, t: float, ray: Array | None, twist: Array) -> FlowMemory | None:
-        """The depth estimator's next state; None without one."""
-        estimator = self.depth.estimator
-        return flow if estimator is None or flow is None or ray is None else update_flow(estimator, flow.of(ids), t, ray, twist)
 
     def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
         """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""
@@ -420,7 +384,10 @@ class Observer:
         """What the law is given: the required fields alone, distances with the calibration's error."""
         required = self.required_fields
         pose = view.T_camera_target if solved or self._predictable else None
-        depth, reach, pose = scaled(view.depth, view.range, pose, self._points, self.depth_scale)
+        depth, reach, scale = view.depth, view.range, self.depth_scale
+        if scale is not None:
+            depth, reach = depth * scale, None if reach is None else reach * scale
+            pose = None if pose is None else pose_by_depth(pose, self._points, scale)
         rays = (view.ray, reach) if "ray" in required else (None, None)
         relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
         motion = view.motion if "motion" in required else None

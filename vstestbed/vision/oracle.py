@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera, Look, Picture
+from vstestbed.camera import Camera, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import all_finite
 from vstestbed.core.spec import spec
@@ -34,18 +34,11 @@ class Oracle(DetectorBase):
     field_of_view: Literal["limited", "unlimited"] = "limited"
     needs_image: ClassVar[bool] = False
     needs_truth: ClassVar[bool] = True
-    markers: ClassVar[tuple[str, ...]] = ()
-
-    def init(self) -> None:
-        """The oracle has no state."""
-
-    def look(self, memory: None, camera: Camera, target: Target) -> Look | None:
-        """None: it reads no picture."""
 
     def detect(
         self, memory: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
-        """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others. Raises ParameterError: no truth was given."""
+        """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others."""
         if view is None:
             raise ParameterError("view", "is missing: the oracle needs the true view of the target; use detector blobs where there is none")
         p = view.p_camera

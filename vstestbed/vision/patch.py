@@ -23,24 +23,21 @@ from vstestbed.targets.base import Target
 from vstestbed.targets.picture import decoded
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, windows_round
 from vstestbed.vision.local_features import Descriptors, Sift, mutual_matches
+from vstestbed.vision.pnp import looking_along
 
 # A picture on a plane as a template to track: its grey levels in several sizes, each with all that its alignment needs of it.
 
 
 GreyImage = NDArray[np.float32]
 
-LEAST_SIDE = 20
-"""Shortest side of the smallest copy of a template [texel]."""
-BLOCKS = 6
-"""Blocks along a template's longer side, each of which is compared with the picture by itself."""
+LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
+BLOCKS = 6  # blocks along a template's longer side, each of which is compared with the picture by itself
 FLAT = 6.0
 """Standard deviation of a block's grey levels below which its correlation would be one of noise alone."""
 BLUR = 0.8
 """Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
-NOISE = 4.0
-"""Grey levels by which a flat texel may differ from the picture, ..."""
-SHIFT = 0.3
-"""... and texels by which an edge may seem to be shifted in it."""
+NOISE = 4.0  # grey levels by which a flat texel may differ from the picture, ...
+SHIFT = 0.3  # ... and texels by which an edge may seem to be shifted in it
 EDGE = 2
 """Outermost texels that are left out: what the picture shows there mixes with what is behind the template."""
 
@@ -50,11 +47,11 @@ class TemplateSize:
     """A template in one size, (h, w) texels; n = h w.
 
     Attributes:
-        grey: grey levels (h, w). x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
-        to_plane: (3, 3), from (column, row, 1) to (x, y, 1). slopes: derivatives of the grey levels by x and y, (2, n).
-        texel: width and height of a texel, in the same units. inner: which texels count, (n,); those at the border do not.
-        spread: what a residual is measured by at each texel (n,), in grey levels: at edges two samplings differ more.
-        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,). blocks: how many there are along x and y.
+        grey: grey levels (h, w). slopes: derivatives of the grey levels by x and y, (2, n).
+        x, y: texel centres in units of half the template's longer side, from its middle, right and down, (n,).
+        to_plane: (3, 3), from (column, row, 1) to (x, y, 1). texel: width and height of a texel, in the same units.
+        inner: which texels count, (n,); those at the border do not. spread: by which a residual is measured, (n,) [grey levels].
+        block: number of each texel's block, (n,). textured: which blocks are not flat, (B,). blocks: how many along x and y.
     """
 
     grey: GreyImage
@@ -79,7 +76,7 @@ class Template:
     """A picture file as a template: from its largest copy to its smallest, each about half as large as the one before.
 
     Attributes:
-        levels: the copies. unit_m: half the longer side of the picture [m]. half: half its sides in that unit.
+        unit_m: half the longer side of the picture [m]. half: half its sides in that unit.
         features: its keypoints' places in that unit (K, 2) and their SIFT descriptors (K, 128).
     """
 
@@ -96,9 +93,7 @@ class Template:
 
 
 def template_of(path: Path, width_m: float, most_texels: int) -> Template:
-    """The template of a picture file that is printed `width_m` wide; its largest copy has `most_texels` or a few less.
-    Raises ParameterError: `file` is no picture, or too large.
-    """
+    """The template of a picture file that is printed `width_m` wide; its largest copy has `most_texels` or a few less."""
     return _template(path, path.stat().st_mtime_ns, width_m, most_texels)
 
 
@@ -163,10 +158,8 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
 
 
 # Grey pictures in several sizes, sampled where a plane is projected by any lens.
-OUTSIDE = -1e4
-"""A pixel far outside of every picture."""
-GRID = np.linspace(-1, 1, 9)
-"""Places along a template's sides at which its size in the picture is measured."""
+OUTSIDE = -1e4  # a pixel far outside of every picture
+GRID = np.linspace(-1, 1, 9)  # places along a template's sides at which its size in the picture is measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,11 +173,7 @@ class _Part:
 
 
 class GreyPicture:
-    """A picture's grey levels, in the camera's panels, or in one rectangle of its image alone.
-
-    Args:
-        picture: the exposure. camera: its calibrated lens. window: the rectangle that counts; None for everything.
-    """
+    """An exposure's grey levels, in the camera's panels, or in one window of its image alone."""
 
     def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
         self.camera = camera
@@ -208,7 +197,6 @@ class GreyPicture:
         return out
 
     def _sampled(self, part: _Part, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
-        """The same from one panel's image."""
         panel, image = self.camera.panels[part.panel], self._size(part, halvings)
         turned, lens = panel.R_camera_panel.T @ rays, panel.lens
         h, w = shape
@@ -263,30 +251,21 @@ TUKEY = 4.685
 """Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
 LEAST_SIGMA = 0.5
 """Least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`."""
-LIGHT = 64.0
-"""Grey levels that count as one in the normal equations, so that their columns are of similar size."""
+LIGHT = 64.0  # grey levels that count as one in the normal equations, so that their columns are of similar size
 RIDGE = 1e-6
 """Added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is."""
-MOST_ROUNDS = (12, 8, 8)
-"""Most iterations on the smallest copy, the next one and the largest."""
-STILL_PX = 0.03
-"""The iterations end when no corner moves by more than this in the picture [px]."""
-EARLIER = 8.0
-"""In the smaller copies they end so many times earlier."""
-PART = 2000
-"""Texels in one product of matrices."""
-LEAST_TEXELS = 100
-"""Fewest texels within the picture from which an alignment is attempted."""
-INSIDE = 0.5
-"""Share of a block that must be in the picture for it to count."""
+MOST_ROUNDS = (12, 8, 8)  # most iterations on the smallest copy, the next one and the largest
+STILL_PX = 0.03  # the iterations end when no corner moves by more than this in the picture [px]
+EARLIER = 8.0  # in the smaller copies they end so many times earlier
+PART = 2000  # texels in one product of matrices
+LEAST_TEXELS = 100  # fewest texels within the picture from which an alignment is attempted
+INSIDE = 0.5  # share of a block that must be in the picture for it to count
 ENOUGH = 0.15
 """Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
 FAINT = 1.0
 """Least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise."""
-PARTLY = 0.8
-"""Share of the alike blocks' median correlation below which a block is taken to be hidden in part."""
-COARSEST = 4.0
-"""The smallest copy is that whose texels are up to so many times those of the largest."""
+PARTLY = 0.8  # share of the alike blocks' median correlation below which a block is taken to be hidden in part
+COARSEST = 4.0  # the smallest copy is that whose texels are up to so many times those of the largest
 SHARP = 0.7
 """Pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds."""
 
@@ -394,10 +373,7 @@ def _aligned(
 
 
 def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: Array | None) -> tuple[Array, Array]:
-    """The warp exp(A(z)) (3, 3) of the template's plane by which its homography changes in one iteration, and the light (6,) after it.
-
-    light: gain and offset, each (1, x, y); None at first.
-    """
+    """The warp exp(A(z)) (3, 3) of the template's plane in one iteration, and the light (6,) after it: gain and offset, each (1, x, y)."""
     template, x, y = level.grey.ravel(), level.x, level.y
     known = np.where(seen, grey, 0)
     a = _first_light(grey[seen], template[seen]) if light is None else light
@@ -466,32 +442,25 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
 RATIO = 0.8
 """A match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)."""
-WITHIN_PX = 3.0
-"""Largest distance of a keypoint from its place by the homography [px]."""
-LEAST_MATCHES = 10
-"""Fewest matches that must agree."""
+WITHIN_PX = 3.0  # largest distance of a keypoint from its place by the homography [px]
+LEAST_MATCHES = 10  # fewest matches that must agree
 TRIALS = 2000
-AHEAD = 0.1
-"""Least cosine of the angle between a ray and the middle of all."""
-STEP = 1e-3
-"""Tangent by which the picture's scale in its middle is measured."""
+AHEAD = 0.1  # least cosine of the angle between a ray and the middle of all
+STEP = 1e-3  # tangent by which the picture's scale in its middle is measured
 
 
 def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
-    """The homography (3, 3) from a template's plane to the directions of its image, as `esm.align` takes it; None where it is not found.
+    """The homography (3, 3) from a template's plane to the directions of its image, as `align` takes it; None where it is not found.
 
     SIFT keypoints of all panels are matched with the template's. Their directions are turned to a virtual pinhole camera which looks at
     their middle, so that any lens will do.
-
-    Args:
-        template: the plane's. picture: the whole exposure. camera: its calibrated lens.
     """
     places, _ = template.features
     pairs = [_matched(image, panel, template) for image, panel in zip(picture.images, camera.panels, strict=True) if image is not None]
     rays, index = np.concatenate([p[0] for p in pairs]), np.concatenate([p[1] for p in pairs])
     if len(rays) < LEAST_MATCHES:
         return None
-    R = _looking(np.median(rays, axis=0))
+    R = looking_along(np.median(rays, axis=0))
     turned = rays @ R
     ahead = turned[:, 2] > AHEAD
     xy = turned[ahead, :2] / turned[ahead, 2:]
@@ -518,14 +487,6 @@ def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDA
     return rays[known], number[known]
 
 
-def _looking(ray: Array) -> Array:
-    """R_camera_virtual (3, 3) of a camera that looks along a ray."""
-    z = ray / np.linalg.norm(ray)
-    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
-
-
 def _focal_px(camera: Camera) -> float:
     """Pixels per unit of tangent in the middle of the camera's (first) image."""
     lens = camera.panels[0].lens
@@ -533,17 +494,12 @@ def _focal_px(camera: Camera) -> float:
     return float(np.linalg.norm(middle[1] - middle[0])) / STEP
 
 
-ALONG = np.linspace(-1, 1, 5)
-"""Places along a template's sides whose images make its bounding box."""
+ALONG = np.linspace(-1, 1, 5)  # places along a template's sides whose images make its bounding box
 
 
 @dataclass(frozen=True, slots=True)
 class PatchMemory:
-    """The plane's homography (3, 3) when it was last seen, and in the picture before that one; None where it was not.
-
-    Attributes:
-        tracked: the last picture showed it. searched_s: time of the last search by keypoints [s].
-    """
+    """The plane's homography (3, 3) when last seen and in the picture before; whether the last one showed it; when it was searched [s]."""
 
     G: Array | None = None
     before: Array | None = None
@@ -601,9 +557,7 @@ class PatchDetector(DetectorBase):
     def detect(
         self, memory: PatchMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[PatchMemory, Detection]:
-        """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found.
-        Raises ParameterError: there is no picture, or the target has none to track.
-        """
+        """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector patch needs one; use detector oracle where there is none")
         template = self._template(target)
@@ -647,7 +601,6 @@ class PatchDetector(DetectorBase):
         return None
 
     def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
-        """The template found by keypoints and aligned."""
         whole = picture.completed()
         G = found(template, whole, camera)
         return None if G is None else self._good(align(template, GreyPicture(whole, camera), G, self.least_correlation))

@@ -200,11 +200,7 @@ PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Shadow, Outliers, co
 
 
 class Perturbed:
-    """The perturbations of one run, with what was drawn for it.
-
-    Args:
-        kinds: in the order in which they act. rng: of the scenario's stream for them.
-    """
+    """The perturbations of one run, in the order in which they act, with what was drawn for it from the scenario's stream."""
 
     def __init__(self, kinds: Sequence[PerturbationBase], rng: np.random.Generator):
         n = len(kinds)

@@ -17,19 +17,11 @@ from vstestbed.vision.homography import homography
 # The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no degenerate frontal view.
 
 
-PLANE_ROUNDING = 1e-12
-"""Elements and singular values below this share of the largest are rounding."""
-
-
-class _Plane(NamedTuple):
-    """Coplanar points as the plane has them: coordinates (N, 2) about their middle [m], and R_target_plane (3, 3)."""
-
-    flat: Array
-    R: Array
+PLANE_ROUNDING = 1e-12  # elements and singular values below this share of the largest are rounding
 
 
 def planar_poses(xy: Array, points: Array) -> list[Array]:
-    """Both poses T_camera_target (4, 4) of N >= 4 coplanar points, by closed form; none where the points determine no homography.
+    """Both poses T_camera_target (4, 4) of N >= 4 coplanar points (N, 3) [m]; none where they determine no homography.
 
     H ~ [J | v] maps the plane to the image near the points' middle: v is the image of the middle, J (2, 2) the derivative there. With
     R_v the shortest rotation from the optical axis to v's ray, and B = [1 | -v] R_v its derivative in the image (first two columns),
@@ -37,17 +29,14 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     B^-1 J = s1 u1 v1^T + s2 u2 v2^T   (singular values),   1/s1 = depth along the ray,
     R = R_v [[B^-1 J / s1], [+-sqrt(1 - (s2/s1)^2) v2^T]]   (first two columns; the third is their cross product).
 
-    The two signs are the mirror poses, which become one where the plane is orthogonal to the ray. OpenCV's IPPE takes the square root
-    of 1 minus a squared column instead, which rounding makes negative in such a view (NaN for both poses at one roll in seven), and
-    loses poses near a half turn besides. The translation is the least-squares one for the rotation.
-
-    Args:
-        xy: normalised image coordinates, shape (N, 2). points: coplanar, in the target frame, shape (N, 3) [m].
+    The two signs are the mirror poses, which become one where the plane is orthogonal to the ray. (OpenCV's IPPE takes the root
+    of 1 minus a squared column, which rounding makes negative in such a view: NaN at one roll in seven. It also loses poses near a half
+    turn.) The translation is the least-squares one for the rotation.
 
     Reference: Collins & Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
     """
-    plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
-    H = homography(plane.flat, xy, PLANE_ROUNDING)
+    flat, R_target_plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
+    H = homography(flat, xy, PLANE_ROUNDING)
     if H is None or abs(H[2, 2]) <= PLANE_ROUNDING * np.abs(H).max():
         return []
     H = H / H[2, 2]
@@ -60,7 +49,7 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     tilt = np.sqrt((1 - s2 / s1) * (1 + s2 / s1)) * Vt[1]
     columns = np.empty((2, 3, 2))
     columns[:, :2], columns[0, 2], columns[1, 2] = A / s1, tilt, -tilt
-    R = np.array([_rotation_of(R_v @ both) for both in columns]) @ plane.R.T
+    R = np.array([_rotation_of(R_v @ both) for both in columns]) @ R_target_plane.T
     T = np.zeros((2, 4, 4))
     T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, _translations(R, points, xy), 1.0
     return list(T)
@@ -89,37 +78,28 @@ def _rotation_to(v: Array) -> Array:
 
 
 @lru_cache(maxsize=4096)
-def _plane(points: bytes) -> _Plane:
-    """The plane of points (N, 3), given as bytes, which can be hashed: the same few subsets of markers recur at every frame."""
+def _plane(points: bytes) -> tuple[Array, Array]:
+    """Coplanar points (N, 3), as bytes for the cache, in their plane (N, 2) about their middle [m], and R_target_plane (3, 3)."""
     p = np.frombuffer(points).reshape(-1, 3)
     p = p - p.mean(axis=0)
     axes = np.linalg.svd(p)[2]
     axes[2] *= np.linalg.det(axes)  # right-handed
-    return _Plane(p @ axes[:2].T, axes.T)
+    return p @ axes[:2].T, axes.T
 
 
 # Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone.
-ROUNDS = 20
-"""Most Gauss-Newton steps; five suffice from the pose a frame ago."""
-SETTLED = 1e-11
-"""Converged when a step is smaller than this [m, rad]."""
+ROUNDS = 20  # most Gauss-Newton steps; five suffice from the pose a frame ago
+SETTLED = 1e-11  # converged when a step is smaller than this [m, rad]
 AT_THE_LENS = 1e-9
 """Least distance of a marker from the camera [m]: a guess may put one at the camera's centre, where it has no direction."""
-RAYS_FIT = 0.05
-"""A pose whose angular errors have a larger root mean square than this [rad] is no solution."""
+RAYS_FIT = 0.05  # a pose whose angular errors have a larger root mean square than this [rad] is no solution
 
 
 def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
-    """Pose T_camera_target (4, 4) that minimises the angles between rays d and points p; None where none fits.
+    """Pose T_camera_target (4, 4) that minimises the angles between unit rays d (N, 3) and points p (N, 3) [m]; None where none fits.
 
     Iterated from the previous pose; without one (N >= 4), from each of the 24 rotations R of a cube, with the translation that
-    solves sum (I - d d^T) (R p + t) = 0.
-
-    Args:
-        rays: unit rays in the camera frame, shape (N, 3), N >= 3 with a previous pose, else N >= 4.
-        points: the markers in the target frame, shape (N, 3) [m]. previous: the pose a frame ago, shape (4, 4).
-
-    Reference: minimising the object-space error over rotations, Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199.
+    solves sum (I - d d^T) (R p + t) = 0 (Lu, Hager & Mjolsness 2000, doi:10.1109/34.862199).
     """
     if previous is not None:
         T, error = _refined(rays, points, previous)
@@ -134,7 +114,6 @@ def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = No
 
 @cache
 def _turns() -> list[Array]:
-    """The 24 rotations of a cube."""
     axes = np.eye(3)
     turns = []
     for i in range(3):
@@ -190,13 +169,10 @@ CLEARLY_WORSE = 6.0
 """A mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose."""
 SAME_SCENE = 0.5
 """Three markers have up to four poses; one farther than this from the last (radians plus share of the distance) is rejected."""
-WIDE = 0.2
-"""Least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z."""
+WIDE = 0.2  # least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z
 
-FITS = 0.5
-"""A pose whose reprojection error exceeds this share of the image points' spread is no solution."""
-ROUNDING = 1e-12
-"""Reprojection errors (normalised) that differ by this are equal."""
+FITS = 0.5  # a pose whose reprojection error exceeds this share of the image points' spread is no solution
+ROUNDING = 1e-12  # reprojection errors (normalised) that differ by this are equal
 _SETTLED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-14)
 """The refinement ends after as many steps or with one this small. OpenCV's default, single precision, would stop on the way from a
 tilted previous pose to a far frontal view, where each step only halves the tilt."""
@@ -207,7 +183,7 @@ _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
 
 
 class _Candidate(NamedTuple):
-    """A pose that a solver found: reprojection error [rms of one coordinate], pose (4, 4)."""
+    """A pose (4, 4) that a solver found, and its reprojection error [rms of one coordinate]."""
 
     error: float
     T: Array
@@ -224,13 +200,11 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
       local minimum in one view of fourteen. Of the poses of three of the points, the one that all fit best;
     - P3P for three points: the pose nearest to `previous`, None without one.
     A pose with a point behind the camera is no solution, nor is one that leaves half of the image's spread unexplained.
-    Collinear points have none.
-
-    The refinement is kept where it fits better.
+    Collinear points have none. The refinement is kept where it fits better.
 
     Args:
-        xy: normalised, undistorted coordinates, shape (N, 2). points: the same markers in the target frame, shape (N, 3) [m].
-        previous: the pose a frame ago, shape (4, 4).
+        xy: normalised, undistorted coordinates (N, 2). points: the same markers in the target frame (N, 3) [m].
+        previous: the pose a frame ago (4, 4).
 
     References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis 2020,
     doi:10.1007/978-3-030-58452-8_28 (SQPnP); Ke & Roumeliotis 2017, doi:10.1109/CVPR.2017.491 (AP3P); refinement as
@@ -308,7 +282,7 @@ def _virtual(rays: Array) -> Array | None:
     if np.linalg.norm(mean) < WIDE:
         return None
     T = np.eye(4)
-    T[:3, :3] = _looking_along(mean)
+    T[:3, :3] = looking_along(mean)
     return T if (rays @ T[:3, 2]).min() > WIDE else None
 
 
@@ -323,7 +297,6 @@ def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
 
 
 def _from_space(xy: Array, points: Array) -> list[Array]:
-    """The poses that SQPnP finds."""
     found, rotations, translations, _ = cv2.solvePnPGeneric(points, xy, _K, None, flags=cv2.SOLVEPNP_SQPNP)
     return [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)] if found else []
 
@@ -370,7 +343,7 @@ def _three(xy: Array, points: Array) -> list[Array]:
     """The poses (4, 4), at most four, of three points, all in front of the camera."""
     _, rotations, translations = cv2.solveP3P(points, xy, _K, None, flags=cv2.SOLVEPNP_AP3P)
     poses = [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)]
-    return [T for T in poses if np.isfinite(T).all() and _in_front(T, points)]
+    return [T for T in poses if np.isfinite(T).all() and (points @ T[2, :3] > -T[2, 3]).all()]
 
 
 def _continue(poses: list[Array], previous: Array, points: Array) -> Array | None:
@@ -395,11 +368,7 @@ def _matrix(rotation_vector: MatLike, translation: MatLike) -> Array:
     return T
 
 
-def _in_front(T: Array, points: Array) -> bool:
-    return bool((points @ T[2, :3] > -T[2, 3]).all())
-
-
-def _looking_along(direction: Array) -> Array:
+def looking_along(direction: Array) -> Array:
     """Rotation R_camera_virtual (3, 3) whose third column is the direction."""
     z = direction / np.linalg.norm(direction)
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)

@@ -30,21 +30,17 @@ from vstestbed.vision.colour import Region, chroma_mask, noise_level
 FULL, NONE = 0.85, 0.15
 """Coverage of pixels inside and outside, two pixels from the border; where they are not, at corners and in slots, no border is
 measured."""
-REACH = 2
-"""Pixels to each side of the border that are added up."""
+REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
 NEAR = (7, 7)
 """A pixel's neighbours whose mean gives the colours that meet at a border: of those wholly covered, and of those not covered at all."""
 
 
 def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """How much of each pixel a region covers, shape (H, W), 0 to 1 but for noise.
+    """How much of each pixel a region covers, (H, W), 0 to 1 but for noise, in the RGB of its box and a few pixels round it (H, W, 3).
 
     A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c - B) . (F - B) / |F - B|^2. F and B are
-    the mean colours of the pixels near it that are wholly inside and wholly outside, which follow shading and background.
-
-    Args:
-        part: RGB (H, W, 3), the region's box and a few pixels round it. alone: 255 in the region's pixels, shape (H, W).
+    the mean colours of the pixels near it that are wholly inside (`alone` 255) and wholly outside, which follow shading and background.
 
     Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
     """
@@ -82,10 +78,7 @@ def edge_points(cover: NDArray[np.floating]) -> Array:
 def bare_share(uv: Array, alone: NDArray[np.uint8], reach_px: float) -> float:
     """Share of points uv (S, 2) [px] that no pixel at a region's border is within `reach_px` of; NaN counts as such a point.
 
-    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`), also at corners and under blur.
-
-    Args:
-        uv: in coordinates of `alone`. alone: 255 in the region's pixels, shape (H, W).
+    Pixels are at the border whether or not it is sharp enough there to be measured (`edge_points`). `alone` (H, W) is 255 in the region.
     """
     pad = math.ceil(reach_px) + 1  # beyond it nothing is within reach
     region = cv2.copyMakeBorder(alone, pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
@@ -112,20 +105,14 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
 
 
 # Fit of a polygon in a plane to the points of a region's border in a picture: the homography between them.
-TURNS = 36
-"""Rotations that are tried where none is known: every 10 degrees."""
-TRIED = 3
-"""Of these the best are refined."""
-COARSE = 40
-"""Points of the border by which they are compared."""
-ROUNDS = 12
-"""Most Gauss-Newton steps: from the affine guess three to six are enough."""
-SETTLED = 1e-5
-"""A step that moves no point by more than this share of the region's size ends the fit."""
+TURNS = 36  # rotations that are tried where none is known: every 10 degrees
+TRIED = 3  # of these the best are refined
+COARSE = 40  # points of the border by which they are compared
+ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
+SETTLED = 1e-5  # a step that moves no point by more than this share of the region's size ends the fit
 OUTLIER = 4.0
 """Points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight."""
-FAINT = 2e-3
-"""Share of the region's size under which no distance is unusual."""
+FAINT = 2e-3  # share of the region's size under which no distance is unusual
 FLAT = 1e3
 """Condition of a homography between both round figures over which it has folded the picture onto a line; of a region it is under ten."""
 PREFERRED = 1.02
@@ -138,7 +125,7 @@ class PolygonFit:
 
     Attributes:
         H: homography (3, 3) from the polygon's plane to the picture. turn: the rotation in it, after both were made round [rad].
-        off: distance of each point from the polygon, shape (K,), in standard deviations of the region (its half size, roughly).
+        off: distance of each point from the polygon, shape (K,), in standard deviations of the region.
     """
 
     H: Array
@@ -156,8 +143,7 @@ def fit_polygon(
     point of the polygon next to G e_k and n_k the normal of its side.
 
     Args:
-        edge: points on the border. middle, spread: centroid (2,) and covariance (2, 2) of the region's area, in the same coordinates.
-        corners: of the polygon. plane: centroid and covariance of its area.
+        middle, spread: centroid (2,) and covariance (2, 2) of the region's area; plane: those of the polygon's.
         turns: rotations to begin with [rad]; empty: all round. expected: the rotation that is taken where several fit alike.
     """
     whiten, colour = roundness(spread), _root(plane[1])
@@ -180,11 +166,7 @@ def _better(size: float, turn: float, best: PolygonFit, expected: float) -> bool
     before = float(np.sqrt(np.mean(np.minimum(best.off, 0.5) ** 2)))
     if max(size, before) > PREFERRED * min(size, before) + FAINT:
         return size < before
-    return _apart(turn, expected) < _apart(best.turn, expected)
-
-
-def _apart(a: float, b: float) -> float:
-    return abs(math.remainder(a - b, 2 * math.pi))
+    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(math.remainder(best.turn - expected, 2 * math.pi))
 
 
 def _likely(e: Array, q: Array, expected: float) -> list[float]:
@@ -230,8 +212,9 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
 
 
 def _foot(p: Array, q: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """The side of a polygon q (E, 2) that is next to each point p (K, 2): its normal (K, 2), the point's height over its line (K,),
-    its distance (K,), and whether its foot lies within the side.
+    """The side of a polygon q (E, 2) that is next to each point p (K, 2).
+
+    Its normal (K, 2), the point's height over its line (K,), its distance (K,), and whether its foot lies within the side.
     """
     way = np.roll(q, -1, axis=0) - q
     length = np.hypot(way[:, 0], way[:, 1])
@@ -264,24 +247,18 @@ def _root(S: Array) -> Array:
 
 
 def _affine(A: Array, shift: Array) -> Array:
-    """The homography x -> A x + shift."""
     out = np.eye(3)
     out[:2, :2], out[:2, 2] = A, shift
     return out
 
 
 # From the border of a region in a picture to the points of the target's outline, in the target's order.
-CLOSE = 200
-"""Points of a polygon's outline by which it is compared with the border in the picture."""
+CLOSE = 200  # points of a polygon's outline by which it is compared with the border in the picture
 
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """The border of a region found in one panel of a camera.
-
-    Attributes:
-        edge: points on it (K, 2) [px]. middle: the region's centroid (2,) [px]. spread: covariance of its area (2, 2) [px^2].
-    """
+    """The border of a region in one panel of a camera: points (K, 2) [px], the region's centroid (2,) [px] and covariance (2, 2) [px^2]."""
 
     edge: Array
     middle: Array
@@ -307,8 +284,7 @@ class OutlineFit:
     """The outline that fits a border best.
 
     Attributes:
-        p: its points as directions in the camera's frame, shape (M, 3), in the target's order.
-        off_px: distance of each point of the border from it, shape (K,) [px].
+        p: its points as directions in the camera's frame (M, 3), in the target's order. off_px: distance of each border point (K,) [px].
         close: directions along it (S, 3), evenly: of a polygon closer together than its points, of what is round the points.
         turn: how the target is turned in the picture (`PolygonFit.turn`) [rad]; 0 for what is round.
     """
@@ -323,7 +299,6 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
     """The fit of the target's outline to the border; None where there is none.
 
     Args:
-        border: in the picture. target: a ball or a shape.
         turn: the rotation in the last picture [rad]; None where it is to be sought all round.
         expected: the rotation that is taken where several fit alike [rad].
     """
@@ -356,13 +331,9 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
     if found is None:
         return None
-    p, close = (_before(np.column_stack([xy, np.ones(len(xy))]) @ found.H.T) for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
-    return OutlineFit(p, found.off * border.size_px, close, found.turn)
-
-
-def _before(p: Array) -> Array:
-    """Directions (K, 3), each turned to lie before the camera."""
-    return p * np.sign(p[:, 2:])
+    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ found.H.T for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
+    # directions, turned to lie before the camera
+    return OutlineFit(p * np.sign(p[:, 2:]), found.off * border.size_px, close * np.sign(close[:, 2:]), found.turn)
 
 
 def _linearised(border: Border) -> tuple[Array, Array]:
@@ -375,12 +346,9 @@ def _linearised(border: Border) -> tuple[Array, Array]:
 
 MOST_EDGES = 400
 """Points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better."""
-LEAST_EDGES = 24
-"""Fewest points from which an outline is fitted."""
-MOST_TRIED = 3
-"""Regions of the target's hue that are tried, the largest first."""
-NOISE_PX = 0.05
-"""Added to the tolerance by noise [px per grey level of its standard deviation]."""
+LEAST_EDGES = 24  # fewest points from which an outline is fitted
+MOST_TRIED = 3  # regions of the target's hue that are tried, the largest first
+NOISE_PX = 0.05  # added to the tolerance by noise [px per grey level of its standard deviation]
 PIXEL_PX = 1.0
 """Added to the tolerance where the outline is compared with whole pixels [px]: outlines that were right, sharp, blurred over up to 8 px or
 under noise, then had under 0.015 of their length farther from the region's pixels."""
@@ -402,8 +370,7 @@ class RegionMemory:
 
     Attributes:
         expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry.
-        box, middle: of the region in the last picture [px]; None where it was not found.
-        move: its displacement since the picture before [px]. turn: how the shape was turned in the last picture [rad].
+        box, middle, turn: of the region in the last picture [px, rad]. move: its displacement since the picture before [px].
     """
 
     expected: float = 0.0
@@ -482,9 +449,7 @@ class RegionDetector(DetectorBase):
         target: Target,
         rng: np.random.Generator,
     ) -> tuple[RegionMemory, Detection]:
-        """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole.
-        Raises ParameterError: there is no picture, or the target is not a region.
-        """
+        """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector region needs one; use detector oracle where there is none")
         if not target.outlined:
@@ -531,7 +496,6 @@ class RegionDetector(DetectorBase):
         return None
 
     def _has_hue(self, part: Image, alone: Image, wanted_deg: float) -> bool:
-        """Whether a region's mean colour has the target's hue."""
         r, g, b, _ = cv2.mean(part, mask=alone)
         return abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360)) <= self.hue_tolerance_deg
 
@@ -561,8 +525,7 @@ class RegionDetector(DetectorBase):
     ) -> OutlineFit | None:
         """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
 
-        Args:
-            found: 255 in the region's pixels, of a part of the image whose first pixel is `corner`.
+        found: 255 in the region's pixels, of a part of the image whose first pixel is `corner`.
         """
         for turn in [None] if memory.box is None else [memory.turn, None]:
             fit = fit_outline(border, target, turn, memory.expected)

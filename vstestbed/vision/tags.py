@@ -28,16 +28,12 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 
 ALONG = np.linspace(0.1, 0.9, 16)
 """Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
-ACROSS = np.linspace(-1, 1, 25)
-"""Samples of one profile across an edge, in units of its reach."""
-ENDS = 3
-"""Samples at each end of a profile whose mean is its black or white level."""
+ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
+ENDS = 3  # samples at each end of a profile whose mean is its black or white level
 REACH = 0.65
 """Half length of a profile in modules: it ends within the black border and within the white quiet zone ..."""
-MOST_REACH_PX = 4.0
-"""... and its limit [px], beyond any blur of the order of a pixel."""
-ROUNDS = 4
-"""Most iterations; each starts from the corners of the last one ..."""
+MOST_REACH_PX = 4.0  # ... and its limit [px], beyond any blur of the order of a pixel
+ROUNDS = 4  # most iterations; each starts from the corners of the last one ...
 STEADY_PX = 0.02
 """... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that."""
 
@@ -47,9 +43,9 @@ class Edges:
     """The measured edges of N tags.
 
     Attributes:
-        corners: shape (N, 4, 2) [px]. astray: largest distance of a measured point from its line, shape (N,) [px].
-        contrast: least step from black to white as a share of the tag's median step, shape (N,).
-        border: least distance of a profile's ends from the picture's border, shape (N,) [px]; negative outside.
+        corners: (N, 4, 2) [px]. astray: largest distance of a measured point from its line (N,) [px].
+        contrast: least step from black to white as a share of the tag's median step (N,).
+        border: least distance of a profile's ends from the picture's border (N,) [px]; negative outside.
     """
 
     corners: Array
@@ -59,16 +55,12 @@ class Edges:
 
 
 def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
-    """The edges of tags whose corners are known within half a module.
+    """The edges of tags of so many modules a side; their corners (N, 4, 2) [px], clockwise from the upper left, are known to half a module.
 
     Profiles of intensity I are sampled across an edge along the tag's own rows and columns, mapped into the image by the
     corners' homography, so that they end within one module also on a tilted tag. Along a profile of length 2 r from black b to
     white w the edge lies at r (1 - 2 mean(I - b)/(w - b)), which no symmetrical blur shifts. Lines are fitted to these points
     by total least squares; their intersections are the corners.
-
-    Args:
-        grey: the image (H, W). corners: shape (N, 4, 2) [px], clockwise from the tag's own upper left.
-        modules: number of modules along a tag's edge.
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
         edges = _measured_once(grey, corners, modules)
@@ -80,7 +72,6 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
 
 
 def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
-    """One iteration of `measure_edges`."""
     size = np.array([grey.shape[1], grey.shape[0]]) - 1
     middle, reach = _profiles(corners, modules)
     where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
@@ -97,7 +88,7 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
 def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
     """Midpoints of the profiles and the vectors from there to their outer ends, both (N, 4, S, 2) [px].
 
-    Homography of the unit square from its four corners: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
+    Homography of the unit square from its corners: Heckbert 1989, Fundamentals of Texture Mapping and Image Warping, section 2.2.3.
     """
     a, b, c, d = (corners[:, k] for k in range(4))
     e, f, s = b - c, d - c, a - b + c - d
@@ -166,17 +157,12 @@ def tag_picture(tag: Tag, number: int, px: int = PX_PER_MODULE) -> NDArray[np.ui
     return np.pad(np.asarray(black, np.uint8), px, constant_values=255)
 
 
-def tag_png(tag: Tag, number: int) -> bytes:
-    """The same as a PNG file."""
-    return cv2.imencode(".png", tag_picture(tag, number))[1].tobytes()
-
-
 def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     """Name and PNG file of what is printed on marker i of a target. Raises TypeError: nothing is."""
     if not isinstance(marker, Tag):  # the one marker with a print; the picture comes from OpenCV, which targets do without
         raise TypeError(f"nothing is printed on a {marker.kind}")
     number = marker.first_id + i
-    return f"{marker.family}_{number}", tag_png(marker, number)
+    return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[1].tobytes()
 
 
 CONTOUR_PX = math.sqrt(0.5)
@@ -226,7 +212,6 @@ class Tags(DetectorBase):
     contrast: Annotated[float, Gt(0), Lt(1)] = 0.4
     window_margin_px: Annotated[int, Ge(2), Le(8192)] = 8
     needs_image: ClassVar[bool] = True
-    needs_truth: ClassVar[bool] = False
     markers: ClassVar[tuple[str, ...]] = ("tag",)
 
     def init(self) -> TagsMemory:
@@ -241,9 +226,7 @@ class Tags(DetectorBase):
     def detect(
         self, memory: TagsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[TagsMemory, Detection]:
-        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved.
-        Raises ParameterError: there is no picture, or the target's markers are not tags.
-        """
+        """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
         tag, n = target.marker, len(target.points)
@@ -257,7 +240,6 @@ class Tags(DetectorBase):
         return TagsMemory(corners, _moves(memory, corners), kept), Detection(uv=uv, T_camera_target=T)
 
     def _windows(self, memory: TagsMemory, camera: Camera) -> list[Window] | None:
-        """A window for each tag; None where the whole image is to be searched."""
         if len(camera.panels) > 1:
             return None
         boxes = [None if c is None else _box(c) for c in memory.corners]
@@ -313,10 +295,7 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
 
 @lru_cache
 def _reader(family: str, first: int, n: int, misread: int) -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector for n tags of a family, numbered from 0.
-
-    A dictionary of these tags alone is searched ten times as fast as the whole family of 587.
-    """
+    """OpenCV's detector for n tags of a family, numbered from 0: searched ten times as fast as the whole family of 587."""
     whole = dictionary(family)
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
