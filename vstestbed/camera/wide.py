@@ -18,9 +18,8 @@ from vstestbed.core.geometry import Array, angles, direction, joined
 from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositivePixels
 from vstestbed.core.spec import spec
 
+
 # The six directions in which a camera that sees all around is drawn: how the faces of a cube stand in the camera.
-
-
 def _face(x: tuple[int, int, int], y: tuple[int, int, int]) -> Array:
     """R_camera_face (3, 3) from the face's right and down, in camera axes; it looks along right x down."""
     return np.stack([x, y, np.cross(x, y)], axis=1).astype(float)

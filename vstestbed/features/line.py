@@ -12,8 +12,6 @@ from vstestbed.core.spec import spec
 from vstestbed.features.base import FLOOR, Feature, Rated, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
 from vstestbed.features.points import Point
 
-# Lines in the image through consecutive markers.
-
 
 @spec
 class LineFeature(Feature):

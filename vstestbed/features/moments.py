@@ -17,9 +17,6 @@ from vstestbed.core.spec import spec
 from vstestbed.features.base import MOST_CONDITION, Feature, Rated, angle, checked, condition, require_plane, square, wrap
 from vstestbed.features.polygon import segments, size, spans_area
 
-# Moments of points and of regions in the image, and how they change as the camera moves.
-
-
 Of = Literal["points", "region"]
 """Moments are sums over points, or integrals over the region within a closed outline."""
 LEAST_AREA = 1e-12

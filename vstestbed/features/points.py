@@ -10,8 +10,6 @@ from vstestbed.core.geometry import Array, joined
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature, bearing_error, bearing_weight, checked
 
-# Image points in normalised Cartesian coordinates.
-
 
 @spec
 class Point(Feature):
@@ -44,9 +42,38 @@ class Point(Feature):
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
 
+@spec
+class Bearings(Feature):
+    """A feature of which every second row is a bearing about the optical axis.
+
+    Args:
+        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
+            reference, and rounding decides the direction of each.
+        centre_weight: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with r the radius, or the sine of theta, and
+            w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond some 4 to 8 pixels or 0.6 degrees: a marker at the centre of
+            the goal's picture then gives no noise. Else w = 1, as in the reference, and the row grows as 1/r.
+    """
+
+    together: bool = True
+    centre_weight: bool = True
+    rows_per_marker: ClassVar[int] = 2
+
+    def error(self, s: Array, s_star: Array) -> Array:
+        """Error s - s* (..., 2N); the bearings wrapped and weighted (`bearing_error`)."""
+        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
+        e = s - s_star
+        w, w_star = (bearing_weight(self._off_axis(x), self.centre_weight) for x in (s[..., 0::2], s_star[..., 0::2]))
+        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
+        return e
+
+    def _off_axis(self, first: Array) -> Array:
+        """The radius at which a bearing is, or the sine of its colatitude, from the first row of each point."""
+        return first
+
+
 # Image points in polar coordinates.
 @spec
-class Polar(Feature):
+class Polar(Bearings):
     """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
 
     r_dot   = -(c vx + s vy)/Z + r vz/Z + (1 + r^2) (s wx - c wy)
@@ -55,20 +82,10 @@ class Polar(Feature):
     At the principal point phi is undefined, and its row zero. (The row of r has no direction there, either. If the goal has a marker
     at the centre, the matrix at the desired view lacks this information: with few other markers, use the current matrix or the mean.)
 
-    Args:
-        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
-            reference, and rounding decides the direction of each.
-        centre_weight: the row of phi has the factor w(r)^2 in L and w(r) w(r*) in e, with w(r) = min(1, r/0.01) (`bearing_weight`),
-            which is 1 beyond some 4 to 8 pixels: a marker at the centre of the goal's picture then gives no noise. Else w = 1, as in
-            the reference, and the row grows as 1/r.
-
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.9, doi:10.1007/978-3-319-54413-7.
     """
 
     kind: Literal["polar"] = "polar"
-    together: bool = True
-    centre_weight: bool = True
-    rows_per_marker: ClassVar[int] = 2
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., 2N) [1, rad] of xy (..., N, 2)."""
@@ -90,18 +107,10 @@ class Polar(Feature):
         L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * inv_r, sin * inv_r, -weight
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
-    def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); the angles wrapped and weighted (`bearing_error`)."""
-        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
-        e = s - s_star
-        w, w_star = (bearing_weight(r, self.centre_weight) for r in (s[..., 0::2], s_star[..., 0::2]))
-        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
-        return e
-
 
 # Points on the unit sphere around the camera's centre.
 @spec
-class Spherical(Feature):
+class Spherical(Bearings):
     """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...
 
     theta_dot = -cos theta (c vx + s vy)/R + sin theta vz/R + s wx - c wy
@@ -110,20 +119,11 @@ class Spherical(Feature):
     R is the range, not the depth. theta lies in [0, pi]; an arc sine would map points behind the equator to the front.
     On the axis, ahead and behind, phi is undefined, and its row zero.
 
-    Args:
-        together: near a half turn, all angles get the same sign (`wrap_together`); else each is wrapped by itself, as in the
-            reference, and rounding decides the direction of each.
-        centre_weight: the row of phi has the factor w(sin theta)^2 in L and w(sin theta) w(sin theta*) in e, with
-            w(r) = min(1, r/0.01) (`bearing_weight`), which is 1 beyond 0.6 degrees. Else w = 1, as in the reference.
-
     Reference: Corke 2017, Robotics, Vision & Control, eq. 16.15, doi:10.1007/978-3-319-54413-7.
     """
 
     kind: Literal["spherical"] = "spherical"
-    together: bool = True
-    centre_weight: bool = True
     inputs: ClassVar[tuple[str, ...]] = ("ray", "range")
-    rows_per_marker: ClassVar[int] = 2
 
     def measure(self, ray: Array) -> Array:
         """The vector s (..., 2N) [rad] of rays (..., N, 3), of any length."""
@@ -147,10 +147,5 @@ class Spherical(Feature):
         L[..., 1, 3], L[..., 1, 4], L[..., 1, 5] = cos * cos_t * inv_sin, sin * cos_t * inv_sin, -weight
         return L.reshape(*ray.shape[:-2], 2 * ray.shape[-2], 6)
 
-    def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); theta unchanged, phi wrapped and weighted (`bearing_error`)."""
-        s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
-        e = s - s_star
-        w, w_star = (bearing_weight(np.sin(theta), self.centre_weight) for theta in (s[..., 0::2], s_star[..., 0::2]))
-        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
-        return e
+    def _off_axis(self, first: Array) -> Array:
+        return np.sin(first)

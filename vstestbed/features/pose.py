@@ -11,8 +11,6 @@ from vstestbed.core.geometry import Array, quaternion_wxyz, skew
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature, checked
 
-# The rotation between two camera frames as an angle times an axis.
-
 
 @spec
 class ThetaU:

@@ -26,8 +26,6 @@ from vstestbed.targets.markers import MARKERS, Disc, Marker
 from vstestbed.targets.motion import MOTIONS, Carried, MotionBase, Path, Still
 from vstestbed.targets.route import Route
 
-# What of a target is drawn besides its markers: a picture on a plane, a solid.
-
 
 @dataclass(frozen=True)
 class Sheet:

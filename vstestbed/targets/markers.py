@@ -13,9 +13,6 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
 
-# Families of square tags, by the words of a scenario.
-
-
 # fmt: off
 Family = Literal[
     "apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11",

@@ -19,9 +19,6 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
 
-# Triangles: read from STL and OBJ files, the nearest point on them, what they hide.
-
-
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
 MOST_BYTES = 64_000_000
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])

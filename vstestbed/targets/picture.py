@@ -23,9 +23,6 @@ from vstestbed.core.spec import spec
 from vstestbed.targets.base import Sheet, Target
 from vstestbed.targets.points import BOARD_MARGIN
 
-# Picture files: read, and made into textures.
-
-
 MOST_PX = 2048  # longest side of a texture, with its margin [px]
 MARGIN = 16
 """The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right

@@ -17,9 +17,8 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.targets.base import Body, Globe, RoundOutline, Target
 from vstestbed.targets.markers import Outline
 
+
 # Ellipses as images: of a circle in space, from points, and points on them in an order that the picture alone determines.
-
-
 def circle_conic(T_camera_circle: Array, radius: float) -> Array:
     """The conic C (..., 3, 3) with m^T C m = 0 for the images m = (x, y, 1) of a circle in the plane z = 0 of a frame at T (..., 4, 4).
 

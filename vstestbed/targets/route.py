@@ -41,11 +41,7 @@ class Route(ABC):
     """
 
     start: GroundPose = GroundPose()
-
-    @property
-    @abstractmethod
-    def closed(self) -> bool:
-        """Whether its end coincides with its start."""
+    closed = False  # whether its end coincides with its start
 
     @abstractmethod
     def _local(self) -> Samples:
@@ -134,11 +130,6 @@ class Straight(Route):
     kind: Literal["straight"] = "straight"
     length_m: PositiveLength = 10.0
 
-    @property
-    def closed(self) -> bool:
-        """No: it has no end."""
-        return False
-
     def _local(self) -> Samples:
         return _joined([(self.length_m, 0.0)])
 
@@ -153,15 +144,11 @@ class CircularRoute(Route):
 
     kind: Literal["circle"] = "circle"
     radius_m: Length = 3.0
+    closed = True
 
     def __post_init__(self) -> None:
         if abs(self.radius_m) < 0.1:
             raise ParameterError("radius_m", "must be 0.1 m or more in size (negative: to the right)", self.radius_m)
-
-    @property
-    def closed(self) -> bool:
-        """It comes back."""
-        return True
 
     def _local(self) -> Samples:
         return _joined([(2 * np.pi * abs(self.radius_m), 1 / self.radius_m)])
@@ -182,11 +169,7 @@ class FigureEight(Route):
     kind: Literal["figure_eight"] = "figure_eight"
     length_m: PositiveLength = 10.0
     width_m: PositiveLength = 5.0
-
-    @property
-    def closed(self) -> bool:
-        """It comes back."""
-        return True
+    closed = True
 
     def _local(self) -> Samples:
         a, b = self.length_m / 2, self.width_m / 2
@@ -249,13 +232,9 @@ class Track(Route):
         if length > LONGEST_M:
             raise ParameterError("pieces", f"are {length:.5g} m long together; {LONGEST_M:g} m are the most")
 
-    @property
+    @cached_property
     def closed(self) -> bool:
         """Whether place and heading at its end are those at its start, within 1 mm and 1/1000 of a turn."""
-        return self._comes_back
-
-    @cached_property
-    def _comes_back(self) -> bool:
         local = self._local()
         turn = local.heading[-1] / (2 * np.pi)
         return bool(np.hypot(*local.xy[-1]) < 1e-3 and abs(turn - round(turn)) < 1e-3 and len(local.s) > 2)

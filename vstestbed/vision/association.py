@@ -17,8 +17,6 @@ from vstestbed.vision.colour import Blob
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Perspective bias: the centroid of a marker's image is not the image of its centre (discs and spheres).
-
-
 BALL_ROUNDS = 5
 """Iterations after which distance and bias have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)."""
 CORNERS = 32  # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4

@@ -23,8 +23,6 @@ from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
-
-
 REACH = 0.1
 """In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
 leave the first, so that a marker a little outside of its predicted window is still rendered."""

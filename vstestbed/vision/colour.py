@@ -53,11 +53,6 @@ class Blob:
     box: Window
     whole: bool
 
-    @property
-    def size(self) -> int:
-        """The longer side of its box [px]."""
-        return max(self.box[2] - self.box[0], self.box[3] - self.box[1])
-
     def cut_by(self, window: Window, width: int, height: int) -> bool:
         """Whether it reaches an edge of the window inside the image (width x height), and may continue beyond."""
         left, top, right, bottom = self.box

@@ -20,9 +20,6 @@ from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, goal_of_points, points_of
 from vstestbed.vision.local_features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched, mutual_matches
 
-# Points followed from one picture to the next, in place of matching each picture with the goal's.
-
-
 LEVELS = 3  # levels of the pyramid besides the picture itself: a window reaches 2^3 times as far
 
 

@@ -25,8 +25,6 @@ from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pnp import solve_pose_from_rays
 
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
-
-
 FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
 RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
 BESIDE = 0.2

@@ -26,8 +26,6 @@ from vstestbed.vision.local_features import Descriptors, Sift, mutual_matches
 from vstestbed.vision.pnp import looking_along
 
 # A picture on a plane as a template to track: its grey levels in several sizes, each with all that its alignment needs of it.
-
-
 GreyImage = NDArray[np.float32]
 
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]

@@ -15,8 +15,6 @@ from vstestbed.core.geometry import Array, exp, inverse, skew, turn_between
 from vstestbed.vision.homography import homography
 
 # The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no degenerate frontal view.
-
-
 PLANE_ROUNDING = 1e-12  # elements and singular values below this share of the largest are rounding
 
 

@@ -24,9 +24,6 @@ from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
 from vstestbed.vision.colour import Region, chroma_mask, noise_level
 
-# The border of a region, to a fraction of a pixel, from how much of each pixel the region covers.
-
-
 FULL, NONE = 0.85, 0.15
 """Coverage of pixels inside and outside, two pixels from the border; where they are not, at corners and in slots, no border is
 measured."""

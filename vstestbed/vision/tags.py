@@ -24,8 +24,6 @@ from vstestbed.vision.colour import Image
 from vstestbed.vision.pnp import solve_pose_from_rays
 
 # Subpixel corners of tags: the four edges measured in the grey image and intersected, good to hundredths of a pixel.
-
-
 ALONG = np.linspace(0.1, 0.9, 16)
 """Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
