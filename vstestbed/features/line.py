@@ -17,8 +17,7 @@ from vstestbed.features.points import Point
 class LineFeature(Feature):
     """Distance rho and angle theta of the lines x cos theta + y sin theta - rho = 0; rows rho1, theta1, rho2, ...
 
-    Line i goes through the markers i and i + 1, the last one through the last marker and the first; two markers define one line,
-    so two rows.
+    Line i goes through the markers i and i + 1, the last one through the last marker and the first; two markers define one line.
     (rho, theta) and (-rho, theta + pi) are the same line. `measure` takes its direction from marker i to i + 1 and returns the
     pair whose normal (cos theta, sin theta) is this direction rotated by +90 degrees from x to y. So rho may be
     negative and passes zero continuously, and a rotation of the camera by any angle is unambiguous.

@@ -321,19 +321,17 @@ class Moments(Feature):
     Where the target faces the camera at the depth Z, xn, yn and an move by 1/(Z sqrt(a)) times the camera's motion along x, y and z, a
     factor that does not depend on Z. (In print they have the factor Z* sqrt(a*) of the goal, which makes them metres.)
 
-    Which pair suits for the tilt depends on the shape. One that hardly tells it makes L ill-conditioned at the goal, and is refused there
-    with the pair that is conditioned best. sx and sy suit an L and a rectangle, also other shapes that are symmetric about their centre.
-    They do not suit every elongated shape: those of a whale, or of an arrow, are nearly functions of the other rows, and there c4 and c6
-    suit. px and py, c1 and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2 one that is not its own mirror image
-    either. Of an L px and py converge from farther away than sx and sy, and are some four times as sensitive to noise; all four of them
-    converge from the most starts, and so does, of the matrices, the mean (`law.interaction`): at some views the current one is singular,
-    and six rows can vanish at another pose than the goal. An ellipse tells less than six motions: use the feature `ellipse`.
+    Which pair suits for the tilt depends on the shape; one that hardly tells it is refused, with the pair that is conditioned best. sx
+    and sy suit an L, a rectangle and other shapes that are symmetric about their centre; c4 and c6 a whale or an arrow, of which sx and
+    sy are nearly functions of the other rows. px and py, c1 and c2, c4 and c6 need a shape without that symmetry, and px, py and c1, c2
+    one that is not its own mirror image. Of an L px and py converge from farther away than sx and sy, and are some four times as
+    sensitive to noise. All four converge from the most starts with the mean of the matrices (`law.interaction`). An ellipse needs the
+    feature `ellipse`.
 
     alpha is an axis without a direction. Where third-order moments are large enough in both views, they tell its two ends apart, and its
     error is within half a turn, else within a quarter. To this end s has t = c21 sqrt(m00)/c11^(3/2) behind the rows where alpha is one.
 
-    L follows from that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the depths of the markers best. They must
-    lie in one plane.
+    L is that of the moments (`MomentSet`), with the plane 1/Z = A x + B y + C that fits the depths of the markers, which must lie in one.
 
     Args:
         of: `points`, sums over the markers; `region`, integrals over the region whose outline the markers are, in order, either way
@@ -472,12 +470,9 @@ class Ellipse(Feature):
                    n20 = (A^2 cos^2 t + B^2 sin^2 t)/4, n11 = (A^2 - B^2) sin t cos t/4, n02 = (A^2 sin^2 t + B^2 cos^2 t)/4
     xn, yn, an     xg/sqrt(a), yg/sqrt(a), 1/sqrt(a), a = pi A B = 4 pi sqrt(n20 n02 - n11^2), as those of `moments`
 
-    The ellipse is the conic that fits the markers best (`fitted_ellipse`). Where all lie on one ellipse, it is exact, wherever they are
-    on it.
-
-    L is that of the region's moments (`MomentSet`), whose third order vanishes, with the plane of the outline, 1/Z = A x + B y + C,
-    from the depths of the markers. The outline of a ball is the circle in which the cone of its tangents touches it: for its centre P
-    and radius R 1/Z = P . (x, y, 1) / (|P|^2 - R^2).
+    The ellipse is the conic that fits the markers best. L is that of the region's moments (`MomentSet`), whose third order vanishes, with
+    the plane of the outline, 1/Z = A x + B y + C, from the depths of the markers; of a ball with centre P and radius R, whose outline is a
+    circle, 1/Z = P . (x, y, 1) / (|P|^2 - R^2).
 
     A ball tells three motions, and so does a disc that is seen face on: rows [xn, yn, an]. A disc tells five only where the goal view is at
     a slant to it. On a robot with more motions than that, `law.redundant` leaves the others alone.

@@ -52,23 +52,22 @@ class Observation:
     """What the camera and the robot's own sensors tell at one frame; nothing of the simulator's truth.
 
     Attributes:
-        t: time of exposure [s]. uv: measured marker pixels, shape (N, 2), NaN where a marker is not seen.
-        xy: the same, normalised and undistorted, shape (N, 2); NaN also where a wide lens sees a marker beside or behind it.
-        depth: Z of each marker as the scenario says it is found [m], shape (N,), NaN where unknown.
+        t: time of exposure [s]. uv: measured marker pixels (N, 2), NaN where a marker is not seen.
+        xy: the same, normalised and undistorted (N, 2); NaN also where a wide lens sees a marker beside or behind it.
+        depth: Z of each marker as the scenario says it is found (N,) [m], NaN where unknown.
         T_camera_target: estimated pose (4, 4), or None where it is not estimated.
-        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them, for laws that ask for them.
-        relative: this view against the goal's, for laws that ask for it.
         odometry: a ground vehicle's dead reckoning by its encoders alone, (x, y, heading) [m, rad] from its start.
         place: a ground vehicle's (x, y, heading) [m, rad] in the world, from its landmarks, compass and encoders; None where it is not
             known yet, or the target is no landmark.
-        motion: the camera's own motion, for laws that ask for it.
-        radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth, for laws that ask for it.
-        proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`), for laws that ask for
-            it.
-        robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived, for laws that ask for it.
-        image: the whole picture, for laws that ask for it.
         ids: number of the point in each row (N,), the same as long as the row shows the same point, -1 in an empty row; None: row i is
             always marker i.
+
+    Only for laws that ask for it:
+        ray, range: unit rays (N, 3) to the markers and distances (N,) [m] along them. relative: this view against the goal's.
+        motion: the camera's own motion. image: the whole picture.
+        radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth.
+        proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`).
+        robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.

@@ -30,9 +30,8 @@ class Polygon(Feature):
 
     The longest segment may change as the camera moves, and often two are equally long (a square's diagonals).
     So e uses, for every segment, the angle e_ij from its own direction at the goal, and is the weighted mean over those that
-    are nearly the longest: e = arg(sum w_ij exp(i e_ij)), w_ij = max(0, |d_ij|/longest - 0.8)^2. A segment enters and leaves
-    with weight 0, so e is continuous; one that is longer by a fifth has all the weight; a rotation about the optical axis is
-    exact for any weights. L has the same weights and is the exact derivative where all e_ij agree: at the goal, and for such rotations.
+    are nearly the longest: e = arg(sum w_ij exp(i e_ij)), w_ij = max(0, |d_ij|/longest - 0.8)^2, which is continuous. L has the same
+    weights and is the exact derivative where all e_ij agree: at the goal, and for rotations about the optical axis.
     To this end s has sigma and then every d (..., 1 + N (N-1)), pairs in the order (0, 1), (0, 2), ..., (1, 2), ...
 
     Reference: Corke 2017, Robotics, Vision & Control, section 16.1, doi:10.1007/978-3-319-54413-7, with the sign of

@@ -157,8 +157,7 @@ class PictureTarget(Target):
 
     Its markers are its corners, in the order of `Square`, or points in it. They are drawn over it; with `draw_markers: false` they
     are those that the picture itself shows: `marker` then says what they look like, so that the detector finds them (tags of that
-    family and size, numbered from `first_id` in the order of the points; discs of that radius, with the hues 0, 360/n, ...), or
-    nothing is to be seen there, which the oracle does not mind.
+    family and size, numbered from `first_id` in the order of the points; discs of that radius, with the hues 0, 360/n, ...).
 
     Args:
         file: a PNG or JPEG file, absolute, relative to the scenario's file, or `package:NAME/path`; or a bundled one: `texture:poster`

@@ -365,23 +365,20 @@ Found = tuple[int, Blob] | None  # index of the camera's panel and a marker's bl
 class Blobs(DetectorBase):
     """Markers by colour: chroma mask, contours, moments; identified by the hue at the centroid.
 
-    Tracking: a marker is searched in a window around its predicted position (constant velocity); when one is not found there, the
-    whole image of the same exposure is searched. In a camera with panels it is handed over to the next panel before it reaches a
-    border; where panels overlap it counts once. Of several blobs of one hue, those are taken that one pose of the target explains
-    (`assign_blobs`).
+    Tracking: a marker is searched in a window around its predicted position (constant velocity), and where it is not found there, in the
+    whole image of the same exposure. In a camera with panels it is handed over to the next panel before it reaches a border. Of several
+    blobs of one hue, those are taken that one pose of the target explains (`assign_blobs`).
 
     Measurement: the image of the marker's centre is the centroid less the perspective bias under the pose that the markers
     themselves give. A blob is rejected if it touches the image's border, if its shape is no ellipse, if its area differs from
-    what the pose predicts (occlusion), or if it lies far from where the pose of the others predicts it (another object of that
-    colour); the worst is left out and the pose solved again until all fit. Of three markers without an earlier pose, the
-    solution whose areas fit best is taken. With fewer than three, border and shape alone decide, and the bias is that of the
+    what the pose predicts (occlusion), or if it lies far from where the pose of the others predicts it. Of three markers without an earlier
+    pose, the solution whose areas fit best is taken. With fewer than three, border and shape alone decide, and the bias is that of the
     last pose.
 
     Noise: its level is estimated from the image (`noise_level`: 0 for a rendered one without noise). From a standard deviation
     of about 1 grey level, blobs are segmented in the smoothed image, and with `grey` moments edge pixels are weighted by their
-    measured chroma, so that centroids scatter in proportion to the noise: 2 cm discs at 1 m by .01, .02 and .05 px for 2, 8 and
-    20 grey levels. Above 20, markers begin to be missed; the dark sides of shaded balls a little before. From about 30 on,
-    noise itself may be taken for a marker.
+    measured chroma: centroids of 2 cm discs at 1 m scatter by .01, .02 and .05 px for 2, 8 and 20 grey levels. Above 20, markers begin to
+    be missed; from about 30 on, noise itself may be taken for a marker.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to a marker [grey levels]; scenes keep everything else below it.

@@ -1,11 +1,10 @@
 """Derotation: image features of a tilted craft rotated into its level frame, by the roll and pitch of its IMU.
 
 A multirotor tilts to accelerate; its camera then sees the world rotate, which a law of (vx, vy, vz, wz) takes for an error and
-answers with more acceleration. So measured rays are rotated into the level frame, which shares the craft's position and heading,
-before any law sees them; goals, poses and interaction matrices are in that frame. With phi = R_camera_base (roll, pitch, 0):
+answers with more acceleration. So goals, poses and interaction matrices are in the level frame, which shares the craft's position and
+heading, and rays are rotated into it. With phi = R_camera_base (roll, pitch, 0):
 
   exact        ray_level = R_level_camera ray, R_level_camera = R_camera_base Ry(pitch) Rx(roll) R_base_camera.
-               For a pinhole camera this is the virtual image plane that stays level.
   first_order  s_level = s - L_w phi, L_w the rotational columns of the interaction matrix at the measured s: those of the angles
                (theta, phi) on the sphere, or of (x, y) for a pinhole. Good for small tilts away from the axis.
   as_printed   the same with the matrix as printed (Corke 2017, section 16.4.3): its two rows are swapped, and that of phi

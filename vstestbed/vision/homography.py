@@ -16,13 +16,12 @@ OPEN = 0.01
 def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | None:
     """The Euclidean homography H = R + t n^T / d from the goal's view to this one, and R; None where the points leave it open.
 
-    H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes the middle singular value
-    1, its sign the one that keeps the points in front of the camera. (OpenCV's own decomposition gives NaN at some half turns
-    and loses half of the digits near the goal, hence `_rotation`.) Points of which all but one are collinear in one of the
-    views, such as a plane seen edge-on, leave it open.
+    H maps m* (goal, normalised, third coordinate 1) to (Z/Z*) m: its scale is the one that makes the middle singular value 1, its sign the
+    one that keeps the points in front of the camera. (OpenCV's own decomposition gives NaN at some half turns and loses half of the digits
+    near the goal.) Points of which all but one are collinear in one of the views, such as a plane seen edge-on, leave it open.
 
     Args:
-        goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view, shape (N, 2); NaN where not seen.
+        goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view (N, 2); NaN where not seen.
         goal_normal: unit normal (3,) of the plane in the goal's frame, pointing away from the camera.
 
     Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3, doi:10.1007/978-0-387-21779-6.

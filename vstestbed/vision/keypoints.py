@@ -333,18 +333,11 @@ class KeypointsMemory:
 class Keypoints(DetectorBase):
     """Points of the scene itself, found again by their surroundings: no markers are needed, and the target's are not looked for.
 
-    The points are those that are matched between the picture taken at the goal and this one. They are others in every picture, so the
-    detection holds the goal's view of the very points in its `best` rows; empty rows are NaN. Where fewer than `least` are found, nothing
-    is reported, and the law rests, or coasts where it can.
-
-    - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
-    - With `ransac: homography` those pairs count that agree with one plane.
-    - The best of them, or well spread ones, are chosen.
-    - With `subpixel` the patch round each point of the goal's picture is laid over this one (`vision.match.patches`), with its scale,
-    turn and perspective from the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Points whose patch is not alike, or is cut by
-    a picture's border, are dropped, and the next ones take their place.
-
-    With `track` the points of one picture are followed into the next instead, and matched again now and then.
+    Key points (`features`) of the picture taken at the goal and of this one are matched by their descriptors, if each is the other's
+    nearest. They are others in every picture, so the detection holds the goal's view of the points in its `best` rows; empty rows are NaN.
+    Where fewer than `least` are found, nothing is reported, and the law rests, or coasts where it can. With `subpixel` the patch round each
+    point of the goal's picture is laid over this one, with its scale, turn and perspective from the homography: 0.02 px in place of 0.1
+    (SIFT) to 1 px (ORB). Points whose patch is not alike, or is cut by a picture's border, are replaced by the next ones.
 
     Depths in the goal's view are those of the target's plane, or of a depth camera. Of points beyond the target, such as the floor's,
     the plane's are wrong, hence `within: board`.
@@ -361,7 +354,7 @@ class Keypoints(DetectorBase):
         ransac_px: how far a match may be from where the homography maps it [px].
         subpixel: measure places below a pixel by patches; needs eight matches on one plane, without which places stay as they are.
         within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board (`board`).
-        track: whether points are followed from picture to picture: `none` or `klt`.
+        track: whether points are followed from picture to picture, and matched again now and then: `none` or `klt`.
     """
 
     kind: Literal["keypoints"] = "keypoints"

@@ -70,11 +70,10 @@ class Lines(DetectorBase):
 
     The camera's mount and lens are calibrated and the vehicle is upright on a level floor, so each pixel is a point of the floor
     (inverse perspective mapping). A strip of floor across each look-ahead distance is resampled from the image, at about one
-    pixel a cell, whatever the lens. A line's cells are those of its hue; of their connected regions the largest is taken or,
-    where two are of one size, as at a crossing, the one nearest to the last picture's. The centroids by chroma of the nine rows
-    are fitted by a straight line (robustly, Huber), and its intersection with the look-ahead distance is the point. It is
-    rejected where the region is cut by the strip's end or is not as wide as a stripe (occlusion). The pitch of a vehicle on its
-    suspension displaces the floor, as on a real one.
+    pixel a cell. Of the connected regions of a line's hue the largest is taken or, where two are of one size, as at a crossing, the one
+    nearest to the last picture's. The centroids by chroma of the nine rows are fitted by a straight line (robustly, Huber), and its
+    intersection with the look-ahead distance is the point. It is rejected where the region is cut by the strip's end or is not as wide as
+    a stripe (occlusion). The pitch of a vehicle on its suspension displaces the floor, as on a real one.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to a line [grey levels].

@@ -23,8 +23,7 @@ class Oracle(DetectorBase):
     field of view a marker is also lost when it is occluded, outside the image or cut by its border (`Camera.whole`).
 
     Latency, jitter, lost and late pictures, a rolling shutter (`camera.readout_s`) and dropout act on it as on every detector; of an
-    exposure it sees the middle. What changes grey levels alone does not act on it, and a run says so: lens, exposure, sensor and stream
-    of the camera, flicker, and noise of pictures.
+    exposure it sees the middle. What changes grey levels alone does not act on it, and a run says so.
 
     Args:
         field_of_view: `limited` by the image's borders and by occlusion, or `unlimited`: all that the lens can project.

@@ -509,13 +509,12 @@ class PatchMemory:
 class PatchDetector(DetectorBase):
     """The target's own picture, tracked whole; its corners, or the points `at_px`, are the markers.
 
-    The template is the target's picture file. Its homography to the picture is aligned by efficient second-order minimisation (ESM) from
-    the last one, predicted at constant velocity, with a gain and an offset of the light and the robust weights of an M-estimator. At
-    first, and every `search_s` while it is lost, SIFT keypoints find it. It works with every lens: the plane is projected by the
-    camera's own model.
+    Its homography to the camera's picture is aligned by efficient second-order minimisation (ESM) from the last one, predicted at constant
+    velocity, with a gain and an offset of the light and the robust weights of an M-estimator. At first, and every `search_s` while it is
+    lost, SIFT keypoints find it. The plane is projected by the camera's own model, with any lens.
 
-    All points of the plane are known by the homography: also those that are hidden, and those beyond the border of the picture, whose
-    pixels are extrapolated. When less than `least_visible` of the template is in the picture, and alike, all markers are lost.
+    All points of the plane are known by the homography: also those that are hidden or beyond the border of the picture. When less than
+    `least_visible` of the template is in the picture, and alike, all markers are lost.
 
     Args:
         least_correlation: a block of the template (a sixth of its longer side) is taken to be visible if its zero-mean normalised

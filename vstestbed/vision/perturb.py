@@ -134,8 +134,7 @@ class Shadow(PerturbationBase):
     I' = I (1 - darkness s(d)), with d the distance from the band's middle line or the blob's centre in widths W of the picture:
     s falls from 1 to 0 between d = (width - edge)/2 and (width + edge)/2, as 3x^2 - 2x^3. In `period_s` the shadow moves once from
     beyond one side of the picture to beyond the other. Its direction, its place at t = 0 and a blob's distance from the picture's
-    middle, at most W/4, are drawn once a run. It belongs to the picture, not to the room: `world.plates` with `camera.shadows` cast
-    shadows on things.
+    middle, at most W/4, are drawn once a run. (`world.plates` with `camera.shadows` cast shadows on things.)
 
     Args:
         shape: `band` or `blob`.

@@ -382,27 +382,23 @@ class RegionDetector(DetectorBase):
     """The outline of the target's region, as points in the target's order: of a shape or a ball.
 
     Segmentation: connected pixels with more than `chroma` and the target's hue; of several regions the largest to which the outline
-    fits. In later pictures it is searched in a window around its predicted place (constant velocity), and where it is not whole there,
-    in the whole image.
+    fits. In later pictures it is searched in a window around its predicted place, and where it is not whole there, in the whole image.
 
     Measurement: the border is measured at every pixel along it by coverage (`edge_points`), and the target's outline is fitted to it
     by least squares, in undistorted coordinates: of a polygon the homography of its plane, which needs no calibrated depth and no pose;
-    of a disc the ellipse; of a ball the cone of rays that touch it. The outline's points then are those of the target in its order.
-    Borders of pixels that are in or out (`camera.multisampling: 0`) are off by up to half a pixel, alike along a border that runs along
-    the rows: with 4 samples the points of a shape 200 px long are exact to some hundredths of a pixel.
+    of a disc the ellipse; of a ball the cone of rays that touch it. With `camera.multisampling: 0` borders are off by up to half a pixel;
+    with 4 samples the points of a shape 200 px long are exact to some hundredths of a pixel.
 
-    Lost: a region that reaches the image's border, since the moments of a part are not those of the region, or of which another thing
-    hides a part: more than `hidden_share` of its border is farther than `tolerance_px` from the fitted outline, or of the outline from
-    its border. By the second, a remnant is no region that lies along one side of an outline many times its size. A part with the outline
-    of the whole as seen from elsewhere, such as half of a square, is not told from it.
+    Lost: a region that reaches the image's border, or of which another thing hides a part: more than `hidden_share` of its border is
+    farther than `tolerance_px` from the fitted outline, or of the outline from its border. A part with the outline of the whole as seen
+    from elsewhere, such as half of a square, is not told from it.
 
     Args:
         chroma: max - min of r, g, b (0..255) above which a pixel belongs to the region [grey levels]; scenes keep everything else below it.
         hue_tolerance_deg: largest difference to the target's hue.
         least_area_px: least area of the region [px^2].
         tolerance_px: largest distance of the border from the fitted outline [px].
-        hidden_share: share of the border, and of the fitted outline, that may be farther from the other, above which the region counts as
-            partly hidden [1].
+        hidden_share: share of the border, and of the fitted outline, that may be farther from the other [1].
         window_margin_px: margin of the window around the predicted region, besides half of its last move [px].
 
     Reference: coverage as the mean over a pixel: Corke 2017, Robotics, Vision & Control, section 13.1 (regions, moments).
