@@ -181,7 +181,7 @@ class MeshTarget(Target):
             raise ParameterError("file", "must be a solid, FILE.stl or FILE.obj", self.file)
         if self.pad:
             raise ParameterError("pad", "has no place on a solid; works: target square or points")
-        size = self._size_m
+        size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))  # the diagonal of its box
         if not 1e-4 <= size <= LARGEST_M:
             words = f"makes the solid {size:.3g} m large; give the metres of one unit of the file, 0.001 for millimetres"
             raise ParameterError("scale", words, self.scale)
@@ -212,11 +212,6 @@ class MeshTarget(Target):
     @cached_property
     def _triangles(self) -> Array:
         return read_triangles(self.source) * self.scale
-
-    @property
-    def _size_m(self) -> float:
-        """The diagonal of the solid's box [m]."""
-        return float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))
 
     @cached_property
     def _nearest(self) -> list[tuple[Array, int]]:

@@ -132,7 +132,9 @@ def _meet(xy: Array, i: int, j: int) -> bool:
     if j == i + 1 or (i == 0 and j == n - 1):
         far, corner, near = (a, b, d) if j == i + 1 else (c, a, b)
         return _side(far, corner, near) == 0 and float((far - corner) @ (near - corner)) >= 0
-    return _side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0 and _boxes_meet(a, b, c, d)
+    # Segments on one line overlap only where their boxes do.
+    boxes_meet = (np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(np.maximum(a, b), np.maximum(c, d))).all()
+    return bool(_side(a, b, c) * _side(a, b, d) <= 0 and _side(c, d, a) * _side(c, d, b) <= 0 and boxes_meet)
 
 
 def _side(a: Array, b: Array, c: Array) -> float:
@@ -140,11 +142,6 @@ def _side(a: Array, b: Array, c: Array) -> float:
     u, v = b - a, c - a
     cross = float(u[0] * v[1] - u[1] * v[0])
     return 0.0 if abs(cross) <= 1e-12 * float(np.hypot(*u) * np.hypot(*v)) else math.copysign(1.0, cross)
-
-
-def _boxes_meet(a: Array, b: Array, c: Array, d: Array) -> bool:
-    """Whether the boxes round the segments a b and c d meet: of segments on one line, whether they overlap."""
-    return bool((np.maximum(np.minimum(a, b), np.minimum(c, d)) <= np.minimum(np.maximum(a, b), np.maximum(c, d))).all())
 
 
 def triangulated(xy: Array) -> list[tuple[int, int, int]]:

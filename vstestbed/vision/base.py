@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,51 +54,38 @@ class Detection:
         return np.isfinite(self.uv[:, 0])
 
 
-class Detector(Protocol[M]):
+class Detector(Generic[M]):
     """A detector: its parameters are frozen in the object; its state, such as the last positions, is passed through.
 
-    The caller gives `picture` only if `needs_image` is set, and `view` only if `needs_truth` is. `DetectorBase` has the defaults.
+    By default it finds the target's markers and needs no picture of the goal. The caller gives `picture` only if `needs_image` is set,
+    and `view` only if `needs_truth` is.
     """
 
-    @property
-    def kind(self) -> str:
-        """The detector's name in a scenario."""
-        ...
-
+    kind: Any  # the word in a scenario: a field of each
     needs_image: ClassVar[bool]  # it reads the picture
-    needs_truth: ClassVar[bool]  # it reads the ground truth: the oracle
-    markers: ClassVar[tuple[str, ...]]  # kinds of markers that it can detect; empty: any
-    needs_sheet: ClassVar[bool]  # it finds the picture of a target `picture`
-    needs_goal: ClassVar[bool]  # it finds the goal picture's points, not the target's markers
-    draws: ClassVar[bool]  # `detect` draws from its generator, so that another seed gives other points
+    needs_truth: ClassVar[bool] = False  # it reads the ground truth: the oracle
+    markers: ClassVar[tuple[str, ...]] = ()  # kinds of markers that it can detect; empty: any
+    needs_sheet: ClassVar[bool] = False  # it finds the picture of a target `picture`
+    needs_goal: ClassVar[bool] = False  # it finds the goal picture's points, not the target's markers
+    draws: ClassVar[bool] = False  # `detect` draws from its generator, so that another seed gives other points
+    # These without a type: a kind may have a field or a property in their place.
+    rows: Any = None  # how many points it reports, where they are not the target's markers
+    changing: Any = False  # its rows may come to show other points (`Detection.ids`)
+    fleeting: Any = False  # they do so in most pictures, so that nothing can be learnt of a point over time
 
-    @property
-    def rows(self) -> int | None:
-        """How many points it reports, where they are not the target's markers; None: one for each marker."""
-        ...
-
-    @property
-    def changing(self) -> bool:
-        """Whether its rows may come to show other points (`Detection.ids`)."""
-        ...
-
-    @property
-    def fleeting(self) -> bool:
-        """Whether they do so in most pictures, so that nothing can be learnt of a point over time."""
-        ...
-
-    def init(self) -> M:
+    def init(self) -> Any:
         """The state before the first picture."""
-        ...
+        return None
 
-    def begin(self, goal: Goal, camera: Camera, target: Target) -> M:
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> Any:
         """The state before the first picture of a run to a goal, with the picture taken there where `needs_goal` is set."""
-        ...
+        return self.init()
 
     def look(self, memory: M, camera: Camera, target: Target) -> Look | None:
         """Regions of interest in the next picture; None for the whole picture."""
-        ...
+        return None
 
+    @abstractmethod
     def detect(
         self, memory: M, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[M, Detection]:
@@ -108,29 +96,7 @@ class Detector(Protocol[M]):
         ...
 
 
-class DetectorBase:
-    """Defaults: a detector of the target's markers, which needs no picture of the goal. Its subclasses define the rest of `Detector`."""
-
-    needs_truth: ClassVar[bool] = False
-    markers: ClassVar[tuple[str, ...]] = ()
-    needs_sheet: ClassVar[bool] = False
-    needs_goal: ClassVar[bool] = False
-    draws: ClassVar[bool] = False
-    rows: Any = None  # without a type, as in `LawBase`: a subclass may have a field or a property in its place
-    changing: Any = False
-    fleeting: Any = False
-
-    def init(self) -> Any:
-        """No state."""
-        return None
-
-    def begin(self, goal: Goal, camera: Camera, target: Target) -> Any:
-        """As `init`."""
-        return self.init()
-
-    def look(self, memory: Any, camera: Camera, target: Target) -> Look | None:
-        """The whole picture."""
-        return None
+DetectorBase = Detector  # the name from which plugins derive
 
 
 # Points of the goal's picture as a goal: their depths by the depth camera or by the target's plane.

@@ -123,7 +123,9 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     gradient = np.stack([(_sampled(goal, uv_goal[:, None] + x + s) - _sampled(goal, uv_goal[:, None] + x - s)) / 2 for s in np.eye(2)], -1)
     gradient = gradient - gradient.mean(axis=1, keepdims=True)
     normal = gradient.mT @ gradient
-    usable = _textured(normal) & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(uv).all(axis=1)
+    least, most = np.linalg.eigvalsh(normal).T
+    # textured: with structure in both directions
+    usable = (least > np.maximum(TEXTURE * most, 1e-3)) & np.isfinite(A).all(axis=(1, 2)) & np.isfinite(uv).all(axis=1)
     normal[~usable] = np.eye(2)
     over = np.einsum("kij,pj->kpi", np.where(usable[:, None, None], A, np.eye(2)), x)
     start, A = np.where(usable[:, None], uv, 0.0), np.where(usable[:, None, None], A, 0.0)
@@ -170,12 +172,6 @@ def _normalised(patches: Array) -> tuple[Array, Array]:
     off = patches - patches.mean(axis=1, keepdims=True)
     contrast = np.sqrt(np.mean(off**2, axis=1))
     return off / np.maximum(contrast, 1e-6)[:, None], contrast
-
-
-def _textured(normal: Array) -> NDArray[np.bool_]:
-    """Whether patches with the normal equations (K, 2, 2) have structure in both directions."""
-    eigenvalues = np.linalg.eigvalsh(normal)
-    return np.asarray(eigenvalues[:, 0] > np.maximum(TEXTURE * eigenvalues[:, 1], 1e-3))
 
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one image.

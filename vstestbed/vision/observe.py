@@ -256,7 +256,8 @@ class Observer:
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
-        ray = self.camera.ray(uv) if self._solves(T) or self._always_rays or tilt is not None else None
+        asked = "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
+        ray = self.camera.ray(uv) if self._solves(T) or asked or tilt is not None else None
         T, solved = self._pose(ray, t, memory, T, twist)
         flow, estimator = memory.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
@@ -290,31 +291,14 @@ class Observer:
         return uv, T
 
     @cached_property
-    def _needs_pose(self) -> bool:
-        return self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
-
-    @cached_property
-    def _always_rays(self) -> bool:
-        return "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
-
-    @cached_property
     def _always_uses_motion(self) -> bool:
         gaps = self.dropout > 0 or self.perturbed is not None
         return self.depth.estimator is not None or gaps or self.grounded or "motion" in self.required_fields
 
-    @cached_property
-    def _predictable(self) -> bool:
-        """Whether a pose may be propagated by the camera's motion alone: a target that moves by itself is known only while seen."""
-        return not self.target.moves or self.target.on_gripper
-
-    @cached_property
-    def _base_from_camera_twist(self) -> Array:
-        """Matrix (3, 6) from the camera's twist to the vehicle's (vx, vy, wz)."""
-        return adjoint(self.camera.mount.T)[[0, 1, 5]]
-
     def _solves(self, T: Array | None) -> bool:
         """Whether the pose is to be solved, given the detector's; noise added to the pixels is not in the detector's pose."""
-        return self._needs_pose and (T is None or self.pixel_sigma_px > 0)
+        needed = self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
+        return needed and (T is None or self.pixel_sigma_px > 0)
 
     def _pose(self, ray: Array | None, t: float, memory: ObserverMemory, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
         """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it was measured rather than propagated."""
@@ -370,7 +354,7 @@ class Observer:
         if memory.odometry is None:
             return None, memory.place
         dt = t - memory.t
-        step = np.zeros(3) if np.isnan(memory.t) else arc(self._base_from_camera_twist @ twist, dt)
+        step = np.zeros(3) if np.isnan(memory.t) else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
         odometry = composed(memory.odometry, step)
         if self.target.moves:  # no landmark
             return odometry, None
@@ -381,7 +365,8 @@ class Observer:
     def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
         """What the law is given: the required fields alone, distances with the calibration's error."""
         required = self.required_fields
-        pose = view.T_camera_target if solved or self._predictable else None
+        predictable = not self.target.moves or self.target.on_gripper  # else the target's pose is known only while it is seen
+        pose = view.T_camera_target if solved or predictable else None
         depth, reach, scale = view.depth, view.range, self.depth_scale
         if scale is not None:
             depth, reach = depth * scale, None if reach is None else reach * scale

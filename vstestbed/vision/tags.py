@@ -186,8 +186,8 @@ class Tags(DetectorBase):
 
     OpenCV finds and decodes the tags, with corners good to a pixel. From there each edge is measured in the grey image and the
     four lines are intersected (`measure_edges`): corners to .01 px, without a constant offset. (OpenCV's own refinements leave .4 to .7 px
-    on rendered tags of 20 to 75 px.) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the lens.
-    The pose is solved from all corners; one tag suffices.
+    on rendered tags of 20 to 75 px.) The diagonals of the corners' rays intersect in the centre's ray, whatever the perspective and the
+    lens. The pose is solved from all corners; one tag suffices.
 
     A tracked tag is searched in a window around its predicted position; when one is not found there, the whole image of the same exposure
     is searched. A tag is rejected if it touches the image's border, if it is misread, or if a point of its edges is off its line or
