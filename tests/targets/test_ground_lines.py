@@ -49,7 +49,7 @@ def test_a_circle_by_pythagoras():
 
 def test_the_pose_moves_the_paint():
     lines = GroundLines(route=Straight(length_m=20), pose=Pose(xyz=(1, 2, 0), rpy_deg=(0, 0, 90)))
-    np.testing.assert_allclose(lines.way[[0, -1]], [[1, 2], [1, 22]], atol=1e-12)
+    np.testing.assert_allclose(lines.floor_path[[0, -1]], [[1, 2], [1, 22]], atol=1e-12)
 
 
 def test_beyond_the_ends_of_the_paint_there_is_nothing():

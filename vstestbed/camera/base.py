@@ -126,10 +126,8 @@ class Camera(ABC):
     exposure: ExposureControl | None = None
     sensor: SensorNoise | None = None
     stream: Annotated[VideoStream, STREAMS] | None = None
-    sees_all: ClassVar[bool] = False
-    """Whether each pixel of its picture has a ray: a wide lens has an image circle."""
-    with_depth: ClassVar[bool] = False
-    """Whether it may have a depth sensor: depth cameras have perspective lenses."""
+    sees_all: ClassVar[bool] = False  # whether each pixel of its picture has a ray: a wide lens has an image circle
+    with_depth: ClassVar[bool] = False  # whether it may have a depth sensor: depth cameras have perspective lenses
 
     def __post_init__(self) -> None:
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
@@ -181,10 +179,6 @@ class Camera(ABC):
         Reference: Meingast, Geyer & Sastry 2005, Geometric models of rolling-shutter cameras, arXiv:cs/0503076.
         """
         return (v - (self.height - 1) / 2) * (self.readout_s / self.height)
-
-    def mounted(self, mount: Pose) -> Camera:
-        """The same camera with another mount."""
-        return replace(self, mount=mount)
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
         """The same camera with f (1 + focal_error), another principal point, no distortion; ParameterError where the lens has none such."""

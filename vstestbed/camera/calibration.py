@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -77,6 +78,6 @@ class Calibration:
             return camera
         mount = Pose.of(camera.mount.T @ self.mount_error.T)
         if self.lens_exact:
-            return camera.mounted(mount)
-        principal = camera.centre + self.principal_error_px
-        return camera.miscalibrated(self.focal_error, (float(principal[0]), float(principal[1])), self.ignores_distortion).mounted(mount)
+            return replace(camera, mount=mount)
+        cx, cy = (camera.centre + self.principal_error_px).tolist()
+        return replace(camera.miscalibrated(self.focal_error, (cx, cy), self.ignores_distortion), mount=mount)

@@ -17,8 +17,7 @@ from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
 from vstestbed.core.spec import spec
 
-DEFAULT_FOVY_DEG = 64.0
-"""8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3."""
+DEFAULT_FOVY_DEG = 64.0  # 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
 
 X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 

@@ -190,7 +190,6 @@ class Fisheye(Radial):
         return knots, self.radius(knots)
 
 
-# The catadioptric camera: a lens facing a curved mirror, both modelled by one unit sphere (unified central model).
 @spec
 class Catadioptric(Radial):
     """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
@@ -241,7 +240,6 @@ class Catadioptric(Radial):
         return np.arctan(radius) + np.arcsin(np.minimum(sine, 1.0))
 
 
-# The spherical camera: every direction at once.
 FACE_DEG = 100.0
 """Field of view of each of the six pictures [deg]: 10 more than a cube's face, so that a marker at a seam, up to 5 degrees
 in radius, is whole in one of the two. More would cost pixels in the middle: a face has face_px / 2 / tan(FACE_DEG / 2) to

@@ -95,8 +95,7 @@ def condition(L: Array, scale: Array, depth: Array) -> float:
 FLOOR = 1e-3
 """Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
 camera."""
-ROUNDING = 1e-12
-"""Radius, or sine of a colatitude, below which a bearing is undefined: pi has a sine of 1.2e-16."""
+ROUNDING = 1e-12  # radius, or sine of a colatitude, below which a bearing is undefined: pi has a sine of 1.2e-16
 CENTRE = 1e-2
 """Radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels."""
 
@@ -156,7 +155,6 @@ def bounded_inverse(x: Array) -> Array:
     return np.where(x > FLOOR, 1 / np.maximum(x, FLOOR), x / FLOOR / FLOOR)
 
 
-# A quantity together with its rate under a camera twist, so that a formula gives both s and its row of L.
 @dataclass(frozen=True, slots=True)
 class Rated:
     """A real or complex quantity (...) and its derivative to the six velocities of the camera, q (..., 6) with value_dot = q v.

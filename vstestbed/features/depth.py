@@ -45,17 +45,12 @@ class DepthSource(ABC):
     needs_pose: ClassVar[bool] = False  # the target's pose must be estimated
     needs_size: ClassVar[bool] = False  # the target's known size must tell its place
     true: ClassVar[bool] = False  # depths are the simulator's truth
-    on_floor: ClassVar[bool] = False
-    """That pose is one of a base that stands upright on the floor: three unknowns."""
+    on_floor: ClassVar[bool] = False  # that pose is one of a base that stands upright on the floor: three unknowns
     preset: ClassVar[bool] = False  # depths are given numbers, not measured: derotation leaves them as they are
 
-    measured: ClassVar[bool] = False
-    """Depths are read from the picture of a depth camera (`camera.depth_sensor`)."""
+    measured: ClassVar[bool] = False  # depths are read from the picture of a depth camera (`camera.depth_sensor`)
 
-    @property
-    def estimator(self) -> Estimate | None:
-        """Parameters of the recursive estimate from motion; None where depths come from elsewhere."""
-        return None
+    estimator: Any = None  # parameters of the recursive estimate from motion (`Estimate`); None where depths come from elsewhere
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
         """Measured depths (N,) [m] at pixels uv (N, 2) of a depth picture (H, W) [m]; None for a source that needs none."""
@@ -65,9 +60,9 @@ class DepthSource(ABC):
     def depths(self, cues: DepthCues) -> Array:
         """Depth of each marker, shape (N,) [m], NaN where unknown."""
 
-    @abstractmethod
     def ranges(self, cues: DepthCues) -> Array:
-        """Range of each marker, shape (N,) [m], NaN where unknown."""
+        """Range of each marker, shape (N,) [m], NaN where unknown; by default the depth, which a law of ranges takes for it."""
+        return self.depths(cues)
 
 
 class FromPose(DepthSource):
@@ -110,10 +105,6 @@ class Constant(DepthSource):
         """The same number for all."""
         return np.full(len(cues.xy), self.depth_m)
 
-    def ranges(self, cues: DepthCues) -> Array:
-        """The same number again: a law of ranges takes it for the range."""
-        return np.full(len(cues.xy), self.depth_m)
-
 
 @spec
 class AtGoal(DepthSource):
@@ -148,7 +139,7 @@ class Estimate(DepthSource):
     forget_s: PositiveTime = 0.5
 
     @property
-    def estimator(self) -> Estimate | None:
+    def estimator(self) -> Estimate:
         """These parameters."""
         return self
 

@@ -74,7 +74,6 @@ def line_interaction(rho: Array, theta: Array, plane: Array) -> Array:
     rho_dot   = (c vx + s vy - rho vz) l_rho + (1 + rho^2) (s wx - c wy),      l_rho = (A rho c + B rho s + C)/D
     theta_dot = (c vx + s vy - rho vz) l_theta - rho (c wx + s wy) - wz,       l_theta = (A s - B c)/D
     c = cos theta, s = sin theta; any plane that contains the line but not the camera's centre (D = 0, a ParameterError) gives the same L.
-
     Reference: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350.
     """
     rho, theta, plane = (np.asarray(v, dtype=float) for v in (rho, theta, plane))
@@ -113,7 +112,6 @@ def _plane(start: Array, end: Array) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
-    """Inner products (..., 1) of vectors (..., k)."""
     return np.einsum("...i,...i->...", a, b)[..., None]
 
 
@@ -158,7 +156,6 @@ def line_on_floor(rho: Array, theta: Array, T_base_camera: Array, ahead: Array |
     return np.stack([y, phi], axis=-1), np.stack([dy, dphi], axis=-2)
 
 
-# The segment between two points in the image.
 _POINT = Point()
 
 
@@ -205,7 +202,6 @@ class Segment(Feature):
         return e
 
     def _rows(self, x1: Any, y1: Any, x2: Any, y2: Any) -> list[Any]:
-        """The four rows, of arrays (...) or of Rated."""
         along = (x1 - x2) + 1j * (y1 - y2)
         xc, yc, alpha = 0.5 * (x1 + x2), 0.5 * (y1 + y2), angle(along, FLOOR)
         length = at_least(square(along), FLOOR**2) ** 0.5

@@ -17,8 +17,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.base import MOST_CONDITION, Feature, Rated, angle, checked, condition, require_plane, square, wrap
 from vstestbed.features.polygon import segments, size, spans_area
 
-Of = Literal["points", "region"]
-"""Moments are sums over points, or integrals over the region within a closed outline."""
+Of = Literal["points", "region"]  # moments are sums over points, or integrals over the region within a closed outline
 LEAST_AREA = 1e-12
 """Area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide."""
 FLAT = 1e-9
@@ -31,7 +30,6 @@ def image_moments(xy: Array, of: Of, order: int) -> Array:
     Of points, or of the vertices of the outline in order, either way round, xy (..., N, 2).
     Green's theorem makes the integral one along the edges: m_pq = 1/(p+q+2) times the sum over the edges of x_i y_i+1 - x_i+1 y_i times the
     mean of x^p y^q on the edge. Gauss-Legendre nodes on each edge give that mean without error: the result is exact for polygons.
-
     Reference: Steger 1996, "On the calculation of arbitrary moments of polygons", Technische Universität München, FGBV-96-05.
     """
     xy = np.asarray(xy, dtype=float)
@@ -146,7 +144,6 @@ class MomentSet:
 
         c_11 = mu20 + mu02,  c_20 = mu20 - mu02 + 2i mu11,  c_21 = mu30 + mu12 + i (mu21 + mu03),
         c_30 = mu30 - 3 mu12 + i (3 mu21 - mu03).
-
         Reference: Flusser 2000, doi:10.1016/S0031-3203(99)00127-2.
         """
         if ("c", p, q) not in self._known:
@@ -234,12 +231,7 @@ def _third_order(m: MomentSet) -> dict[str, Any]:
     """
     c30, c21 = m.complex(3, 0), m.complex(2, 1)
     a, b, z = square(c30), square(c21), c30 * (c21 * c21 * c21).conj()
-    above = {
-        "c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real,
-        "c4": 16 * z.imag,
-        "c5": (b - a) * (a - 9 * b),
-        "c6": (a - 9 * b) ** 2,
-    }
+    above = {"c3": a * a - 6 * a * b - 3 * b * b + 8 * z.real, "c4": 16 * z.imag, "c5": (b - a) * (a - 9 * b), "c6": (a - 9 * b) ** 2}
     below = (a + 3 * b) ** 2 - 16 * z.real
     return {row: over(value, below) for row, value in above.items()}
 
@@ -291,7 +283,6 @@ written in complex moments, in which an invariance is seen at once: the turns of
 """
 
 
-# Moments of a shape in the image: where it is, how large, how it is turned, and how it is tilted.
 Row = Literal[  # fmt: skip - one name a line would hide the groups
     "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
 ]
@@ -301,8 +292,7 @@ DIRECTED = 0.1
 a third of that."""
 ROUND = 0.05  # elongation of a shape in the goal view under which its principal axis counts as undefined
 SINGULAR = 1e12  # condition over which L counts as singular, whatever rounding has made of it
-SYMMETRIC = 0.02
-"""Share of third-order moments in the goal view under which a shape counts as symmetric about its centre."""
+SYMMETRIC = 0.02  # share of third-order moments in the goal view under which a shape counts as symmetric about its centre
 
 
 @spec
@@ -394,7 +384,7 @@ class Moments(Feature):
         return condition(self.interaction(xy, depth), scale, depth)
 
     def _advice(self, m: MomentSet, xy: Array, depth: Array) -> str:
-        """Which two ratios would work best in place of these, of all pairs; where none would, that the shape may be an ellipse."""
+        """Which two ratios would work best in place of these; where none would, that the shape may be an ellipse."""
         before = [row for row in self.rows if row in INVARIANTS]
         best, pair = MOST_CONDITION, ()
         for names in combinations(INVARIANTS, 2) if before else ():
@@ -428,7 +418,6 @@ class Moments(Feature):
         return max(3 if row == "alpha" else INVARIANTS[row][1] if row in INVARIANTS else 2 for row in self.rows)
 
     def _named(self, *words: str) -> str:
-        """Those of the words that are rows, for a message; "" for none."""
         return ", ".join(word for word in words if word in self.rows)
 
     def _row(self, m: MomentSet, row: str) -> Any:
@@ -455,7 +444,6 @@ def axis_error(e: Array, t: Array, t_star: Array) -> Array:
     return np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
 
 
-# The ellipse that a disc, a ball or any other ellipse on a plane has as its image.
 OFF = 0.02
 """Distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else."""
 EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]

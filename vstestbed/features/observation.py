@@ -105,13 +105,9 @@ class Observation:
         """The same without the markers that do not count, (N,) bool; all count where that is None."""
         if counted is None:
             return self
-        out = ~counted
-        gone = {name: _without(getattr(self, name), out) for name in ("uv", "xy", "depth", "ray", "range", "radius_px")}
-        return replace(self, **gone)
-
-
-def _without(a: Array | None, out: NDArray[np.bool_]) -> Array | None:
-    return None if a is None else np.where(out if a.ndim == 1 else out[:, None], np.nan, a)
+        columns = {name: getattr(self, name) for name in ("uv", "xy", "depth", "ray", "range", "radius_px")}
+        kept = {name: np.where(counted if a.ndim == 1 else counted[:, None], a, np.nan) for name, a in columns.items() if a is not None}
+        return replace(self, **kept)
 
 
 class FittedPlane(NamedTuple):

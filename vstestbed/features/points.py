@@ -71,7 +71,6 @@ class Bearings(Feature):
         return first
 
 
-# Image points in polar coordinates.
 @spec
 class Polar(Bearings):
     """Radius r = hypot(x, y) and angle phi = atan2(y, x) of each normalised point; rows r1, phi1, r2, phi2, ...
@@ -108,7 +107,6 @@ class Polar(Bearings):
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
 
-# Points on the unit sphere around the camera's centre.
 @spec
 class Spherical(Bearings):
     """Colatitude theta = atan2(hypot(X, Y), Z) and longitude phi = atan2(Y, X) of each ray; rows theta1, phi1, theta2, ...

@@ -123,7 +123,6 @@ def _signed_area(xy: Array) -> Array:
 
 
 def _size_row(xy: Array, points: Array) -> Array:
-    """Row (..., 6) of sigma: area_dot / (2 sigma), from the rows (..., N, 2, 6) of the points."""
     area = _signed_area(xy)
     after, before = np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
     slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)

@@ -66,7 +66,6 @@ def rotation_interaction(theta_u: Array) -> Array:
 
     L_w = I + S/2 + c S^2,  S = [theta u]x,  c = (1 - (theta/2) cot(theta/2))/theta^2; below 0.1 rad the series
     1/12 + theta^2/720 + theta^4/30240, whose next term is under 1e-12.
-
     Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345, in the frame of w.
     """
     theta2 = np.sum(np.square(theta_u), axis=-1)
@@ -78,7 +77,6 @@ def rotation_interaction(theta_u: Array) -> Array:
     return np.eye(3) + 0.5 * S + c[..., None, None] * (S @ S)
 
 
-# The translation between two frames.
 @spec
 class Translation:
     """The translation t [m] of a pose: three rows, computed from the pose.
@@ -115,7 +113,6 @@ class Translation:
         return np.subtract(s, s_star, dtype=float)
 
 
-# The depth of a point as a logarithm.
 @spec
 class LogDepth(Feature):
     """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.

@@ -119,8 +119,7 @@ class Target:
     pad: Pad | None = None
     names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
-    one_sided: ClassVar[bool] = False
-    """Whether only its front has markers: seen from behind its plane it counts as lost."""
+    one_sided: ClassVar[bool] = False  # whether only its front has markers: seen from behind its plane it counts as lost
 
     outlined: ClassVar[bool] = False
     """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""

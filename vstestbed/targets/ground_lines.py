@@ -74,12 +74,6 @@ class GroundLines(Target):
         self._check_names()
 
     @property
-    def way(self) -> Array:
-        """The route in the world, every centimetre, shape (K, 2) [m]."""
-        xy = self.route.samples.xy
-        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
-
-    @property
     def places(self) -> Array:
         """None: the measured points depend on the place of the camera."""
         return np.empty((0, 3))
@@ -91,22 +85,15 @@ class GroundLines(Target):
 
     @property
     def floor_path(self) -> Array:
-        """The route in the world."""
-        return self.way
+        """The route in the world, every centimetre, shape (K, 2) [m]."""
+        xy = self.route.samples.xy
+        return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
-        """Edges of each line."""
-        return tuple(self.edges(i) for i in range(len(self.offsets_m)))
-
-    def line(self, i: int) -> Array:
-        """The middle of line i in the target frame, every centimetre, shape (K, 2) [m]."""
-        return self._beside(self.offsets_m[i])
-
-    def edges(self, i: int) -> tuple[Array, Array]:
-        """Left and right edge of line i in the target frame, each (K, 2) [m]."""
+        """Left and right edge of each line in the target frame, each (K, 2) [m]."""
         half = self.marker.width_m / 2
-        return self._beside(self.offsets_m[i] + half), self._beside(self.offsets_m[i] - half)
+        return tuple((self._beside(offset + half), self._beside(offset - half)) for offset in self.offsets_m)
 
     def _beside(self, offset: float) -> Array:
         """The parallel of the route at an offset to the left [m], every centimetre of the route, shape (K, 2) [m]."""
@@ -116,7 +103,7 @@ class GroundLines(Target):
     # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
     def _lines(self) -> tuple[Array, ...]:
-        return tuple(self.line(i) for i in range(len(self.offsets_m)))
+        return tuple(self._beside(offset) for offset in self.offsets_m)
 
     @cached_property
     def points(self) -> Array:

@@ -224,7 +224,6 @@ class Stripe(Marker):
 MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
 
 
-# The marker of a region: the edge of the target's body.
 @spec
 class Outline(Marker):
     """The edge of a region of one colour, which is the target's body: its points have no geoms of their own.

@@ -21,8 +21,7 @@ from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
 
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
 MOST_BYTES = 64_000_000
-RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-"""A triangle in a binary STL file."""
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  # a triangle in a binary STL file
 Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
 
@@ -148,8 +147,7 @@ surfaces by tenths of a millimetre."""
 FLAT_M = 1e-3  # largest distance of a disc's rim from the surface [m]
 RIM = 12
 Channel = Annotated[float, Ge(0), Le(1)]
-LARGEST_M = 100.0
-"""Largest size of a solid [m]: a part of 0.1 m or more whose millimetres were taken for metres is larger."""
+LARGEST_M = 100.0  # largest size of a solid [m]: a part of 0.1 m or more whose millimetres were taken for metres is larger
 SOLID_MARKERS = OneOf("marker", Disc, Sphere, default="disc")
 
 

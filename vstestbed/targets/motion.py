@@ -235,7 +235,6 @@ OWN_MOTIONS = (Still, Line, Circle, Sinusoid, Lissajous, RandomWalk)
 PLATE_MOTIONS = OneOf("motion", *OWN_MOTIONS, default="still")
 
 
-# Targets attached to something that moves: a vehicle on a route, or the robot's gripper (eye to hand).
 @spec
 class Carried(MotionBase):
     """The target rides on a vehicle that drives along a route; `target.pose` is then where it sits in the vehicle's frame.

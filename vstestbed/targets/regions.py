@@ -126,7 +126,6 @@ def crossing(xy: Array) -> tuple[int, int] | None:
 
 
 def _meet(xy: Array, i: int, j: int) -> bool:
-    """Whether the sides i < j of a polygon meet elsewhere than at a common corner."""
     n = len(xy)
     a, b, c, d = xy[i], xy[(i + 1) % n], xy[j], xy[(j + 1) % n]
     if j == i + 1 or (i == 0 and j == n - 1):
@@ -168,9 +167,7 @@ def _is_ear(xy: Array, left: list[int], k: int) -> bool:
     return not bool(np.logical_and.reduce([side >= 0 for side in sides]).any())
 
 
-# Figures of a flat target: its outline in the target's plane.
-DISC_CORNERS = 256
-"""Corners with which a disc is drawn; a polygon of its area, whose border is within 5e-5 of its radius."""
+DISC_CORNERS = 256  # corners with which a disc is drawn; a polygon of its area, whose border is within 5e-5 of its radius
 Corner = Annotated[tuple[Length, ...], Len(2, 2)]
 
 
@@ -218,7 +215,7 @@ class PolygonFigure(Figure):
             words = f"must not cross or touch itself: the sides from corners {sides[0]} and {sides[1]} meet"
             raise ParameterError("at", words, [list(corner) for corner in self.at])
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """The corners, clockwise as seen."""
         given = np.array(self.at, dtype=float)
@@ -237,7 +234,7 @@ class DiscFigure(Figure):
     radius: PositiveLength
     round: ClassVar[bool] = True
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """A regular polygon with the disc's area."""
         swell = math.sqrt(2 * math.pi / (DISC_CORNERS * math.sin(2 * math.pi / DISC_CORNERS)))
@@ -259,7 +256,7 @@ class Whale(Figure):
     kind: Literal["whale"] = "whale"
     length: PositiveLength
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """Corners on a smooth curve through WHALE."""
         curve = _smooth(np.array(WHALE), 2)
@@ -277,7 +274,7 @@ class LShape(Figure):
     kind: Literal["l_shape"] = "l_shape"
     length: PositiveLength
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """The six corners, from the upper left on."""
         at = np.array([[0, 0], [0.3, 0], [0.3, 0.7], [0.67, 0.7], [0.67, 1], [0, 1]])
@@ -326,7 +323,7 @@ class OneRegion(Target):
     count: Annotated[int, Ge(12), Le(96)] = 32
     outlined: ClassVar[bool] = True
 
-    def _check_region(self) -> None:
+    def __post_init__(self) -> None:
         if self.names:
             raise ParameterError("names", "are for markers; the points of an outline have none", list(self.names))
         if self.pad:
@@ -358,23 +355,16 @@ class Shape(OneRegion):
     figure: Annotated[Figure, FIGURES]
     one_sided: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        self._check_region()
-
     @cached_property
     def points(self) -> Array:
         """Points on the outline in the target frame, shape (M, 3) [m]; of a disc those that a camera before it sees."""
         xy = self.figure.outline(self.count)
         return np.column_stack([xy, np.zeros(len(xy))])
 
-    @cached_property
-    def _drawn(self) -> Array:
-        return self.figure.corners
-
     @property
     def figure_corners(self) -> Array | None:
         """The figure's corners; None of a disc."""
-        return None if self.figure.round else self._drawn
+        return None if self.figure.round else self.figure.corners
 
     def round_outline(self, ray: Array) -> RoundOutline | None:
         """Of a disc the ellipse that fits the rays in the picture's plane."""
@@ -412,7 +402,7 @@ class Shape(OneRegion):
 
     @cached_property
     def _triangles(self) -> Array:
-        corners = self._drawn
+        corners = self.figure.corners
         if len(corners) == 3:  # MuJoCo takes no mesh of three vertices
             corners = self.figure.outline(4)
         at = np.column_stack([corners, np.zeros(len(corners))])
@@ -422,7 +412,7 @@ class Shape(OneRegion):
     @property
     def board_half_m(self) -> tuple[float, float]:
         """It reaches BOARD_MARGIN of the longer side beyond the outline, on all sides of the origin."""
-        corners = self._drawn
+        corners = self.figure.corners
         x, y = (np.abs(corners).max(axis=0) + BOARD_MARGIN * float(np.ptp(corners, axis=0).max())).tolist()
         return x, y
 
@@ -441,9 +431,6 @@ class Ball(OneRegion):
 
     kind: Literal["ball"] = "ball"
     radius: PositiveLength
-
-    def __post_init__(self) -> None:
-        self._check_region()
 
     @cached_property
     def points(self) -> Array:

@@ -22,14 +22,10 @@ BALL_ROUNDS = 5
 CORNERS = 32  # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
 
 
-def _circle() -> tuple[Array, Array]:
-    """Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each."""
-    angle = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
-    swell = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
-    return swell * np.cos(angle), swell * np.sin(angle)
-
-
-_COS, _SIN = _circle()
+# Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each.
+_ANGLE = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
+_SWELL = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
+_COS, _SIN = _SWELL * np.cos(_ANGLE), _SWELL * np.sin(_ANGLE)
 
 
 class Outlines(NamedTuple):
@@ -59,7 +55,6 @@ def centre_bias(camera: Camera, target: Target, T_camera_target: Array) -> Outli
 
 
 def _of_rims(camera: Camera, p: Array) -> Outlines:
-    """The images of centres and rims p (N, 1 + corners, 3) in the camera's frame."""
     uv = camera.project(p)
     q = uv[:, 1:] - uv[:, :1]
     here, there = q[:, :-1], q[:, 1:]
@@ -209,7 +204,8 @@ def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tup
     uv = centre + bias
     allowed, chosen, score = allowed_px(uv), [], 0.0
     for i, some in enumerate(few):
-        fitting = [(f, _off(f[1], uv[i])) for f in some if _like(f[1], area[i])]
+        like = [f for f in some if not f[1].whole or abs(np.log(f[1].area / area[i])) <= LIKE_AREA]  # a cut one may have any area
+        fitting = [(f, _off(f[1], uv[i])) for f in like]
         f, distance = min(fitting, key=lambda g: g[1], default=(None, np.inf))
         chosen.append(f if distance <= allowed else None)
         score += max(0.0, 1 - distance / allowed)
@@ -225,10 +221,4 @@ def _without_pose(few: Candidates, camera: Camera, target: Target, previous: Arr
 
 
 def _off(blob: Blob, uv: Array) -> float:
-    """Distance of a blob's centroid from uv (2,) [px]."""
     return float(np.hypot(blob.u - uv[0], blob.v - uv[1]))
-
-
-def _like(blob: Blob, area: float) -> bool:
-    """Whether a blob has the predicted area [px^2]; a cut one may have any."""
-    return not blob.whole or abs(np.log(blob.area / area)) <= LIKE_AREA

@@ -148,14 +148,10 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
     cosine = [float(ray[2]) for ray in rays]
     best = max(range(len(found)), key=lambda i: (found[i][1].whole, found[i][1].area * cosine[i] ** 3))
     in_camera = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
-    return found[max(_twins(found, in_camera, best), key=lambda i: cosine[i])]
-
-
-def _twins(found: list[tuple[int, Blob]], rays: list[Array], index: int) -> list[int]:
-    """Indices of blobs that are the same marker as that of `index` in other panels, and `index` itself."""
-    panel, blob = found[index]
+    panel, blob = found[best]
     others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
-    return [i for i in others if rays[i] @ rays[index] > TWIN_COSINE] + [index]
+    twins = [i for i in others if in_camera[i] @ in_camera[best] > TWIN_COSINE]
+    return found[max([*twins, best], key=lambda i: cosine[i])]
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
@@ -189,7 +185,9 @@ class MarkerFit:
             blobs: of each marker; None where none was found. memory: the last picture, whose bias and pose start the iteration.
             correct: subtract the bias from the centres.
         """
-        centroid, area = _whole(blobs)
+        whole = [b if b and b.whole else None for b in blobs]
+        centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
+        area = np.array([b.area if b else np.nan for b in whole])
         assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
         T, bias = self._fitted(centroid, area, assumed, memory.T_camera_target)
         if T is None:
@@ -279,7 +277,6 @@ class MarkerFit:
         return self._first_of_three(self._rays(uv[seen]), area)
 
     def _surprise(self, T: Array, area: Array) -> float:
-        """Sum of |log(area / predicted)| of areas (N,) under a pose."""
         return float(np.nansum(np.abs(np.log(area / self._expected(T).area))))
 
     def _expected(self, T_camera_target: Array) -> Outlines:
@@ -295,7 +292,6 @@ class MarkerFit:
         return out
 
     def _rays(self, uv: Array) -> Array:
-        """Unit rays (N, 3) in the camera frame of the markers' pixels (N, 2), each in its panel."""
         if self._of is None:
             return self._camera.ray(uv)
         rays = np.empty((len(uv), 3))
@@ -346,12 +342,6 @@ def _by_panel(camera: Camera, panels: list[int]) -> list[tuple[Panel, slice | ND
         return [(camera.panels[panels[0]], slice(None))]
     of = np.array(panels)
     return [(camera.panels[panel], of == panel) for panel in set(panels)]
-
-
-def _whole(blobs: list[Blob | None]) -> tuple[Array, Array]:
-    """Centroids (N, 2) [px] and areas (N,) [px^2] of the blobs that are whole, NaN for the others."""
-    whole = [b if b and b.whole else None for b in blobs]
-    return np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole]), np.array([b.area if b else np.nan for b in whole])
 
 
 EDGE_PX = 0.15
@@ -424,7 +414,9 @@ class Blobs(DetectorBase):
             picture = picture.completed()
             noise = _noise_levels(picture)
             found = self._search(picture, noise, memory, camera, target)
-        blobs, panels = _split(found, memory)
+        blobs = [f[1] if f else None for f in found]
+        # A marker that is not found stays in the panel in which it was seen last, at first 0.
+        panels = [f[0] if f else last for f, last in zip(found, memory.panels or (0,) * len(found), strict=True)]
         noisy = any(noise[f[0]] > 0 for f in found if f)
         # A clean image of one sample a pixel has exact colours.
         edge = EDGE_PX if noisy or _smooth(camera.panels[0].lens) else 0.0
@@ -475,20 +467,16 @@ class Blobs(DetectorBase):
         """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains; with panels the largest
         one.
         """
-        hues, everywhere = target.hues_deg, self._all_blobs(picture, noise, camera)
+        hues, drawn = target.hues_deg, [i for i, image in enumerate(picture.images) if image is not None]
+        whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
+        # One by one: a panel is too large for the time of a call to count.
+        everywhere = [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
         by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
             return list(assign_blobs(by_marker, camera, target, memory.T_camera_target))
         return [largest(some, camera) for some in by_marker]
 
-    def _all_blobs(self, picture: Picture, noise: list[float], camera: Camera) -> list[tuple[int, Blob]]:
-        drawn = [i for i, image in enumerate(picture.images) if image is not None]
-        whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
-        # One by one: a panel is too large for the time of a call to count.
-        return [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
-
     def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
-        """Whether a blob has a marker's hue, of `n_hues` that must be told apart."""
         tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
         return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
 
@@ -503,12 +491,6 @@ def _seen_by(lens: Camera, blobs: list[Blob]) -> list[Blob]:
         return blobs
     seen = np.isfinite(lens.ray(np.array([(blob.u, blob.v) for blob in blobs]))[:, 0])
     return [blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen]
-
-
-def _split(found: list[Found], memory: BlobsMemory) -> tuple[list[Blob | None], list[int]]:
-    """The blobs and their panels; for a marker not found the panel in which it was seen last, at first 0."""
-    panels = memory.panels or (0,) * len(found)
-    return [f[1] if f else None for f in found], [f[0] if f else last for f, last in zip(found, panels, strict=True)]
 
 
 def _smooth(lens: Camera) -> bool:

@@ -195,7 +195,10 @@ def _blob(region: Region, alone: Image, box: Window) -> Blob | None:
     ellipse = 4 * math.pi * math.sqrt(max(xx * yy - xy * xy, 0.0))
     inside = box[0] > 0 and box[1] > 0 and box[2] < width and box[3] < height
     whole = inside and ellipse - area <= ROUGHNESS * area + ROUGHNESS_PX[rim] + NOISE_ROUGHNESS_PX * noise
-    return Blob(u=left + x, v=top + y, area=area, hue_deg=_hue(image, left + round(x), top + round(y)), box=box, whole=whole)
+    u, v = left + round(x), top + round(y)
+    r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
+    hue_deg = 360 * colorsys.rgb_to_hsv(r, g, b)[0]  # mixing in white or grey does not change a hue
+    return Blob(u=left + x, v=top + y, area=area, hue_deg=hue_deg, box=box, whole=whole)
 
 
 def _coverage(chroma: Image, alone: Image, rim: Rim) -> Image:
@@ -243,9 +246,3 @@ def _noisy_coverage(part: Image, found: Image, rim: Rim) -> NDArray[np.float32]:
 def _smoothed(image: Image) -> Image:
     """The image filtered by the binomial kernel (1, 2, 1)/4 in both directions, which leaves 3/8 of white noise."""
     return np.asarray(cv2.GaussianBlur(image, (3, 3), 0), np.uint8)
-
-
-def _hue(image: Image, u: int, v: int) -> float:
-    """Hue [deg] of the mean colour of the 3 x 3 pixels around (u, v); mixing in white or grey does not change a hue."""
-    r, g, b, _ = cv2.mean(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2])
-    return 360 * colorsys.rgb_to_hsv(r, g, b)[0]

@@ -97,7 +97,6 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
 
 
 def _on_plane(ray: Array, turn: Array) -> Array:
-    """First-order derotation in the image plane; the rotational columns do not depend on the depth, taken as 1."""
     xy = ray[:, :2] / ray[:, 2:]
     L = _PLANE.interaction(xy, np.ones(len(xy))).reshape(-1, 2, 6)
     xy = xy - L[..., 3:] @ turn
@@ -106,7 +105,6 @@ def _on_plane(ray: Array, turn: Array) -> Array:
 
 
 def _on_sphere(ray: Array, turn: Array, how: Derotation) -> Array:
-    """First-order derotation in the angles (theta, phi) on the sphere, by the right matrix or by the printed one."""
     s = _ANGLES.measure(ray).reshape(-1, 2)
     if how == "as_printed":
         rate = printed_matrix(s) @ turn[:2]

@@ -30,7 +30,6 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     Args:
         rays: unit rays in the camera frame, shape (N, 3). points: the landmarks in the map's frame, z up from the floor (N, 3) [m].
         T_base_camera: the camera's mount (4, 4); the base's origin is on the floor. previous: the planar pose a frame ago (3,) [m, rad].
-
     Reference: virtual visual servoing (there with six unknowns): Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
     """
     d, origin = rays @ T_base_camera[:3, :3].T, T_base_camera[:3, 3]

@@ -23,7 +23,6 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     Args:
         goal_xy, xy: normalised coordinates of N >= 4 points of one plane in either view (N, 2); NaN where not seen.
         goal_normal: unit normal (3,) of the plane in the goal's frame, pointing away from the camera.
-
     Reference: Ma, Soatto, Kosecka & Sastry 2004, An Invitation to 3-D Vision, section 5.3.3, doi:10.1007/978-0-387-21779-6.
     """
     seen = np.isfinite(xy[:, 0]) & np.isfinite(goal_xy[:, 0])
@@ -47,7 +46,6 @@ def homography(a: Array, b: Array, least: float) -> Array | None:
     The normalised direct linear transformation: the right singular vector of the smallest singular value of b_i x H a_i = 0. (OpenCV
     takes the points in single precision, which costs half of the digits.) H is open if two of the nine singular values are below the
     share `least` of the largest.
-
     Reference: Hartley & Zisserman 2004, Multiple View Geometry, algorithm 4.2.
     """
     (a_mean, a_size), (b_mean, b_size) = _scaling(a), _scaling(b)

@@ -79,13 +79,7 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
     return out
 
 
-# Pairs of places that match in two pictures.
 Pairs = tuple[Array, Array]  # places (M, 2) in the goal's picture and in this one [px]
-
-
-def among(uv: Array, others: Array) -> NDArray[np.bool_]:
-    """Which of the points uv (M, 2) are among others (N, 2)."""
-    return np.asarray((uv[:, None] == others).all(axis=2).any(axis=1))
 
 
 def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, int]:
@@ -115,7 +109,6 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
     Minimises over d the squared difference of I(uv + A (x + d)) and I*(uv_goal + x) over the patch's pixels x, both less their mean and
     over their standard deviation, so that brightness and contrast may differ: Gauss-Newton with the goal's gradient (inverse
     compositional Lucas-Kanade). Pictures (H, W) as of `smooth`; A: d uv / d uv_goal (K, 2, 2) of the map between them at each point.
-
     Reference: Baker & Matthews 2004, doi:10.1023/B:VISI.0000011205.11775.fd.
     """
     x = np.stack(np.meshgrid(np.arange(-HALF, HALF + 1.0), np.arange(-HALF, HALF + 1.0)), axis=-1).reshape(-1, 2)
@@ -162,7 +155,6 @@ def _sampled(image: NDArray[np.float32], uv: Array) -> Array:
 
 
 def _inside(image: NDArray[Any], uv: Array) -> NDArray[np.bool_]:
-    """Which patches (K,) with pixels uv (K, P, 2) lie wholly in the picture: beyond its border nothing is known."""
     size = np.array([image.shape[1], image.shape[0]]) - 1
     return np.asarray(((uv >= 0) & (uv <= size)).all(axis=(1, 2)))
 
@@ -204,7 +196,6 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
 
     By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in the picture of a camera without
     distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
-
     Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
     """
     f = _focal_px(camera)
@@ -247,7 +238,6 @@ def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
     return np.array(chosen, dtype=np.intp)
 
 
-# Rows for points that come and go: a fixed number, in which a point keeps its row as long as it is there.
 @dataclass(frozen=True, slots=True)
 class Slots:
     """K rows of points that are matched with the goal's picture.
@@ -288,10 +278,6 @@ class Slots:
         made.uv_goal[at], made.uv[at], made.ids[at] = uv_goal, uv, ids
         return Slots(made.uv_goal, made.uv, made.ids, next_id)
 
-    def unseen(self) -> Slots:
-        """The same points, none of which is seen."""
-        return Slots(self.uv_goal, np.full(self.uv.shape, np.nan), self.ids, self.next_id)
-
     def moved(self, uv: Array) -> Slots:
         """The same points at uv (K, 2); those with NaN leave their rows."""
         stays = self.taken & np.isfinite(uv).all(axis=1)
@@ -302,8 +288,7 @@ class Slots:
 SPARE, FURTHER, LEAST_TRIED = 1.5, 4, 16
 """Points whose places are measured below a pixel, as a multiple of those that are reported, since some are not found; the most, as a
 multiple of the first ones; and the fewest at first, since a plane needs eight that agree."""
-SLIPPED_PX = 0.25
-"""A patch that is farther than this from where the other patches' homography maps it has slipped [px]."""
+SLIPPED_PX = 0.25  # a patch that is farther than this from where the other patches' homography maps it has slipped [px]
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,7 +401,6 @@ class Keypoints(DetectorBase):
         return uv[there], descriptors[there]
 
     def _too_few(self, found: int, usable: int) -> str:
-        """What is wrong with the goal's picture, in which so many key points are found and so many of them are usable."""
         plane = self._matching > self.least
         wanted = f"{self._matching} key points or more, as many as tell a plane," if plane else f"least = {self.least} key points or more"
         words = f"must find {wanted} in the goal's picture: {self.features.kind} finds {found}"
@@ -462,7 +446,8 @@ class Keypoints(DetectorBase):
             found, agreeing = self._chosen(memory, pairs, kept, dim, camera)
             slots, since, why = memory.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
         if np.count_nonzero(slots.taken) < self.least:
-            slots = memory.slots.unseen()  # those of the last picture: a law that coasts knows what it saw there
+            last = memory.slots  # its points: a law that coasts knows what it saw there
+            slots = Slots(last.uv_goal, np.full(last.uv.shape, np.nan), last.ids, last.next_id)
         memory = replace(memory, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
         return memory, Detection(slots.uv, goal=goal_of_points(memory.goal, slots.uv_goal), ids=slots.ids, why=why)
 
@@ -482,7 +467,6 @@ class Keypoints(DetectorBase):
         return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < keep
 
     def _followed(self, memory: KeypointsMemory, dim: Image, camera: Camera) -> Slots | None:
-        """The last picture's points where they are now, without those that are lost; None where points are not followed."""
         if memory.last is None or not isinstance(self.track, Klt):
             return None
         slots = memory.slots.moved(followed(self.track, memory.last, dim, memory.slots.uv))
@@ -513,7 +497,7 @@ class Keypoints(DetectorBase):
         """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
-            new = ~among(pairs[0], kept[0])
+            new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
         found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
         if self.ransac == "homography":

@@ -110,9 +110,7 @@ class Lines(DetectorBase):
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
-        # a scenario refuses other targets; called directly, without lines there is nothing to look for
-        if not isinstance(target, GroundLines):
-            raise ParameterError("target", "must be of kind lines for detector lines")
+        assert isinstance(target, GroundLines)  # a scenario refuses others
         strips = memory.strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
         n = len(target.points)
         last = np.full(n, np.nan) if memory.lefts is None else memory.lefts

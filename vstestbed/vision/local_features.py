@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -22,27 +23,23 @@ Most = Annotated[int, Ge(10), Le(10_000)]
 ORB_SCALE = 1.2  # ratio of one level of ORB's pyramid to the next
 
 
-class Extractor(Protocol):
+class Extractor:
     """A kind that describes the key points of one picture; those of two pictures are matched by their descriptors."""
 
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
+    kind: Any  # the word in a scenario
 
+    @abstractmethod
     def extract(self, image: Image) -> tuple[Array, Descriptors]:
         """Key points of a picture (H, W, 3) uint8 RGB: pixels uv (M, 2), the centre of the first pixel (0, 0), and descriptors (M, D)."""
         ...
 
 
-class Matcher(Protocol):
+class Matcher:
     """A kind that matches two pictures by itself, as learned matchers do."""
 
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
+    kind: Any
 
+    @abstractmethod
     def match(self, goal_image: Image, image: Image) -> tuple[Array, Array, Array]:
         """Pixels uv_goal (M, 2) and uv (M, 2) of the same points, and how unlike each pair is (M,): the smallest are used first."""
         ...
@@ -64,7 +61,7 @@ class _Either(Contract):
 
 
 @spec
-class Sift:
+class Sift(Extractor):
     """SIFT: maxima of differences of Gaussians, described by histograms of gradients; 128 numbers each.
 
     OpenCV's first octave is drawn twice as large, by default half a pixel aside, so that pictures turned against each other by
@@ -89,7 +86,7 @@ class Sift:
 
 
 @spec
-class Orb:
+class Orb(Extractor):
     """ORB: corners of a pyramid, described by 256 comparisons of brightness. The fastest, with places good to about a pixel.
 
     OpenCV gives a corner of a smaller level half of its pixel aside; here it is put right, up to the rounding of the levels' sizes.
@@ -112,7 +109,7 @@ class Orb:
 
 
 @spec
-class Akaze:
+class Akaze(Extractor):
     """AKAZE: maxima in a scale space that keeps edges, described by comparisons of brightness and gradients; 486 bits.
 
     OpenCV 5 has it among its contributed modules only, in the package opencv-contrib-python-headless, which replaces
@@ -143,7 +140,6 @@ class Akaze:
 
 
 def _akaze() -> Any:
-    """The function that makes an AKAZE detector; None where this OpenCV has none."""
     return getattr(getattr(cv2, "xfeatures2d", None), "AKAZE_create", None)
 
 
@@ -157,7 +153,6 @@ def _pixels(points: Sequence[cv2.KeyPoint]) -> Array:
 
 
 def _rows(descriptors: Any, width: int, dtype: type) -> Descriptors:
-    """The descriptors; (0, width) where OpenCV found no key point and gives None."""
     return np.empty((0, width), dtype) if descriptors is None else np.asarray(descriptors)
 
 
@@ -208,7 +203,6 @@ KEYPOINTS = OneOf("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))
 """The kinds of local features; plugins are found under the entry-point group `vstestbed.keypoints`."""
 
 
-# Mutual nearest neighbours of two sets of descriptors.
 def mutual_matches(a: NDArray[Any], b: NDArray[Any], ratio: float | None = None) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Pairs (i, j) of which a_i is the nearest to b_j and b_j the nearest to a_i, and their distances, the nearest pairs first.
 

@@ -77,7 +77,6 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     A marker starts at the initial depth. I starts at and never falls below least = (sqrt(2) FLOW_NOISE / (dt theta))^2, which
     is a prior of 100 % uncertainty. A frame with less evidence than that is skipped, without forgetting. Rays (N, 3) are those of
     the time t [s], NaN where not seen.
-
     Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
     Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
     """
@@ -296,7 +295,6 @@ class Observer:
         return self.depth.estimator is not None or gaps or self.grounded or "motion" in self.required_fields
 
     def _solves(self, T: Array | None) -> bool:
-        """Whether the pose is to be solved, given the detector's; noise added to the pixels is not in the detector's pose."""
         needed = self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
         return needed and (T is None or self.pixel_sigma_px > 0)
 
@@ -331,7 +329,6 @@ class Observer:
         return trimmed(memory.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
 
     def _leveled(self, view: _View, tilt: Array) -> _View:
-        """The view in the level camera's frame; preset depths stay as they are."""
         assert view.ray is not None
         mount = self.camera.mount.T[:3, :3]
         ray, T, depth, own = level_rays(view.ray, tilt, self.camera, self.derotation), view.T_camera_target, view.depth, view.motion
@@ -363,7 +360,6 @@ class Observer:
         return odometry, fused_place(predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt))
 
     def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
-        """What the law is given: the required fields alone, distances with the calibration's error."""
         required = self.required_fields
         predictable = not self.target.moves or self.target.on_gripper  # else the target's pose is known only while it is seen
         pose = view.T_camera_target if solved or predictable else None

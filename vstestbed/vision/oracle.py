@@ -51,7 +51,6 @@ class Oracle(DetectorBase):
         return None, Detection(uv=uv * mask[:, None], p_camera=p * mask[:, None])
 
 
-# No detector: for laws that work on whole pictures.
 @spec
 class NoDetector(DetectorBase):
     """Nothing is detected: a law that works on grey levels (`photometric`) needs neither markers nor an oracle."""

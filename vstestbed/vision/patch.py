@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -30,14 +30,12 @@ GreyImage = NDArray[np.float32]
 
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
 BLOCKS = 6  # blocks along a template's longer side, each of which is compared with the picture by itself
-FLAT = 6.0
-"""Standard deviation of a block's grey levels below which its correlation would be one of noise alone."""
+FLAT = 6.0  # standard deviation of a block's grey levels below which its correlation would be one of noise alone
 BLUR = 0.8
 """Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
 NOISE = 4.0  # grey levels by which a flat texel may differ from the picture, ...
 SHIFT = 0.3  # ... and texels by which an edge may seem to be shifted in it
-EDGE = 2
-"""Outermost texels that are left out: what the picture shows there mixes with what is behind the template."""
+EDGE = 2  # outermost texels that are left out: what the picture shows there mixes with what is behind the template
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,8 +137,7 @@ def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
     return out.reshape(2, -1)
 
 
-LONGEST_PX = 640
-"""Longest side of the template in which keypoints are detected [px]: a picture shows no finer ones."""
+LONGEST_PX = 640  # longest side of the template in which keypoints are detected [px]: a picture shows no finer ones
 SIFT = Sift(most=800, contrast=0.01)
 """Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
 
@@ -220,7 +217,6 @@ class GreyPicture:
 
 @lru_cache(maxsize=16)
 def _grid(shape: tuple[int, int]) -> Array:
-    """(column, row, 1) of a grid, (h, w, 3)."""
     v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
     grid = np.stack([u, v, np.ones(shape)], axis=-1)
     grid.setflags(write=False)  # kept
@@ -245,27 +241,21 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
 # Alignment of a plane's template with a picture by efficient second-order minimisation (ESM), under any lens.
 #
 # The plane's homography G (3, 3), det G > 0, maps a template's point (x, y, 1) to the direction of its image in the camera's frame.
-TUKEY = 4.685
-"""Residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)."""
-LEAST_SIGMA = 0.5
-"""Least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`."""
+TUKEY = 4.685  # residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)
+LEAST_SIGMA = 0.5  # least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`
 LIGHT = 64.0  # grey levels that count as one in the normal equations, so that their columns are of similar size
-RIDGE = 1e-6
-"""Added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is."""
+RIDGE = 1e-6  # added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is
 MOST_ROUNDS = (12, 8, 8)  # most iterations on the smallest copy, the next one and the largest
 STILL_PX = 0.03  # the iterations end when no corner moves by more than this in the picture [px]
 EARLIER = 8.0  # in the smaller copies they end so many times earlier
 PART = 2000  # texels in one product of matrices
 LEAST_TEXELS = 100  # fewest texels within the picture from which an alignment is attempted
 INSIDE = 0.5  # share of a block that must be in the picture for it to count
-ENOUGH = 0.15
-"""Share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance."""
-FAINT = 1.0
-"""Least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise."""
+ENOUGH = 0.15  # share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance
+FAINT = 1.0  # least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise
 PARTLY = 0.8  # share of the alike blocks' median correlation below which a block is taken to be hidden in part
 COARSEST = 4.0  # the smallest copy is that whose texels are up to so many times those of the largest
-SHARP = 0.7
-"""Pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds."""
+SHARP = 0.7  # pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,7 +294,6 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised over z in sl(3) and the light's gain and
     offset, which change linearly over the plane. ESM takes the mean of the derivatives in the picture and in the template, which makes the
     convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out what hides the plane.
-
     References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
     """
     blocks = None
@@ -374,7 +363,11 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
     """The warp exp(A(z)) (3, 3) of the template's plane in one iteration, and the light (6,) after it: gain and offset, each (1, x, y)."""
     template, x, y = level.grey.ravel(), level.x, level.y
     known = np.where(seen, grey, 0)
-    a = _first_light(grey[seen], template[seen]) if light is None else light
+    if light is None:  # that by which the grey levels have the template's mean and spread
+        i, t = grey[seen], template[seen]
+        ratio = t.std() / max(float(i.std()), 1e-3)
+        light = np.array([ratio, 0, 0, t.mean() - ratio * i.mean(), 0, 0])
+    a = light
     gain = (a[0] + a[1] * x + a[2] * y).astype(np.float32)
     residual = gain * known + (a[3] + a[4] * x + a[5] * y).astype(np.float32) - template
     shape = level.grey.shape
@@ -387,12 +380,6 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
     n = len(N) - 1
     z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
-
-
-def _first_light(grey: GreyImage, template: GreyImage) -> Array:
-    """Gain and offset (6,), the same everywhere, by which the grey levels have the template's mean and spread."""
-    gain = template.std() / max(float(grey.std()), 1e-3)
-    return np.array([gain, 0, 0, template.mean() - gain * grey.mean(), 0, 0])
 
 
 def _products(rows: GreyImage) -> Array:
@@ -438,8 +425,7 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
 
 
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
-RATIO = 0.8
-"""A match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)."""
+RATIO = 0.8  # a match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)
 WITHIN_PX = 3.0  # largest distance of a keypoint from its place by the homography [px]
 LEAST_MATCHES = 10  # fewest matches that must agree
 TRIALS = 2000
@@ -466,11 +452,8 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
         return None
     f = _focal_px(camera)
     H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, WITHIN_PX, maxIters=TRIALS, confidence=0.999)
-    return None if H is None or np.count_nonzero(inliers) < LEAST_MATCHES else _in_front(H, R, f, template)
-
-
-def _in_front(H: NDArray[Any], R: Array, f: float, template: Template) -> Array | None:
-    """The homography to directions from one to the pixels of a virtual camera turned by R (3, 3); None of a plane seen from behind."""
+    if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
+        return None
     G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)
     # A plane seen from behind, or points on both sides of the camera, come of wrong matches.
     return G if G.any() and (template.corners @ (R.T @ G)[2] > 0).all() else None
@@ -574,7 +557,6 @@ class PatchDetector(DetectorBase):
         return template_of(target.source, target.sheet.width, self.texels)
 
     def _tracked(self, memory: PatchMemory, picture: Picture, template: Template, camera: Camera, target: Target) -> Fit | None:
-        """The template aligned from where it was: in its window, else in the whole picture; None where it is not there."""
         if memory.G is None:
             return None
         window = self._window(memory, camera, target)
@@ -606,7 +588,6 @@ class PatchDetector(DetectorBase):
         return fit if fit is not None and fit.visible >= self.least_visible else None
 
     def _window(self, memory: PatchMemory, camera: Camera, target: Target) -> Window | None:
-        """Around the template, predicted at constant velocity; None where the whole image is to be searched."""
         if len(camera.panels) > 1 or not memory.tracked or memory.G is None:
             return None
         half = self._template(target).half

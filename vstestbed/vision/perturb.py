@@ -18,8 +18,7 @@ from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.imaging.sensor import GREY
 
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
-"""Weights of red, green and blue in the grey of a colour (ITU-R BT.601)."""
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # weights of red, green and blue in the grey of a colour (ITU-R BT.601)
 Share = Annotated[float, Ge(0), Le(1)]
 Probability = Annotated[float, Ge(0), Lt(1)]
 

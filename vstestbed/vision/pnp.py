@@ -30,7 +30,6 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     The two signs are the mirror poses, which become one where the plane is orthogonal to the ray. (OpenCV's IPPE takes the root
     of 1 minus a squared column, which rounding makes negative in such a view: NaN at one roll in seven. It also loses poses near a half
     turn.) The translation is the least-squares one for the rotation.
-
     Reference: Collins & Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
     """
     flat, R_target_plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
@@ -163,8 +162,7 @@ spread, and its error is some spread^2 x tilt: 1.5 spread^3 was the least of 300
 CONTINUES = 0.2
 """... and if it is nearer to the previous pose than this (radians plus share of the distance); from nearer the refinement's few
 iterations converge to rounding."""
-CLEARLY_WORSE = 6.0
-"""A mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose."""
+CLEARLY_WORSE = 6.0  # a mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose
 SAME_SCENE = 0.5
 """Three markers have up to four poses; one farther than this from the last (radians plus share of the distance) is rejected."""
 WIDE = 0.2  # least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z
@@ -174,8 +172,7 @@ ROUNDING = 1e-12  # reprojection errors (normalised) that differ by this are equ
 _SETTLED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-14)
 """The refinement ends after as many steps or with one this small. OpenCV's default, single precision, would stop on the way from a
 tilted previous pose to a far frontal view, where each step only halves the tilt."""
-Layout = Literal["line", "line and one", "plane", "space"]
-"""Collinear; collinear but for one point; coplanar; in space."""
+Layout = Literal["line", "line and one", "plane", "space"]  # collinear; collinear but for one point; coplanar; in space
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
 
@@ -203,7 +200,6 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     Args:
         xy: normalised, undistorted coordinates (N, 2). points: the same markers in the target frame (N, 3) [m].
         previous: the pose a frame ago (4, 4).
-
     References: Collins & Bartoli 2014, doi:10.1007/s11263-014-0725-5 (IPPE); Terzakis & Lourakis 2020,
     doi:10.1007/978-3-030-58452-8_28 (SQPnP); Ke & Roumeliotis 2017, doi:10.1109/CVPR.2017.491 (AP3P); refinement as
     virtual visual servoing: Marchand, Uchiyama & Spindler 2016, doi:10.1109/TVCG.2015.2513408.
@@ -285,7 +281,6 @@ def _virtual(rays: Array) -> Array | None:
 
 
 def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
-    """The poses that the solver for this layout finds, with the error of all points."""
     solvers = {"line and one": (_from_three,), "plane": (planar_poses,), "space": (_from_space, _from_three)}[shape]
     for solver in solvers:
         found = [_Candidate(_misfit(T, xy, points), T) for T in solver(xy, points)]
@@ -376,7 +371,6 @@ def looking_along(direction: Array) -> Array:
 
 @lru_cache(maxsize=4096)
 def _middle(points: bytes) -> Array:
-    """Middle of points (N, 3), given as bytes, in homogeneous coordinates (4,)."""
     return np.append(np.frombuffer(points).reshape(-1, 3).mean(axis=0), 1.0)
 
 
@@ -398,5 +392,4 @@ def _extent(points: Array) -> Array:
 
 
 def _flat(extent: Array, axis: int) -> bool:
-    """Whether points have no extent along a principal axis, up to rounding."""
     return bool(extent[axis] <= 1e-6 * extent[0])

@@ -38,7 +38,6 @@ def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
 
     A pixel at the border has the colour c = f F + (1 - f) B of what meets there, so that f = (c - B) . (F - B) / |F - B|^2. F and B are
     the mean colours of the pixels near it that are wholly inside (`alone` 255) and wholly outside, which follow shading and background.
-
     Reference: Smith & Blinn 1996, Blue screen matting, doi:10.1145/237170.237263 (the mixture at a border).
     """
     near, inner = cv2.dilate(alone, NEIGHBOURS), cv2.erode(alone, NEIGHBOURS)
@@ -107,13 +106,11 @@ TRIED = 3  # of these the best are refined
 COARSE = 40  # points of the border by which they are compared
 ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
 SETTLED = 1e-5  # a step that moves no point by more than this share of the region's size ends the fit
-OUTLIER = 4.0
-"""Points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight."""
+OUTLIER = 4.0  # points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight
 FAINT = 2e-3  # share of the region's size under which no distance is unusual
 FLAT = 1e3
 """Condition of a homography between both round figures over which it has folded the picture onto a line; of a region it is under ten."""
-PREFERRED = 1.02
-"""Of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken."""
+PREFERRED = 1.02  # of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +235,6 @@ def roundness(S: Array) -> Array:
 
 
 def _root(S: Array) -> Array:
-    """The symmetric root of a positive definite matrix (2, 2)."""
     root = math.sqrt(max(float(S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]), 0.0))
     return (S + root * np.eye(2)) / math.sqrt(float(np.trace(S)) + 2 * root)
 
@@ -249,7 +245,6 @@ def _affine(A: Array, shift: Array) -> Array:
     return out
 
 
-# From the border of a region in a picture to the points of the target's outline, in the target's order.
 CLOSE = 200  # points of a polygon's outline by which it is compared with the border in the picture
 
 
@@ -314,7 +309,7 @@ def turn_at(goal: Goal, target: Target) -> float:
     seen, flat = goal.xy, target.points[:, :2]
     # The affine map that fits best, without what makes both shapes round: a rotation.
     to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
-    R = roundness(covariance(seen)) @ to[:2].T @ np.linalg.inv(roundness(covariance(flat)))
+    R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
     return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
 
@@ -323,7 +318,10 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     if not (rays[:, 2] > LEAST_AHEAD).all():
         return None
     xy = rays[:, :2] / rays[:, 2:]
-    middle, J = _linearised(border)
+    # normalised coordinates of the region's centroid, and their derivative by pixels
+    near = border.rays(border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    m = near[:, :2] / near[:, 2:]
+    middle, J = m[0], (m[1:] - m[0]).T
     plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
     if found is None:
@@ -333,24 +331,14 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     return OutlineFit(p * np.sign(p[:, 2:]), found.off * border.size_px, close * np.sign(close[:, 2:]), found.turn)
 
 
-def _linearised(border: Border) -> tuple[Array, Array]:
-    """Normalised coordinates (2,) of the region's centroid, and their derivative (2, 2) by pixels."""
-    uv = border.middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    ray = border.rays(uv)
-    xy = ray[:, :2] / ray[:, 2:]
-    return xy[0], (xy[1:] - xy[0]).T
-
-
-MOST_EDGES = 400
-"""Points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better."""
+MOST_EDGES = 400  # points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better
 LEAST_EDGES = 24  # fewest points from which an outline is fitted
 MOST_TRIED = 3  # regions of the target's hue that are tried, the largest first
 NOISE_PX = 0.05  # added to the tolerance by noise [px per grey level of its standard deviation]
 PIXEL_PX = 1.0
 """Added to the tolerance where the outline is compared with whole pixels [px]: outlines that were right, sharp, blurred over up to 8 px or
 under noise, then had under 0.015 of their length farther from the region's pixels."""
-BESIDE_PX = 3
-"""A region is measured so far beyond its box [px], which may touch the window in which it was searched."""
+BESIDE_PX = 3  # a region is measured so far beyond its box [px], which may touch the window in which it was searched
 
 
 class Found(NamedTuple):
@@ -455,12 +443,10 @@ class RegionDetector(DetectorBase):
         return after, Detection(uv=camera.project(found.fit.p))
 
     def _tracked(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
-        """The region in a window round its predicted place; None where it is not whole there."""
         window, image = self._window(memory, camera, self.window_margin_px), picture.images[0]
         return None if window is None or image is None else self._largest(image, 0, window, memory, camera, target)
 
     def _searched(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
-        """The region in the first panel that has it whole; None where none has."""
         for panel, image in enumerate(picture.images):
             lens = camera.panels[panel].lens
             found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), memory, camera, target)

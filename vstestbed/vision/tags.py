@@ -28,8 +28,7 @@ ALONG = np.linspace(0.1, 0.9, 16)
 """Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
 ENDS = 3  # samples at each end of a profile whose mean is its black or white level
-REACH = 0.65
-"""Half length of a profile in modules: it ends within the black border and within the white quiet zone ..."""
+REACH = 0.65  # half length of a profile in modules: it ends within the black border and within the white quiet zone ...
 MOST_REACH_PX = 4.0  # ... and its limit [px], beyond any blur of the order of a pixel
 ROUNDS = 4  # most iterations; each starts from the corners of the last one ...
 STEADY_PX = 0.02
@@ -165,8 +164,7 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
 
 CONTOUR_PX = math.sqrt(0.5)
 """OpenCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]."""
-Found = tuple[int, Array]
-"""Index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]."""
+Found = tuple[int, Array]  # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
 QUIET = 0.25
 """Margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels."""
 
@@ -227,9 +225,7 @@ class Tags(DetectorBase):
         if picture is None or picture.empty:
             raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
         tag, n = target.marker, len(target.points)
-        # a scenario refuses other markers; called directly, without a family there is no dictionary
-        if not isinstance(tag, Tag):
-            raise ParameterError("target.marker", "must be tag for detector tags", tag.kind)
+        assert isinstance(tag, Tag)  # a scenario refuses others
         found = self._track(_greys(picture), memory, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
         uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
@@ -266,7 +262,6 @@ class Tags(DetectorBase):
         return found
 
     def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
-        """The tags whose edges are visible all along, with measured corners."""
         if not rough:
             return {}
         edges = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
@@ -319,7 +314,6 @@ def _measure(found: dict[int, Found], previous: Array | None, camera: Camera, ta
 
 
 def _box(corners: Array) -> Window:
-    """Bounding box of a tag's corners (4, 2) with its quiet zone."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     room = QUIET * (high - low).max()
     (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
