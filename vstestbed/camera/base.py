@@ -23,14 +23,11 @@ from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.stream import STREAMS, VideoStream
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
-Look = tuple[tuple[Window, ...], ...]
-"""Regions of interest: for each panel of a camera its windows; empty for a panel that is not needed."""
+Look = tuple[tuple[Window, ...], ...]  # regions of interest: for each panel of a camera its windows; empty for a panel that is not needed
 LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
 """Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB: what graphics cards draw."""
-SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Inward unit normals of an image's left, top, right and bottom side."""
-FORWARD_COSINE = 1e-6
-"""Least Z of a unit ray that has normalised coordinates X/Z, Y/Z; below it they are dominated by rounding."""
+SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # inward unit normals of an image's left, top, right and bottom side
+FORWARD_COSINE = 1e-6  # least Z of a unit ray that has normalised coordinates X/Z, Y/Z; below it they are dominated by rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,18 +88,17 @@ class Camera(ABC):
         rate_hz: pictures per second.
         latency_s: time from the exposure until the law has the picture [s].
         readout_s: time over which a rolling shutter exposes its H rows one after another from the top, row v from v/H of it on [s]; 0 is
-            a global shutter, which exposes all at once. The time stamp is the middle of the middle row's exposure; `timing` has the
-            exposure itself. A depth sensor's picture is taken at the time stamp, as by one with a global shutter of its own; e.g. `0.02`.
+            a global shutter. The time stamp is the middle of the middle row's exposure, at which a depth sensor's picture is taken, too;
+            e.g. `0.02`.
         mount: pose of the camera in the robot's flange (or body) frame.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
-            structure is as blurred along both axes as along the longer one. Graphics cards usually have 8 or 16. Textures that are
-            repeated, as the floor's, are sampled once.
+            structure is as blurred along both axes as along the longer one. Repeated textures, as the floor's, are sampled once.
         shadows: render shadows in the servo camera's picture (it then costs several times as much).
         renderer: `gl` (OpenGL), `rays` (each pixel's ray cast by MuJoCo: no shadows, no textures) or `auto` (OpenGL where it works,
             else rays).
-        depth_sensor: makes it an RGB-D camera, which measures the depth of each pixel with each picture (`camera.depth_sensor`); only
-            with `perspective`; e.g. `stereo`.
+        depth_sensor: makes it an RGB-D camera, which measures the depth of each pixel with each picture; only with `perspective`;
+            e.g. `stereo`.
         principal_px: (cx, cy) [px], where the optical axis meets the picture; default its middle ((W-1)/2, (H-1)/2); e.g. `[322.5, 238]`.
         optics: vignetting, lateral chromatic aberration and defocus of the lens; None for a perfect one.
         exposure: exposure time and gain, fixed or automatic; None for the rendered brightness.

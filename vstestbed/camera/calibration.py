@@ -29,13 +29,11 @@ class Calibration:
         ignores_distortion: the distortion is not modelled: a perspective lens is taken for a pinhole, a fisheye for equidistant.
         depth_factor, depth_spread: error of every depth Z_i (and range) given to the law, whatever its source, and of the
             distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run [1].
-        goal: how the goal view was given. `told`: as a pose in numbers; the reference pixels are those that the believed
-            camera would see there, and the law converges where the true one sees them, off by the calibration's error.
-            `shown`: the true camera took the picture at the goal; pose and depth there are estimated from it with the
-            believed calibration, so that the errors at the goal cancel.
+        goal: how the goal view was given. `told`: as a pose in numbers; the law converges where the true camera sees the reference pixels
+            of the believed one, off by the calibration's error. `shown`: the true camera took the picture at the goal; pose and depth there
+            are estimated from it with the believed calibration, so that the errors at the goal cancel.
 
-    Reference: robustness of laws to such errors, Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives
-    2003, doi:10.1109/ROBOT.2003.1241749.
+    Reference: Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives 2003, doi:10.1109/ROBOT.2003.1241749.
     """
 
     mount_error: Pose = Pose()

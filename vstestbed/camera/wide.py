@@ -131,8 +131,6 @@ class Fisheye(Radial):
         fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
         coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1].
 
-    Raises (from the constructor): ParameterError for coefficients that fold the picture over itself within fov_deg.
-
     Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f, doi:10.1109/TPAMI.2006.153.
     """
 
@@ -194,18 +192,15 @@ class Fisheye(Radial):
 class Catadioptric(Radial):
     """Central mirror camera: a point P is projected to the unit sphere, (Xs, Ys, Zs) = P/|P|, then to (Xs, Ys) / (Zs + xi).
 
-    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by
-    theta = atan(m) + asin(xi m / sqrt(1 + m^2)). f is the generalised focal length (mirror and lens together).
-    xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one under an orthographic lens, m = tan(theta/2);
-    xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs > -1/xi, where m has its maximum).
+    In angles, m(theta) = sin(theta) / (cos(theta) + xi), inverted in closed form by theta = atan(m) + asin(xi m / sqrt(1 + m^2)). f is
+    the generalised focal length (mirror and lens together). xi = 0 is a pinhole; 0 < xi < 1 a hyperbolic mirror; xi = 1 a parabolic one
+    under an orthographic lens, m = tan(theta/2); xi > 1 fits fisheyes. The model is valid for Zs > -xi (for xi > 1: Zs > -1/xi).
     The z axis points from the mirror to the lens; the mirror's reversal of the image is taken as undone (u rises with X).
 
     Args:
         xi: the mirror's parameter [1].
         fov_deg: full field of view [deg], within the model's validity; without focal_length_px it also sets the scale.
         blind_deg: angle from the axis [deg] within which the mirror shows only the camera itself: NaN.
-
-    Raises (from the constructor): ParameterError for a field of view that the mirror cannot have, or none that is left.
 
     References: Geyer & Daniilidis 2000, doi:10.1007/3-540-45053-X_29; Mei & Rives 2007, doi:10.1109/ROBOT.2007.364084.
     """
@@ -250,8 +245,8 @@ the radian there."""
 class SphericalCamera(Radial):
     """The full sphere; its own picture is the azimuthal equidistant map about the optical axis, m(theta) = theta.
 
-    What lies ahead is nearly undistorted, what lies behind is a ring; the direction straight back, theta = pi, is that
-    ring's whole border, and is projected to its point at phi = 0. By default f = min(W, H) / 2 / pi.
+    What lies straight behind, theta = pi, is the map's whole border, and is projected to its point at phi = 0. By default
+    f = min(W, H) / 2 / pi.
 
     Args:
         face_px: side of the six square pictures [px], the panels, in which markers are found and from which films are made.

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
-UNEVEN = 0.01
-"""Scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane."""
+UNEVEN = 0.01  # scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane
 MOST_CONDITION = 500.0
 """Condition of L, its largest over its smallest singular value in units of the goal, over which its rows count as dependent. With 1300 the
 camera went three to five times as far as on the straight way, or did not arrive; with 300 it went straight."""
@@ -96,8 +95,7 @@ FLOOR = 1e-3
 """Radius, in normalised coordinates or as the sine of a colatitude, under which a bearing is noise: about one pixel of a usual
 camera."""
 ROUNDING = 1e-12  # radius, or sine of a colatitude, below which a bearing is undefined: pi has a sine of 1.2e-16
-CENTRE = 1e-2
-"""Radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels."""
+CENTRE = 1e-2  # radius, or sine of a colatitude, within which the weight of a marker's bearing decreases to zero: some 4 to 8 pixels
 
 
 def wrap(angle: Array) -> Array:
@@ -113,11 +111,10 @@ def wrap(angle: Array) -> Array:
 
 
 def wrap_together(angle: Array, votes: NDArray[np.bool_] | None = None) -> Array:
-    """Errors of N angles (..., N) [rad], each wrapped to (-pi, pi], near a half turn all with one sign.
+    """Errors of N angles (..., N) [rad], each wrapped to (-pi, pi], near a half turn all with one sign, lest rounding decides for each.
 
-    If all exceed 90 degrees in size, those with the sign of the minority are shifted by 2 pi (both equal: to positive). Otherwise
-    rounding would decide for each point whether it moves clockwise or not. NaN stays NaN and does not count, nor does an angle
-    where `votes` (..., N) is False; one of those under 90 degrees is not shifted.
+    If all exceed 90 degrees in size, those with the sign of the minority are shifted by 2 pi (both equal: to positive). NaN stays NaN and
+    does not count, nor does an angle where `votes` (..., N) is False; one of those under 90 degrees is not shifted.
     """
     e = wrap(angle)
     heard = e if votes is None else np.where(votes, e, np.nan)

@@ -47,9 +47,7 @@ class DepthSource(ABC):
     true: ClassVar[bool] = False  # depths are the simulator's truth
     on_floor: ClassVar[bool] = False  # that pose is one of a base that stands upright on the floor: three unknowns
     preset: ClassVar[bool] = False  # depths are given numbers, not measured: derotation leaves them as they are
-
     measured: ClassVar[bool] = False  # depths are read from the picture of a depth camera (`camera.depth_sensor`)
-
     estimator: Any = None  # parameters of the recursive estimate from motion (`Estimate`); None where depths come from elsewhere
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
@@ -199,8 +197,8 @@ class OracleDepth(DepthSource):
 class OnFloor(FromPose):
     """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known height.
 
-    The mount is known, the vehicle stands upright: three unknowns, where `pnp` has six and needs three markers. A vehicle
-    that pitches on its suspension is off by as much. Of a single landmark the heading stays as it was.
+    The mount is known, the vehicle stands upright (one that pitches on its suspension is off by as much): three unknowns, where `pnp` has
+    six and needs three markers. Of a single landmark the heading stays as it was.
     """
 
     kind: Literal["floor"] = "floor"
@@ -212,8 +210,8 @@ class Sensed(DepthSource):
     """Each marker's depth as the depth camera measures it: the median of the valid pixels in a square round the marker's pixel.
 
     It is the depth of the surface that is seen, of a ball that of its front. Where fewer than half of the square's pixels are valid there
-    is no depth: the law does without that marker, unless `missing_m` says which depth to take. The markers' depths in the goal view are
-    those of its geometry; only points that a detector finds in the goal's picture have theirs from its depth picture.
+    is none: the law does without that marker, unless `missing_m` says which to take. The markers' depths in the goal view are those of its
+    geometry; only points that a detector finds in the goal's picture have theirs from its depth picture.
 
     Args:
         window_px: side of the square, odd [px].

@@ -167,9 +167,9 @@ class Segment(Feature):
 
     xc = (x1 + x2)/2,  yc = (y1 + y2)/2,  l = hypot(x1 - x2, y1 - y2),  alpha = atan2(y1 - y2, x1 - x2),  s = (xc, yc, l, alpha)
 
-    and normalised s = (xc/l, yc/l, 1/l, alpha): where the segment faces the camera, xc/l and yc/l do not change with the distance, and 1/l
-    is proportional to it. L follows from the rows of `Point`. The segment has a direction, so that a rotation by any angle is unambiguous.
-    Under l = 0.001 the rows of alpha and of the normalised form fade. Two markers leave two of six motions open (`law.redundant`).
+    and normalised s = (xc/l, yc/l, 1/l, alpha): where the segment faces the camera, xc/l and yc/l do not change with the distance. The
+    segment has a direction, so that a rotation by any angle is unambiguous. Under l = 0.001 the rows of alpha and of the normalised form
+    fade. Two markers leave two of six motions open (`law.redundant`).
 
     Args:
         normalised: s = (xc/l, yc/l, 1/l, alpha).

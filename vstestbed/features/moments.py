@@ -18,10 +18,8 @@ from vstestbed.features.base import MOST_CONDITION, Feature, Rated, angle, check
 from vstestbed.features.polygon import segments, size, spans_area
 
 Of = Literal["points", "region"]  # moments are sums over points, or integrals over the region within a closed outline
-LEAST_AREA = 1e-12
-"""Area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide."""
-FLAT = 1e-9
-"""Ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it."""
+LEAST_AREA = 1e-12  # area of a region in normalised coordinates that counts instead of a smaller one: a thousandth of a pixel wide
+FLAT = 1e-9  # ratio of the scatters of points across and along a line under which they do not tell how a plane is tilted about it
 
 
 def image_moments(xy: Array, of: Of, order: int) -> Array:
@@ -87,7 +85,7 @@ class MomentSet:
 
     Attributes:
         mu: central moments (..., n+1, n+1) of all orders p + q <= n, element [p, q]; a rate needs those of one order more.
-        centre: the centroid (..., 2). of: points or region. plane: A, B, C (..., 3); None for values without rates.
+        centre: the centroid (..., 2). plane: A, B, C (..., 3); None for values without rates.
 
     Reference: Chaumette 2004, doi:10.1109/TRO.2004.829463; for points: Tahri & Chaumette 2005, doi:10.1109/TRO.2005.853500.
     """
@@ -444,8 +442,7 @@ def axis_error(e: Array, t: Array, t_star: Array) -> Array:
     return np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
 
 
-OFF = 0.02
-"""Distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else."""
+OFF = 0.02  # distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else
 EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]
 
 

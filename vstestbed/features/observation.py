@@ -35,9 +35,8 @@ class OwnMotion:
     """The camera's own motion, as measured by the robot (joints) and as commanded.
 
     Attributes:
-        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first.
+        twist: mean twist (6,) since the last picture, and since_s for how long that was [s]; 0 at the first. commanded: the last one (6,).
         moved: displacement (6,) from the exposure until now [m, rad]; age_s: how long ago the exposure was [s].
-        commanded: the last commanded twist (6,).
     """
 
     twist: Array

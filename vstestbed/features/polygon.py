@@ -14,10 +14,8 @@ from vstestbed.features.base import Feature, bounded_inverse, checked, wrap
 from vstestbed.features.points import Point
 
 _POINT = Point()
-SHARE = 0.8
-"""Segments over this share of the longest one's length have a weight; a square's sides (0.71 of its diagonals) have none."""
-FLAT = 1e-2
-"""Sigma under this share of the longest segment counts as zero: markers on a line, a plane seen edge on, loops that cancel."""
+SHARE = 0.8  # segments over this share of the longest one's length have a weight; a square's sides (0.71 of its diagonals) have none
+FLAT = 1e-2  # sigma under this share of the longest segment counts as zero: markers on a line, a plane seen edge on, loops that cancel
 SizeError = Literal["difference", "ratio", "log"]
 
 
@@ -50,7 +48,16 @@ class Polygon(Feature):
         """L (..., 2, 6) of xy (..., N, 2) and depth (..., N) [m]: the rows of sigma and of the angle."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         points = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
-        return np.stack([_size_row(xy, points), _angle_row(xy, points)], axis=-2)
+        area, after, before = _signed_area(xy), np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
+        slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)
+        # sigma_dot = area_dot / (2 sigma) is unbounded at sigma = 0, where the bounded inverse gives a zero row.
+        half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
+        size_row = half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
+        d, (i, j) = segments(xy), np.triu_indices(xy.shape[-2], 1)
+        across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
+        share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
+        angle_row = np.einsum("...p,...pc,...pck->...k", share, across, points[..., j, :, :] - points[..., i, :, :])
+        return np.stack([size_row, angle_row], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:
         """Error e (..., 2): sigma - sigma*, and the angle in (-pi, pi] rad of the longest segment from its direction at the goal."""
@@ -120,22 +127,3 @@ def _weights(d: Array) -> Array:
 def _signed_area(xy: Array) -> Array:
     x, y = xy[..., 0], xy[..., 1]
     return 0.5 * np.sum(x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y, axis=-1)
-
-
-def _size_row(xy: Array, points: Array) -> Array:
-    area = _signed_area(xy)
-    after, before = np.roll(xy, -1, axis=-2), np.roll(xy, 1, axis=-2)
-    slope = 0.5 * np.stack([after[..., 1] - before[..., 1], before[..., 0] - after[..., 0]], axis=-1)
-    # sigma_dot = area_dot / (2 sigma) is unbounded at sigma = 0, where the bounded inverse gives a zero row.
-    half_inv = 0.5 * bounded_inverse(np.sqrt(np.abs(area))) * np.sign(area)
-    return half_inv[..., None] * np.einsum("...nc,...nck->...k", slope, points)
-
-
-def _angle_row(xy: Array, points: Array) -> Array:
-    """Row (..., 6) of the longest segment's angle, from the rows (..., N, 2, 6) of the points."""
-    d = segments(xy)
-    i, j = np.triu_indices(xy.shape[-2], 1)
-    d_rows = points[..., j, :, :] - points[..., i, :, :]
-    across = np.stack([-d[..., 1], d[..., 0]], axis=-1)
-    share = _weights(d) * bounded_inverse(np.hypot(d[..., 0], d[..., 1])) ** 2
-    return np.einsum("...p,...pc,...pck->...k", share, across, d_rows)

@@ -82,8 +82,7 @@ class Translation:
     """The translation t [m] of a pose: three rows, computed from the pose.
 
     Args:
-        pose: "cdMc" is T_goal_camera, with t_dot = R v; "cMcd" T_camera_goal and "cMo" T_camera_target, with
-            t_dot = -v - w x t.
+        pose: "cdMc" is T_goal_camera, with t_dot = R v; "cMcd" T_camera_goal and "cMo" T_camera_target, with t_dot = -v - w x t.
 
     Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
     """

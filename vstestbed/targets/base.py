@@ -69,8 +69,7 @@ class Globe:
     lit: bool = True
 
 
-Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]
-"""Of a marker: it begins with a letter, so that it is no number."""
+Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]  # of a marker: it begins with a letter, so that it is no number
 
 
 class RoundOutline(NamedTuple):
@@ -120,7 +119,6 @@ class Target:
     names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
     one_sided: ClassVar[bool] = False  # whether only its front has markers: seen from behind its plane it counts as lost
-
     outlined: ClassVar[bool] = False
     """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""
 

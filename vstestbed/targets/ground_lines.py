@@ -39,8 +39,8 @@ def on_foot(T: Array, xy: Array) -> Array:
 class GroundLines(Target):
     """One or two lines painted on the floor along a route, parallel to it.
 
-    They have no markers fixed in space. Two points are measured of each line, where it crosses the look-ahead distances `look_m` from
-    the camera's foot, in the order line 0 near, line 0 far, line 1 near, line 1 far.
+    Two points are measured of each line, where it crosses the look-ahead distances `look_m` from the camera's foot, in the order line 0
+    near, line 0 far, line 1 near, line 1 far.
 
     Args:
         pose: where the route's frame lies on the floor (flat, z = 0).

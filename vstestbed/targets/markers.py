@@ -29,8 +29,7 @@ APRILTAGS = {"16h5": (4, 30), "25h9": (5, 35), "36h10": (6, 2320), "36h11": (6, 
 
 HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
-HIDDEN_M = 0.002
-"""What comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]."""
+HIDDEN_M = 0.002  # what comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]
 Share = Annotated[float, Ge(0), Le(1)]
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
@@ -128,8 +127,7 @@ class Tag(Marker):
         lit: shaded by the scene's lights, else of constant brightness.
         albedo: share of the light that its white throws back [1].
 
-    Reference: Olson 2011, doi:10.1109/ICRA.2011.5979561 (AprilTag); Garrido-Jurado et al. 2014,
-    doi:10.1016/j.patcog.2014.01.005 (ArUco).
+    Reference: Olson 2011, doi:10.1109/ICRA.2011.5979561 (AprilTag); Garrido-Jurado et al. 2014, doi:10.1016/j.patcog.2014.01.005 (ArUco).
     """
 
     kind: Literal["tag"] = "tag"

@@ -153,9 +153,7 @@ SOLID_MARKERS = OneOf("marker", Disc, Sphere, default="disc")
 
 @spec
 class MeshTarget(Target):
-    """A solid of triangles with markers on its surface: spheres, or discs that lie in the surface.
-
-    The target's frame is that of the file. What the solid hides is not seen, neither in pictures nor by the oracle.
+    """A solid of triangles with markers on its surface: spheres, or discs that lie in it. What it hides is hidden from the oracle, too.
 
     Args:
         file: an STL or OBJ file, absolute, relative to the scenario's file, or `package:NAME/path`. Of an OBJ file only the shape counts.

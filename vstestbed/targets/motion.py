@@ -175,8 +175,7 @@ class Lissajous(MotionBase):
         return lambda t: _shift(*(a * np.sin(w * t + start)))
 
 
-DRAW_S = 0.01
-"""Sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position and speed [s]."""
+DRAW_S = 0.01  # sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position and speed [s]
 DAMPING = 1.0 / math.sqrt(2.0)
 """Damping ratio of the random walk's oscillator: a spectrum that is flat up to the corner frequency (Butterworth)."""
 
@@ -185,16 +184,15 @@ DAMPING = 1.0 / math.sqrt(2.0)
 class RandomWalk(MotionBase):
     """A random walk bound by a spring: x'' = -W^2 x - sqrt(2) W x' + white noise on each axis, W = 2 pi corner_hz.
 
-    Position and speed are continuous, acceleration is not. The stationary distribution of each axis is normal with standard deviation
-    rms_m, that of its speed with W rms_m. It starts at rest with D = 1 and is drawn from the seed of the run.
+    The stationary distribution of each axis is normal with standard deviation rms_m, that of its speed with W rms_m. It starts at rest with
+    D = 1 and is drawn from the seed of the run.
 
     Args:
         rms_m: standard deviation of the displacement along each axis [m].
         corner_hz: corner frequency [Hz]; above it the power spectrum falls with the fourth power of frequency.
 
     Reference: Papoulis & Pillai 2002, Probability, Random Variables and Stochastic Processes, section 10.2 (the harmonically
-    bound particle of Uhlenbeck & Ornstein 1930, doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978,
-    doi:10.1109/TAC.1978.1101743.
+    bound particle of Uhlenbeck & Ornstein 1930, doi:10.1103/PhysRev.36.823); exact steps by Van Loan 1978, doi:10.1109/TAC.1978.1101743.
     """
 
     kind: Literal["random_walk"] = "random_walk"

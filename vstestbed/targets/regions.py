@@ -343,9 +343,8 @@ class OneRegion(Target):
 class Shape(OneRegion):
     """A flat region of one colour on a board, in z = 0, upright for a camera that faces it: x to its right, y down.
 
-    Its points are on its outline, clockwise as seen; of a polygon all corners are among them, so that the polygon of the points is the
-    region. The outline of a disc does not tell how it is turned: its points are those of `ellipse_points` in the picture, and where
-    they are on the disc depends on the camera.
+    Its points are on its outline, clockwise as seen; of a polygon all corners are among them. The outline of a disc does not tell how it
+    is turned: its points are those of `ellipse_points` in the picture, and where they are on the disc depends on the camera.
 
     Args:
         figure: the outline: `whale`, `l_shape`, `polygon` or `disc`.
@@ -422,8 +421,7 @@ class Ball(OneRegion):
     """A ball about the target's origin. Its points are on the circle where the camera's rays touch it, which depends on the camera.
 
     With the centre c in the camera's frame and a = c/|c|, the circle has the centre c (1 - r^2/|c|^2) and the radius
-    r sqrt(1 - r^2/|c|^2) across a. It begins in the direction of the camera's x axis and runs clockwise in the picture, so that
-    the order does not depend on how the ball is turned, which nobody sees.
+    r sqrt(1 - r^2/|c|^2) across a. It begins in the direction of the camera's x axis and runs clockwise in the picture.
 
     Args:
         radius: of the ball [m].

@@ -16,8 +16,7 @@ from vstestbed.core.planar import GroundPose
 from vstestbed.core.quantity import Angle, Length, Narrower, PositiveLength
 from vstestbed.core.spec import OneOf, spec
 
-SPACING_M = 0.01
-"""Distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um."""
+SPACING_M = 0.01  # distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um
 
 LONGEST_M = 10_000.0  # longest track [m]: its table has a million samples
 
@@ -158,8 +157,7 @@ class CircularRoute(Route):
 class FigureEight(Route):
     """A figure of eight, x = length/2 sin 2 pi p, y = width/2 sin 4 pi p for p in 0..1, from its crossing on.
 
-    Its curvature is continuous, so that a vehicle can follow it at constant speed. `start` is the crossing and the direction of the
-    first branch.
+    Its curvature is continuous, so that a vehicle can follow it at constant speed. At `start` it crosses itself, along the first branch.
 
     Args:
         length_m: its extent along the direction of `start` [m].

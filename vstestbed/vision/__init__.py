@@ -7,9 +7,8 @@ import cv2
 
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.vision.association import centre_bias
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
-from vstestbed.vision.blobs import Blobs
+from vstestbed.vision.blobs import Blobs, centre_bias
 from vstestbed.vision.keypoints import Keypoints
 from vstestbed.vision.lines import Lines
 from vstestbed.vision.local_features import KEYPOINTS

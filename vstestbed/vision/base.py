@@ -129,8 +129,7 @@ def points_of(goal: Goal) -> Array:
 
 # Search windows around tracked objects in the next picture.
 Move = tuple[float, float]  # displacement (du, dv) of an object from one picture to the next [px]
-MOST_WINDOWED = 0.3
-"""Share of the image area that the windows may cover together; beyond it a search of the whole image is faster."""
+MOST_WINDOWED = 0.3  # share of the image area that the windows may cover together; beyond it a search of the whole image is faster
 
 
 def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window | None:

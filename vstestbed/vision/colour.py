@@ -18,10 +18,8 @@ from vstestbed.camera import Image, Window
 
 Rim = Literal["sharp", "binary", "grey"]
 
-STRIP_PX = 38400
-"""Pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms instead of 1 ms)."""
-ROUGHNESS = 0.005
-"""Share of its area by which a whole ellipse of pixels may seem incomplete (distortion, a ball drawn with facets) ..."""
+STRIP_PX = 38400  # pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms instead of 1 ms)
+ROUGHNESS = 0.005  # share of its area by which a whole ellipse of pixels may seem incomplete (distortion, a ball drawn with facets) ...
 ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
 """... and how much more [px^2]: rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2. A disc of 8 px of which
 7 % are hidden is past both."""

@@ -12,8 +12,7 @@ from vstestbed.vision.pnp import AT_THE_LENS
 
 ROUNDS = 12  # most Gauss-Newton steps; three or four suffice from the pose a frame ago
 SETTLED = 1e-10  # converged when a step is smaller than this [m, rad]
-UNTOLD = 1e-4
-"""Singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open."""
+UNTOLD = 1e-4  # singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open
 LEVEL = 0.03  # least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance
 SAME_BASIN = 0.05  # a guess no farther than this from a solution leads to it [m, rad]
 ALIKE = 1e-9  # errors below this [rad] are rounding

@@ -92,10 +92,8 @@ HALF = 10  # half the side of a patch, without its middle [px of the goal's pict
 ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
 REACH_PX = 3.0  # a patch that moves farther than this from its match has found something else [px]
 ALIKE = 0.8  # least correlation of a patch with the goal's [1]
-TEXTURE = 1e-3
-"""Least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place."""
-SMOOTH_PX = 0.8
-"""Standard deviation of the Gaussian over both pictures, without which interpolation between pixels adds a bias [px]."""
+TEXTURE = 1e-3  # least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place
+SMOOTH_PX = 0.8  # standard deviation of the Gaussian over both pictures, without which interpolation between pixels adds a bias [px]
 
 
 def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -296,9 +294,8 @@ class KeypointsMemory:
     """State of the detector in a run to one goal.
 
     Attributes:
-        goal: the goal view, with its picture.
+        goal: the goal view, with its picture. smooth: its brightness, as the patches are taken from it. slots: the reported points.
         learned: the goal picture's key points uv (R, 2) and descriptors (R, D); None of features that match pictures themselves.
-        smooth: the goal's picture as the patches are taken from it. slots: the points that are reported.
         last: brightness of the last picture, where points are followed from there; since: pictures since the last matching.
     """
 

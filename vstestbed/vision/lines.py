@@ -21,8 +21,7 @@ from vstestbed.targets.ground_lines import GroundLines, on_foot
 from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.colour import chroma
 
-ROWS = 9
-"""Rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight."""
+ROWS = 9  # rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight
 LEAST_ROWS = 5  # fewest rows from which a line is fitted
 FINEST_M, COARSEST_M = 5e-4, 0.02  # limits of a strip's raster [m]; between them a cell is as large as a pixel
 OUTSIDE = np.float32(-9)
@@ -120,18 +119,14 @@ class Lines(DetectorBase):
             colour, hue = chroma(floor), np.asarray(cv2.cvtColor(floor, cv2.COLOR_RGB2HSV)[..., 0], np.uint8)
             # Points are commanded line by line, each at all look-ahead distances: every len(strips)-th is in this strip.
             for i in range(k, n, len(strips)):
-                mask = self._mask(colour, hue, hues[i], n // len(strips))
+                # One comparison for each of OpenCV's 256 hues (of 2 degrees), then a lookup for each cell.
+                apart = np.abs((2.0 * np.arange(256) - hues[i] + 180) % 360 - 180)
+                near = (apart <= min(self.hue_tolerance_deg, 180 / (n // len(strips))))[hue]
+                mask = ((colour > self.chroma) & near).astype(np.uint8)
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
         aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
         return LinesMemory(strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
-
-    def _mask(self, colour: Image, hue: Image, hue_deg: float, lines: int) -> Image:
-        """1 where a cell has a line's hue, shape (ROWS, K). OpenCV's hue of 8 bits is in steps of 2 degrees."""
-        tolerance = min(self.hue_tolerance_deg, 180 / lines)
-        # One comparison for each of the 256 hues, then a lookup for each cell.
-        apart = np.abs((2.0 * np.arange(256) - hue_deg + 180) % 360 - 180)
-        return ((colour > self.chroma) & (apart <= tolerance)[hue]).astype(np.uint8)
 
     def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
         """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.

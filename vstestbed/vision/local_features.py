@@ -17,8 +17,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 
-Descriptors = NDArray[Any]
-"""(M, D): floats, compared by their Euclidean distance, or uint8, whose bits are compared (Hamming distance)."""
+Descriptors = NDArray[Any]  # (M, D): floats, compared by their Euclidean distance, or uint8, whose bits are compared (Hamming distance)
 Most = Annotated[int, Ge(10), Le(10_000)]
 ORB_SCALE = 1.2  # ratio of one level of ORB's pyramid to the next
 
@@ -64,8 +63,7 @@ class _Either(Contract):
 class Sift(Extractor):
     """SIFT: maxima of differences of Gaussians, described by histograms of gradients; 128 numbers each.
 
-    OpenCV's first octave is drawn twice as large, by default half a pixel aside, so that pictures turned against each other by
-    120 degrees match 0.6 px aside; here it is drawn in place (`enable_precise_upscale`), which leaves 0.01 px.
+    OpenCV's first octave is by default half a pixel aside; here it is drawn in place (`enable_precise_upscale`), which leaves 0.01 px.
 
     Args:
         most: number of key points kept, those of the highest contrast [1].
@@ -89,8 +87,6 @@ class Sift(Extractor):
 class Orb(Extractor):
     """ORB: corners of a pyramid, described by 256 comparisons of brightness. The fastest, with places good to about a pixel.
 
-    OpenCV gives a corner of a smaller level half of its pixel aside; here it is put right, up to the rounding of the levels' sizes.
-
     Args:
         most: number of key points kept, the best corners [1].
 
@@ -112,8 +108,7 @@ class Orb(Extractor):
 class Akaze(Extractor):
     """AKAZE: maxima in a scale space that keeps edges, described by comparisons of brightness and gradients; 486 bits.
 
-    OpenCV 5 has it among its contributed modules only, in the package opencv-contrib-python-headless, which replaces
-    opencv-python-headless.
+    OpenCV 5 has it in the package opencv-contrib-python-headless alone, which replaces opencv-python-headless.
 
     Args:
         most: number of key points kept, those of the highest response [1].

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +26,7 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
 FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
 RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
-BESIDE = 0.2
-"""A unit ray with a z below this starts with the initial depth as its range: there depth is a small share of the range."""
+BESIDE = 0.2  # a unit ray with a z below this starts with the initial depth as its range: there depth is a small share of the range
 CLEAR = 30.0
 """Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at half the full rate. Weaker
 frames forget less: information fades as new information arrives, not as the motion fades."""
@@ -221,7 +219,8 @@ class Observer:
 
     def uses_motion(self, detection: Detection) -> bool:
         """Whether `observe` will read the twist: for depth from motion, odometry, or a pose propagated over missing markers."""
-        return self._always_uses_motion or not all_finite(detection.uv)
+        gaps = self.dropout > 0 or self.perturbed is not None or self.grounded or "motion" in self.required_fields
+        return gaps or self.depth.estimator is not None or not all_finite(detection.uv)
 
     def observe(
         self,
@@ -264,7 +263,9 @@ class Observer:
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
         view, trim = self._view(ray, T, flow, cues, own), memory.trim
         if tilt is not None:
-            trim = self._trim(memory, t, tilt, T if solved else None)
+            if self.trim_s and solved and T is not None:
+                gain = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
+                trim = trimmed(trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
             view = self._leveled(view, tilt + trim.angles)
         odometry, place = self._driven(memory, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
@@ -288,11 +289,6 @@ class Observer:
         if self.perturbed is not None:
             uv, T = self.perturbed.pixels(uv, t), None  # the detector's pose is not perturbed
         return uv, T
-
-    @cached_property
-    def _always_uses_motion(self) -> bool:
-        gaps = self.dropout > 0 or self.perturbed is not None
-        return self.depth.estimator is not None or gaps or self.grounded or "motion" in self.required_fields
 
     def _solves(self, T: Array | None) -> bool:
         needed = self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
@@ -320,13 +316,6 @@ class Observer:
             # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
             found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
-
-    def _trim(self, memory: ObserverMemory, t: float, tilt: Array, T: Array | None) -> Trim:
-        """The correction of the measured tilt (2,), updated where the pose (4, 4) is measured."""
-        if self.trim_s == 0 or T is None:
-            return memory.trim
-        gain = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
-        return trimmed(memory.trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
 
     def _leveled(self, view: _View, tilt: Array) -> _View:
         assert view.ray is not None

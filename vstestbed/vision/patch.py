@@ -376,15 +376,12 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
     scaled = known / LIGHT
     lit = (scaled, scaled * x, scaled * y, np.ones_like(x), x, y)
     rows = np.stack([gx, gy, gx * y, gy * x, gx * x - gy * y, -along - gy * y, -x * along, -y * along, *lit, residual])
-    N = _products(np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32))
+    rows = np.asarray(rows * np.sqrt(_weights(residual, level, seen)), np.float32)
+    # rows rows^T in parts so small that a linear algebra library does not share them out among threads
+    N = np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
     n = len(N) - 1
     z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
-
-
-def _products(rows: GreyImage) -> Array:
-    """The product rows rows^T of (m, n), in parts so small that a linear algebra library does not share them out among threads."""
-    return np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
 
 
 def _weights(residual: GreyImage, level: TemplateSize, seen: NDArray[np.bool_]) -> GreyImage:

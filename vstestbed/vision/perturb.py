@@ -234,7 +234,6 @@ class Perturbed:
 
 
 def _picture(kind: PerturbationBase, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
-    """A picture changed by one perturbation, which must return a picture."""
     shape, after = image.shape, kind.picture(memory, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
         found = f"{after.shape} {after.dtype}" if isinstance(after, np.ndarray) else type(after).__name__

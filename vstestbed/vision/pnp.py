@@ -87,8 +87,7 @@ def _plane(points: bytes) -> tuple[Array, Array]:
 # Pose of markers in all directions around the camera, which no pinhole image holds: from rays alone.
 ROUNDS = 20  # most Gauss-Newton steps; five suffice from the pose a frame ago
 SETTLED = 1e-11  # converged when a step is smaller than this [m, rad]
-AT_THE_LENS = 1e-9
-"""Least distance of a marker from the camera [m]: a guess may put one at the camera's centre, where it has no direction."""
+AT_THE_LENS = 1e-9  # least distance of a marker from the camera [m]: a guess may put one at the camera's centre, where it has no direction
 RAYS_FIT = 0.05  # a pose whose angular errors have a larger root mean square than this [rad] is no solution
 
 
@@ -211,7 +210,11 @@ def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array
     if shape == "line":
         return None
     if len(points) == 3:
-        return None if previous is None else _continue(_three(xy, points), previous, points)
+        if previous is None:
+            return None
+        steps = [(_step(T, previous, points), T) for T in _three(xy, points)]
+        nearest, T = min(steps, key=lambda s: s[0], default=(math.inf, None))
+        return None if nearest > SAME_SCENE else T
     return _of_many(xy, points, shape, previous)
 
 
@@ -337,14 +340,6 @@ def _three(xy: Array, points: Array) -> list[Array]:
     _, rotations, translations = cv2.solveP3P(points, xy, _K, None, flags=cv2.SOLVEPNP_AP3P)
     poses = [_matrix(r, t) for r, t in zip(rotations, translations, strict=True)]
     return [T for T in poses if np.isfinite(T).all() and (points @ T[2, :3] > -T[2, 3]).all()]
-
-
-def _continue(poses: list[Array], previous: Array, points: Array) -> Array | None:
-    """The pose nearest to the previous one; None if even that is farther than SAME_SCENE."""
-    steps = [_step(T, previous, points) for T in poses]
-    if not steps or min(steps) > SAME_SCENE:
-        return None
-    return poses[int(np.argmin(steps))]
 
 
 def _step(T: Array, previous: Array, points: Array) -> float:

@@ -31,8 +31,7 @@ ENDS = 3  # samples at each end of a profile whose mean is its black or white le
 REACH = 0.65  # half length of a profile in modules: it ends within the black border and within the white quiet zone ...
 MOST_REACH_PX = 4.0  # ... and its limit [px], beyond any blur of the order of a pixel
 ROUNDS = 4  # most iterations; each starts from the corners of the last one ...
-STEADY_PX = 0.02
-"""... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that."""
+STEADY_PX = 0.02  # ... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,11 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     where = (middle[..., None, :] + ACROSS[:, None] * reach[..., None, :]).astype(np.float32)
     u, v = where.reshape(1, -1, 2)[..., 0], where.reshape(1, -1, 2)[..., 1]
     profile = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    share, step = _crossing(np.asarray(profile, float).reshape(where.shape[:-1]))
+    profile = np.asarray(profile, float).reshape(where.shape[:-1])
+    # The edge's place in each profile, from -1 at its inner to 1 at its outer end, and the step's height.
+    black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
+    step, mean = white - black, np.trapezoid(profile, axis=-1) / (len(ACROSS) - 1)
+    share = np.clip(1 - 2 * (mean - black) / np.maximum(step, 1.0), -1, 1)
     measured, misfit = _cross(middle + share[..., None] * reach)
     contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
     # Samples outside of the image repeat its border pixels; a negative distance rejects the tag.
@@ -110,14 +113,6 @@ def _mapped(H: Array, p: Array) -> Array:
     return q[..., :2] / q[..., 2:]
 
 
-def _crossing(profile: Array) -> tuple[Array, Array]:
-    """Position of the edge in profiles (..., K), from -1 at their inner to 1 at their outer end, and the step's height."""
-    black, white = profile[..., :ENDS].mean(axis=-1), profile[..., -ENDS:].mean(axis=-1)
-    step = white - black
-    mean = np.trapezoid(profile, axis=-1) / (profile.shape[-1] - 1)
-    return np.clip(1 - 2 * (mean - black) / np.maximum(step, 1.0), -1, 1), step
-
-
 def _cross(points: Array) -> tuple[Array, Array]:
     """Intersections (N, 4, 2) of the lines through points (N, 4, S, 2), and the points' distances from their lines (N, 4, S)."""
     mean = points.mean(axis=2)
@@ -137,8 +132,7 @@ def _flat(v: Array) -> Array:
 
 
 # Printed tags: images of each family's tags, for the textures of the scene.
-PX_PER_MODULE = 16
-"""Texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap."""
+PX_PER_MODULE = 16  # texels along a module: a power of two, so that the edges stay between texels at every level of OpenGL's mipmap
 
 
 @lru_cache
@@ -162,11 +156,9 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[1].tobytes()
 
 
-CONTOUR_PX = math.sqrt(0.5)
-"""OpenCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]."""
+CONTOUR_PX = math.sqrt(0.5)  # openCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]
 Found = tuple[int, Array]  # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
-QUIET = 0.25
-"""Margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels."""
+QUIET = 0.25  # margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +222,10 @@ class Tags(DetectorBase):
         uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
         kept = T if T is not None else memory.T_camera_target
-        return TagsMemory(corners, _moves(memory, corners), kept), Detection(uv=uv, T_camera_target=T)
+        last = zip(memory.corners or (None,) * n, corners, memory.moves or ((0.0, 0.0),) * n, strict=True)
+        # The last known move of a tag that was not seen then, or is not now.
+        moves = [move if a is None or b is None else (b - a).mean(axis=0) for a, b, move in last]
+        return TagsMemory(corners, tuple((float(du), float(dv)) for du, dv in moves), kept), Detection(uv=uv, T_camera_target=T)
 
     def _windows(self, memory: TagsMemory, camera: Camera) -> list[Window] | None:
         if len(camera.panels) > 1:
@@ -318,10 +313,3 @@ def _box(corners: Array) -> Window:
     room = QUIET * (high - low).max()
     (left, top), (right, bottom) = (low - room).tolist(), (high + room + 1).tolist()
     return int(left), int(top), math.ceil(right), math.ceil(bottom)
-
-
-def _moves(memory: TagsMemory, corners: tuple[Array | None, ...]) -> tuple[tuple[float, float], ...]:
-    """Displacement of each tag since the last picture [px]; the last known one where it was not seen then or is not now."""
-    before, kept = memory.corners or (None,) * len(corners), memory.moves or ((0.0, 0.0),) * len(corners)
-    moves = [last if a is None or b is None else (b - a).mean(axis=0) for a, b, last in zip(before, corners, kept, strict=True)]
-    return tuple((float(du), float(dv)) for du, dv in moves)
