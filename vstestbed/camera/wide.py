@@ -45,8 +45,7 @@ RIM = 1e-9  # relative tolerance for rounding at the border of the image circle
 class Radial(Camera):
     """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
 
-    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it. A lens defines m
-    (`radius`), its inverse (`angle`) and the range of theta that it sees (`reach`).
+    theta = atan2(hypot(X, Y), Z) is the angle from the optical axis, phi = atan2(Y, X) the one about it.
 
     Args:
         focal_length_px: f [px]; by default such that the image circle, of radius f m(theta_max), touches the borders of the

@@ -124,8 +124,7 @@ class AtGoal(DepthSource):
 class Estimate(DepthSource):
     """Each marker's inverse range by recursive least squares on the flow of its ray under the camera's own motion.
 
-    The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded. (The commanded
-    twist of an arm would not do: its servos lag, and the first frame's command has not moved anything yet.)
+    The motion is what the robot measures of itself: an arm's encoders; the ideal camera moves as commanded.
 
     Args:
         initial_m: depth assumed until the camera has moved enough to tell [m].

@@ -1,7 +1,4 @@
-"""Prescribed motions of targets and plates: a displacement D(t) (4, 4) in the frame at rest, T_world(t) = T_world_rest D(t).
-
-All but the random walk are closed forms; that one is drawn from the run's seed, so that every law meets the same path.
-"""
+"""Prescribed motions of targets and plates: a displacement D(t) (4, 4) in the frame at rest, T_world(t) = T_world_rest D(t)."""
 
 from __future__ import annotations
 
@@ -185,7 +182,7 @@ class RandomWalk(MotionBase):
     """A random walk bound by a spring: x'' = -W^2 x - sqrt(2) W x' + white noise on each axis, W = 2 pi corner_hz.
 
     The stationary distribution of each axis is normal with standard deviation rms_m, that of its speed with W rms_m. It starts at rest with
-    D = 1 and is drawn from the seed of the run.
+    D = 1 and is drawn from the seed of the run, so that every law meets the same path.
 
     Args:
         rms_m: standard deviation of the displacement along each axis [m].

@@ -198,8 +198,7 @@ class Figure:
 class PolygonFigure(Figure):
     """A polygon.
 
-    The picture of one with rotational symmetry, such as a square, fits its outline in several ways: the detector begins with that of the
-    smallest rotation to the picture, and goes on with it.
+    The picture of one with rotational symmetry fits its outline in several ways: the detector begins with the smallest rotation.
 
     Args:
         at: its corners (x, y) in order, in the target's plane, x to the right and y down as seen [m];

@@ -12,7 +12,7 @@ from vstestbed.vision.blobs import Blobs, centre_bias
 from vstestbed.vision.keypoints import Keypoints
 from vstestbed.vision.lines import Lines
 from vstestbed.vision.local_features import KEYPOINTS
-from vstestbed.vision.observe import Observer, ObserverMemory
+from vstestbed.vision.observe import Observer
 from vstestbed.vision.oracle import NoDetector, Oracle
 from vstestbed.vision.patch import PatchDetector
 from vstestbed.vision.pnp import solve_pose, solve_pose_from_rays
@@ -35,7 +35,6 @@ __all__ = [
     "Lines",
     "NoDetector",
     "Observer",
-    "ObserverMemory",
     "Oracle",
     "PatchDetector",
     "RegionDetector",

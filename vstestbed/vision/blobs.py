@@ -468,7 +468,6 @@ class MarkerFit:
         return index, pose, there.bias
 
     def _of_others(self, uv: Array, area: Array, previous: Array | None) -> Array | None:
-        """The pose without one blob; of three, the one that continues the last pose, unless their areas contradict it."""
         seen = np.isfinite(uv[:, 0])
         pose = self._pose(uv, area, previous)
         if np.count_nonzero(seen) > 3 or (pose is not None and self._surprise(pose, area) < SURPRISE):

@@ -307,7 +307,7 @@ class Observer:
         return (predicted, False) if found is None else (found, True)
 
     def _solved_pose(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
-        """The pose solved from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
+        """The pose from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
         points, mount, place = self._points[seen], self.camera.mount.T, self.target.pose.T
         if self.depth.on_floor:
             return pose_on_floor(rays, points, mount, place, predicted)
@@ -336,7 +336,6 @@ class Observer:
     def _driven(
         self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
     ) -> tuple[Array | None, Array | None]:
-        """A vehicle's odometry and its planar pose, given the measured pose T (4, 4) of the landmarks; None for other robots."""
         if memory.odometry is None:
             return None, memory.place
         dt = t - memory.t
@@ -359,11 +358,9 @@ class Observer:
         rays = (view.ray, reach) if "ray" in required else (None, None)
         relative = relative_view(self.goal.xy, view.xy, self.goal.normal) if "relative" in required else None
         motion = view.motion if "motion" in required else None
-        radius = self._radii(uv, depth, reach) if "radius_px" in required else None
+        radius = None
+        if "radius_px" in required:  # the larger of half width and half height; without ranges by the depths
+            ray = self.camera.ray(uv)
+            p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
+            radius = self.camera.half_size(p, self.target.marker.radius).max(axis=1)
         return Observation(t, uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius)
-
-    def _radii(self, uv: Array, depth: Array, reach: Array | None) -> Array:
-        """Apparent radii (N,) [px] of markers at uv (N, 2), the larger of half width and half height; without ranges by their depths."""
-        ray = self.camera.ray(uv)
-        p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
-        return self.camera.half_size(p, self.target.marker.radius).max(axis=1)

@@ -1,7 +1,4 @@
-"""Perturbations that a scenario adds to its noise (`noise.perturb: [...]`): of pictures as the camera delivers them, or of measured pixels.
-
-Each draws from streams of its own, so that one more changes neither the others nor the scenario's other noise.
-"""
+"""Perturbations (`noise.perturb: [...]`) of pictures as the camera delivers them, or of measured pixels, each from streams of its own."""
 
 from __future__ import annotations
 

@@ -502,9 +502,8 @@ class RegionDetector(DetectorBase):
     def _fitting(
         self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, memory: RegionMemory, target: Target
     ) -> OutlineFit | None:
-        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
-
-        found: 255 in the region's pixels, of a part of the image whose first pixel is `corner`.
+        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits. The first pixel of `found` is
+        at `corner`; it is 255 in the region.
         """
         for turn in [None] if memory.box is None else [memory.turn, None]:
             fit = fit_outline(border, target, turn, memory.expected)
