@@ -502,8 +502,9 @@ class RegionDetector(DetectorBase):
     def _fitting(
         self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, memory: RegionMemory, target: Target
     ) -> OutlineFit | None:
-        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits. The first pixel of `found` is
-        at `corner`; it is 255 in the region.
+        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
+
+        `found` is 255 in the region's pixels; its first pixel is at `corner` of the image.
         """
         for turn in [None] if memory.box is None else [memory.turn, None]:
             fit = fit_outline(border, target, turn, memory.expected)
