@@ -16,7 +16,7 @@ import vstestbed.testing
 
 @vs.FEATURES.add
 @vs.spec
-class MyFeature:
+class MyFeature(vs.Feature):
     """s = (atan x, atan y), s_dot = L v with L = L_point / (1 + x^2) and / (1 + y^2), row by row."""
 
     kind: Literal["my_feature"] = "my_feature"  # its word in a scenario
