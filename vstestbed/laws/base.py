@@ -42,14 +42,13 @@ class Command:
     """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
 
     Attributes:
-        u: velocities along the robot's motions (n,) [m/s, rad/s].
-        twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
-        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
-            the law coasts: it cannot measure, and continues on what it knew.
+        u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it, the law coasts:
+            it cannot measure, and continues on what it knew.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
         free: the motions that the robot may use for a secondary task, none where the law does not compute them.
-        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
-            robot finds its own for the twist.
+        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the robot
+            finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
         error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
     """
@@ -147,8 +146,7 @@ class Law(Protocol[M]):
 
         called: what messages call a marker.
 
-        Raises:
-            ParameterError: it names a field of the law.
+        Raises ParameterError: it names a field of the law.
         """
         ...
 

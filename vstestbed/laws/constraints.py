@@ -44,10 +44,8 @@ class Solution:
     """What a program gave.
 
     Attributes:
-        x: (n,); None where it could not be solved.
-        gave_way: words of the groups that had to, the softest first.
-        bound: whether a bound or an inequality is met with equality.
-        failure: the solver's exit code in words; "" where it solved.
+        x: (n,); None where it could not be solved. gave_way: words of the groups that had to, the softest first.
+        bound: whether a bound or an inequality is met with equality. failure: the solver's exit code in words; "" where it solved.
     """
 
     x: Array | None
@@ -62,9 +60,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     Where these contradict each other, groups give way in their order, the first one first: its inequalities are violated as little as the
     others allow. The bounds never do. The dual active-set method starts at the unconstrained minimum; most frames need no step from there.
 
-    Args:
-        A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high.
-        groups: the softest first.
+    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first.
 
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
@@ -150,9 +146,8 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
     |rates| <= speed; |rates - ordered| <= acceleration period. Bounds of position win over those of speed, these over those of
     acceleration, so that low <= high always.
 
-    Args:
-        margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s].
-        accelerate: whether accelerations count.
+    margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s]. accelerate: whether
+    accelerations count.
 
     Reference: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982.
     """
@@ -231,9 +226,8 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of the pixel in this lens, at the place
     where the marker will be when the command takes effect. A marker outside comes back at the rate.
 
-    Args:
-        margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s].
-        target: camera twist (6,) that would move the markers as the target's own motion does.
+    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s]. target: camera twist (6,) that would move the
+    markers as the target's own motion does.
 
     Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019, doi:10.23919/ECC.2019.8796030 (barrier functions).
     """

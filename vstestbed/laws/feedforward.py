@@ -221,11 +221,8 @@ class Change:
 
 
 def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:
-    """The estimate of the target's motion after one more frame.
-
-    Args:
-        kind: the filter. trend: the estimate so far. change: None where the two frames have too few markers in common.
-        basis: the robot's motions (6, n). motion: the camera's motion as the robot measures it.
+    """The estimate of the target's motion after one more frame. kind: the filter. trend: the estimate so far. change: None where the two
+    frames have too few markers in common. basis: the robot's motions (6, n). motion: the camera's motion as the robot measures it.
     """
     step = None
     if trend is not None and change is not None:

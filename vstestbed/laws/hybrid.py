@@ -136,9 +136,7 @@ class Hybrid(LawBase):
 
     def equations(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
         """The error (..., 6) and L (..., 6, 6).
-
-        Args:
-            m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at the goal (3,) [m].
+        m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at the goal (3,) [m].
         """
         xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
         at, depth = xy[..., None, :], ratio * goal_middle[2]

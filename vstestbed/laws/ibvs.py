@@ -189,12 +189,11 @@ class IBVS(LawBase):
 
     With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`).
 
-    Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
-    eq. 16.11, which is wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the
-    matrix at the current view makes points diverge, the one at the goal drives the camera through the target, and their mean
-    does not move: these are properties of the law. Three markers have the same image from up to four poses, and with points
-    (`point`, `polar`, `spherical`) e is zero at each: the law may converge to another one than the goal. Four in one plane have
-    one.
+    Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in eq. 16.11, which is
+    wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the matrix at the current view makes
+    points diverge, the one at the goal drives the camera through the target, and their mean does not move: these are properties of the law.
+    Three markers have the same image from up to four poses, and with points (`point`, `polar`, `spherical`) e is zero at each: the law may
+    converge to another one than the goal. Four in one plane have one.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(L B) e.
@@ -214,9 +213,9 @@ class IBVS(LawBase):
         projection: which motions are left to that task: `classical`, the null space, or `large`, which keeps only the norm of e, so that
             also features that determine all motions leave some free.
 
-    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
-    doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
-    Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
+    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004, doi:10.1109/ROBOT.2004.1308092;
+    moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007,
+    doi:10.1109/TRO.2006.889487.
     """
 
     kind: Literal["ibvs"] = "ibvs"
@@ -310,9 +309,8 @@ class IBVS(LawBase):
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:
         """The error e (..., rows) and its interaction matrix L (..., rows, 6), or (rows, 6) for `desired`.
 
-        Args:
-            x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m].
-            goal_x, goal_distance: the same in the goal view, (N, 2) and (N,).
+        x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m]. goal_x, goal_distance: the same
+        in the goal view, (N, 2) and (N,).
         """
         feature, which = self.feature, self.interaction
         if which == "current":

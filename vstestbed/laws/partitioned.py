@@ -140,9 +140,7 @@ class Partitioned(LawBase):
 
     def markers_needed(self, basis: Array) -> int:
         """Three span an area: enough while others are hidden for some frames, not enough for a target (`check`).
-
-        Raises:
-            ParameterError: the robot cannot move its camera in all six directions.
+        Raises ParameterError: the robot cannot move its camera in all six directions.
         """
         if basis.shape[1] != 6:
             words = f"partitioned moves a camera in all six directions, and this robot has {basis.shape[1]}; use ibvs"
@@ -173,9 +171,7 @@ class Partitioned(LawBase):
         self, before: Followed, known: Observation, rows: Rows, goal: Goal, basis: Array, why: str
     ) -> tuple[Followed, Observation, Array]:
         """The next state of the feedforward, the observation with its markers where they are predicted, and the feedforward twist (6,).
-
-        Args:
-            known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
+        known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
         """
         if isinstance(self.feedforward, NoFeedforward):
             return before, known, np.zeros(6)

@@ -152,8 +152,7 @@ class LevelPixels:
     """The pixels of one level of the pyramid that enter the error: all but a border, every `stride`-th in both directions.
 
     Attributes:
-        at: slices (rows, columns) of the level's picture.
-        x, y: their normalised coordinates (h, w).
+        at: slices (rows, columns) of the level's picture. x, y: their normalised coordinates (h, w).
         slope: du/dx, du/dy, dv/dx, dv/dy of the lens, in pixels of the level, numbers or (h, w).
     """
 
@@ -194,8 +193,7 @@ def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
 
     A point of the scene keeps its luminance, so that at a fixed pixel dI/dt = -(dI/dx x_dot + dI/dy y_dot).
 
-    Args:
-        gx, gy: gradient in normalised coordinates (n,). x, y: normalised coordinates. inverse_depth: 1/Z [1/m].
+    gx, gy: gradient in normalised coordinates (n,). x, y: normalised coordinates. inverse_depth: 1/Z [1/m].
 
     Reference: Collewet & Marchand 2011.
     """
@@ -256,9 +254,8 @@ class GoalLevel:
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:
         """The normal equations of a picture (h, w) of this level against the goal's.
 
-        Args:
-            grey: the picture. which: L of this picture, of the goal's, or the mean of both. robust: weights of the pixels.
-            inverse_depth: 1/Z of the pixels in this picture (h, w), 0 where it is not known; None: the goal's.
+        grey: the picture. which: L of this picture, of the goal's, or the mean of both. robust: weights of the pixels. inverse_depth: 1/Z
+        of the pixels in this picture (h, w), 0 where it is not known; None: the goal's.
         """
         near = self.inverse_depth if inverse_depth is None else inverse_depth
         e = (grey[self.pixels.at] - self.grey[self.pixels.at]).ravel()
@@ -526,11 +523,7 @@ class Photometric(LawBase):
         return relit(grey, goal.grey) if level > 0 and self.light == "gain_offset" else grey
 
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
-        """The goal's picture, level by level.
-
-        Raises:
-            ParameterError: the goal has no picture.
-        """
+        """The goal's picture, level by level. Raises ParameterError: the goal has no picture."""
         if goal.image is None or not isinstance(goal.camera, Perspective):
             raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_images to the Controller")
         made, grey = [], luminance(goal.image.image, self.smooth_px)

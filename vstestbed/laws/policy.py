@@ -129,9 +129,7 @@ class Policy(LawBase):
 
     def init(self, goal: Goal) -> Act:
         """The policy itself: a copy of its own for each run, where it has a memory.
-
-        Raises:
-            ParameterError: its class or its `reset` raises, or it has no `act`.
+        Raises ParameterError: its class or its `reset` raises, or it has no `act`.
         """
         made: Any = _loaded(self.file, self.agent_pos)
         try:
@@ -151,11 +149,7 @@ class Policy(LawBase):
         return act
 
     def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
-        """One frame: ask the policy.
-
-        Raises:
-            ParameterError: the action is not n numbers.
-        """
+        """One frame: ask the policy. Raises ParameterError: the action is not n numbers."""
         given = memory(observed(observation, goal))
         if given is None:
             return memory, Command.rest(basis, NO_ACTION)

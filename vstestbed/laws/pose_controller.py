@@ -44,8 +44,7 @@ class PolarGains:
     Attributes:
         rho, alpha, beta: of distance, bearing and heading at the goal; the textbook's by default.
 
-    Raises:
-        ParameterError: the closed loop would be unstable.
+    Raises ParameterError: the closed loop would be unstable.
     """
 
     rho: float = 1.0

@@ -37,11 +37,8 @@ class Broyden:
     rate: Annotated[float, Gt(0), Le(1)] = 0.5
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured.
-
-        Args:
-            J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x: displacement (m,), not 0. y: its motion in the
-                picture (N, 2). most: unused.
+        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x:
+        displacement (m,), not 0. y: its motion in the picture (N, 2). most: unused.
         """
         return J + self.rate * _surprise(J, x, y)[..., None] * (x / (x @ x)), P
 
@@ -66,11 +63,8 @@ class RecursiveLeastSquares:
     forgetting: Annotated[float, Ge(0.1), Le(1)] = 0.8
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured.
-
-        Args:
-            J: image Jacobian of each marker (N, 2, m). P: inverse of the weighted sum of x x^T, (N, m, m). x: displacement (m,).
-                y: its motion in the picture (N, 2). most: bound of the eigenvalues of P.
+        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: inverse of the weighted sum
+        of x x^T, (N, m, m). x: displacement (m,). y: its motion in the picture (N, 2). most: bound of the eigenvalues of P.
         """
         Px = P @ x
         gain = Px / (self.forgetting + Px @ x)[:, None]
@@ -204,9 +198,7 @@ class Excitation:
 
     def begin(self, uv: Array, columns: int, known: Array) -> Excited:
         """Before its first motion.
-
-        Args:
-            uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
+        uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
         """
         return Excited(
             uv, np.zeros(columns), MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2), known, uv, pixels=float(known[0])
@@ -214,9 +206,7 @@ class Excitation:
 
     def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
-
-        Args:
-            state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
+        state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
         """
         state = self._sampled(state, uv, moved, len(robot.names))
         state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, len(robot.names)))

@@ -63,10 +63,8 @@ class OneByOne:
     def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
         """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
 
-        Args:
-            memory: numbers of the runs' memories (m, 1); NaN before the first frame.
-            views: of all markers (m, N, 3). seen: which of them the law is shown (m, N).
-            goal: the goal view.
+        memory: numbers of the runs' memories (m, 1); NaN before the first frame. views: of all markers (m, N, 3). seen: which of them the
+        law is shown (m, N). goal: the goal view.
         """
         memory, twist = memory.copy(), np.full((len(memory), 6), np.nan)
         uv = np.where(seen[..., None], self._camera.project(views.p), np.nan)
@@ -119,12 +117,9 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
 
     The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
 
-    Args:
-        scenario: of a robot that moves its camera with six degrees of freedom.
-        field_of_view: `limited` or `unlimited`; None: that of the scenario's oracle, else limited.
-
-    Raises:
-        ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the target moves.
+    scenario: of a robot that moves its camera with six degrees of freedom. field_of_view: `limited` or `unlimited`; None: that of the
+    scenario's oracle, else limited. Raises ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the
+    target moves.
     """
     if "image" in scenario.law.inputs:
         words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
@@ -265,9 +260,7 @@ def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
 
 def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> None:
     """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force.
-
-    Raises:
-        ParameterError: with the product of which the starts come.
+    Raises ParameterError: with the product of which the starts come.
     """
     maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
     if maps * n * n > MOST_STARTS and not force:
@@ -298,13 +291,12 @@ class Batch:
 
     Attributes:
         outcome: an `Outcome` of each run, shape (M,).
-        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,);
-            -1 for runs that did not converge.
+        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,); -1 for
+            runs that did not converge.
         T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's origin (M,) [m].
         error_px: RMS error at the end over the visible markers (M,) [px].
         crossed: whether a run with lost target crossed the target's plane (M,); the others lost it out of the field of view.
-        unstable: how a run's loop is unstable, in words (M,); "" of the others.
-        run_steps: steps of all runs together.
+        unstable: how a run's loop is unstable, in words (M,); "" of the others. run_steps: steps of all runs together.
     """
 
     outcome: NDArray[np.object_]
@@ -340,16 +332,12 @@ class Instant:
 def fly(scenario: Scenario, start: Array) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
 
-    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
-    that a run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the
-    pixels are exact; `constant` and `goal` depths are as in a single run.
+    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
+    run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the pixels are exact;
+    `constant` and `goal` depths are as in a single run.
 
-    Args:
-        scenario: an ideal scenario, as from `ideal`; its own start is ignored.
-        start: start poses T_camera_target, shape (M, 4, 4).
-
-    Raises:
-        ParameterError: the law cannot run in a batch, or the scenario is not ideal.
+    scenario: an ideal scenario, as from `ideal`; its own start is ignored. start: start poses T_camera_target, shape (M, 4, 4). Raises
+    ParameterError: the law cannot run in a batch, or the scenario is not ideal.
     """
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes

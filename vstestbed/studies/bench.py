@@ -87,13 +87,8 @@ class IdealBench:
 
 
 def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> IdealBench:
-    """Measure both loops in turn, `repeats` times.
-
-    Args:
-        repeats: counted measurements. steps: of the single run, which stays at its goal to the end. runs: runs in the batch.
-
-    Raises:
-        ParameterError: there is nothing to measure.
+    """Measure both loops in turn, `repeats` times. repeats: counted measurements. steps: of the single run, which stays at its goal to the
+    end. runs: runs in the batch. Raises ParameterError: there is nothing to measure.
     """
     if min(repeats, steps, runs) < 1:
         raise ParameterError("repeats, steps and runs", "must be 1 or more", (repeats, steps, runs))
@@ -330,11 +325,7 @@ class Saved:
 
 
 def read_saved(path: Path) -> Saved:
-    """What an earlier `bench --all --json` printed into a file.
-
-    Raises:
-        ScenarioError: the file is not there, or holds something else.
-    """
+    """What an earlier `bench --all --json` printed into a file. Raises ScenarioError: the file is not there, or holds something else."""
     plain, marks = plain_mapping(text_of(path), str(path), "`vstestbed bench --all --json` prints one")
     return build(Saved, plain, marks, str(path))
 
@@ -415,8 +406,7 @@ class Suite:
     """Benchmarks that were measured on one machine, by their names.
 
     Attributes:
-        machine: processor, cores, versions.
-        timings: wall times of each benchmark and its floor.
+        machine: processor, cores, versions. timings: wall times of each benchmark and its floor.
     """
 
     machine: dict[str, str]

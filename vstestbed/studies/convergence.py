@@ -51,9 +51,7 @@ Ended = Sequence[tuple[Job, RunEnding]]
 
 def run_one(scenario: Scenario) -> RunEnding:
     """Run a scenario in memory; an exception in a plugin gives the outcome `crashed`, as in a comparison.
-
-    Raises:
-        EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
+    Raises EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
     """
     try:
         recording = uninterrupted(run(scenario))
@@ -124,9 +122,7 @@ class Study:
 
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
         """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each.
-
-        Raises:
-            EnvironmentLackError: see `run_one`; or no worker can start.
+        Raises EnvironmentLackError: see `run_one`; or no worker can start.
         """
         runs, again = self.runs, list[Work]()
         with closing(pool_of("local", workers(processes, len(runs)), folder)) as pool:
@@ -209,9 +205,7 @@ def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str
 
 def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
     """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
+    Raises OutputError, EnvironmentLackError: a file cannot be written.
     """
     write_table(folder / "convergence", study.table(ended))
     axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]

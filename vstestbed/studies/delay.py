@@ -44,8 +44,7 @@ class Lag:
     """Response of one joint to a sinusoidal velocity command.
 
     Attributes:
-        joint: name of the joint. shares: (b_0, b_1) [1].
-        swing_s: period of the excitation, that of the loop at its gain limit [s].
+        joint: name of the joint. shares: (b_0, b_1) [1]. swing_s: period of the excitation, that of the loop at its gain limit [s].
         lag_s: phase lag of the motion at that period, as a time [s]. gain: amplitude ratio of motion to command [1].
     """
 
@@ -65,9 +64,7 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
     the loop with these b becomes unstable, found by ROUNDS iterations; w is at most 0.9 pi, since at pi b_0 and b_1 cannot be
     distinguished.
 
-    Args:
-        scenario: of an arm; its start is the configuration about which the joints move.
-        delay_frames: d. off: amplitude of each joint [rad].
+    scenario: of an arm; its start is the configuration about which the joints move. delay_frames: d. off: amplitude of each joint [rad].
     """
     # neither images nor true poses are needed: the encoders are the measurement
     parts = (scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics)
@@ -269,8 +266,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
     The goal configuration of an arm comes from a run of its own with ideal actuators.
 
-    Raises:
-        ParameterError: robot or law are not supported, or the run does not reach its goal.
+    Raises ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
     scenario = scenario.resolved
     law, names = scenario.law, _fields_of(scenario.law)
@@ -296,11 +292,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
 
 def _fields_of(law: Law[Any]) -> set[str]:
-    """The names of a law's fields.
-
-    Raises:
-        ParameterError: it works on whole pictures, or has no single gain.
-    """
+    """The names of a law's fields. Raises ParameterError: it works on whole pictures, or has no single gain."""
     if "image" in law.inputs:
         words = "works on whole pictures, and the loop is measured by the oracle's markers; use a law of markers"
         raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
@@ -327,9 +319,7 @@ def _off(robot: Robot) -> float:
 
 def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
     """Growth of the oscillation over the second half of a run; above 1 the loop is unstable.
-
-    Args:
-        at_start: a scenario from `displaced`. gain: gain of the law [1/s]. delay_frames: d.
+    at_start: a scenario from `displaced`. gain: gain of the law [1/s]. delay_frames: d.
     """
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
@@ -354,9 +344,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
 
 def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """The gain limit at one delay, by bisection.
-
-    Raises:
-        ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
+    Raises ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
     """
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
@@ -417,9 +405,7 @@ def _linear(at_goal: Scenario, delay_frames: float) -> float | None:
 
 def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
     """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it.
-
-    Raises:
-        ParameterError: one is negative or above MOST_FRAMES.
+    Raises ParameterError: one is negative or above MOST_FRAMES.
     """
     if bad := [d for d in frames if not 0 <= d <= MOST_FRAMES]:
         raise ParameterError("--frames", f"must be whole numbers from 0 to {MOST_FRAMES}", bad[0])
@@ -433,9 +419,7 @@ def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
 
 def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
     """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found.
-
-    Raises:
-        ParameterError: as `prepared`, `find_limit` and `delays_of`.
+    Raises ParameterError: as `prepared`, `find_limit` and `delays_of`.
     """
     delays = delays_of(scenario, frames)
     at_goal, limits = prepared(scenario), []
@@ -452,9 +436,7 @@ BEYOND = 1.3
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:
     """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
+    Raises OutputError, EnvironmentLackError: a file cannot be written.
     """
     rows = [limit.row() for limit in limits]
     write_table(folder / "delay", pl.DataFrame(rows, infer_schema_length=None))

@@ -46,9 +46,7 @@ def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
 
 def begin(place: str) -> None:
     """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
-
-    Args:
-        place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
     """
     tempfile.tempdir = place
     for number in STOPS:
@@ -120,10 +118,8 @@ class WorkerLostError(Exception):
 def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]) -> Iterator[tuple[Of, Asked, Future[Any]]]:
     """Do requests; each is given back with its future as it is done, in any order, those with a result before those with an error.
 
-    Args:
-        pool: is kept full, but never gets more than it has room for.
-        work: requests, each with what it is of; made when they are asked for, one of them ahead, while the workers are busy.
-        again: work that the caller adds while this goes on, which comes first.
+    pool: is kept full, but never gets more than it has room for. work: requests, each with what it is of; made when they are asked for, one
+    of them ahead, while the workers are busy. again: work that the caller adds while this goes on, which comes first.
     """
     rest, going, ended = iter(work), dict[Future[Any], tuple[Of, Asked]](), list[tuple[Of, Asked, Future[Any]]]()
     following = next(rest, None)
@@ -312,8 +308,7 @@ class DaskPool:
     Args:
         address: HOST:PORT of the scheduler.
 
-    Raises:
-        EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
+    Raises EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
     """
 
     def __init__(self, address: str):
@@ -339,9 +334,7 @@ class DaskPool:
     @contextmanager
     def _scheduler_there(self) -> Iterator[None]:
         """Turn errors of a client whose scheduler does not answer any more into one with a remedy.
-
-        Raises:
-            EnvironmentLackError: the scheduler has ended, or no network leads to it.
+        Raises EnvironmentLackError: the scheduler has ended, or no network leads to it.
         """
         try:
             yield
@@ -432,9 +425,7 @@ def workers(requested: int | None, runs: int) -> int:
 
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:
     """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's.
-
-    Raises:
-        ParameterError: another value. EnvironmentLackError: see DaskPool.
+    Raises ParameterError: another value. EnvironmentLackError: see DaskPool.
     """
     must_be_known(executor)
     return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))

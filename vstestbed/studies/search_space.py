@@ -120,13 +120,8 @@ Parameter = Range | Choice
 
 
 def parameter(path: str, given: object) -> Parameter:
-    """The range or the choice that is given for a field.
-
-    Args:
-        path: dotted path. given: `"0.2:2"`, `"10:80:log"`, or a sequence of values; a sequence of one such text is that range.
-
-    Raises:
-        ParameterError: it is neither.
+    """The range or the choice that is given for a field. path: dotted path. given: `"0.2:2"`, `"10:80:log"`, or a sequence of values; a
+    sequence of one such text is that range. Raises ParameterError: it is neither.
     """
     if not isinstance(given, str):
         values = tuple(given) if isinstance(given, Sequence) else (given,)
@@ -182,11 +177,8 @@ class SearchSpace:
 def checked(plan: Comparison, parameters: Sequence[Parameter]) -> SearchSpace:
     """The space of a search; each end of each range and each choice is loaded, so that bad input is found before anything runs.
 
-    Args:
-        plan: the scenario with its settings, and the ends and choices as axes.
-
-    Raises:
-        ScenarioError, ParameterError: a value that a field does not take, in the words of a scenario's mistakes.
+    plan: the scenario with its settings, and the ends and choices as axes. Raises ScenarioError, ParameterError: a value that a field does
+    not take, in the words of a scenario's mistakes.
     """
     found, now = [], dict[str, object]()
     scenario = controllers(changed(plan, axes={}, seeds=None))[0].scenario
@@ -274,9 +266,7 @@ class Trial:
 
     def rank(self, higher: bool) -> tuple[float, float]:
         """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number.
-
-        Args:
-            higher: whether more of the metric is better.
+        higher: whether more of the metric is better.
         """
         mean = -self.mean if higher else self.mean
         return (math.inf if self.refused else self.failed, mean if math.isfinite(mean) else math.inf)
@@ -300,11 +290,7 @@ def write_record(folder: Path, settings: Sequence[Mapping[str, object]]) -> None
 
 
 def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
-    """The settings of the trials so far; none where there is no record.
-
-    Raises:
-        RunFolderError: it is damaged.
-    """
+    """The settings of the trials so far; none where there is no record. Raises RunFolderError: it is damaged."""
     path, works = folder / RECORD, "start again in a new folder"
     if not path.exists():
         return []
@@ -327,11 +313,7 @@ GUIDED, ATTEMPTS = 10, 200
 
 
 def must_be_installed() -> Any:
-    """Import optuna, and keep its log to itself.
-
-    Raises:
-        EnvironmentLackError: it is not installed.
-    """
+    """Import optuna, and keep its log to itself. Raises EnvironmentLackError: it is not installed."""
     try:
         import optuna
     except ImportError:
@@ -345,9 +327,8 @@ def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, run
 
     They depend on the finished trials and the seed alone, and not on how often a search was interrupted, or by how many workers it runs.
 
-    Args:
-        space: what is varied. trials: the finished ones. higher: whether more of the metric is better. runs: of a trial.
-        size: how many. seed: of the search.
+    space: what is varied. trials: the finished ones. higher: whether more of the metric is better. runs: of a trial. size: how many. seed:
+    of the search.
     """
     settings: list[dict[str, object]] = []
     if not trials and space.now is not None:

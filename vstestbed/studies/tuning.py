@@ -110,9 +110,7 @@ class Tuning:
 
     def comparison(self) -> Comparison:
         """The scenario with its settings; `axes` has the ends of the ranges and the choices.
-
-        Raises:
-            ScenarioError, ParameterError: bad input.
+        Raises ScenarioError, ParameterError: bad input.
         """
         axes = {p.path: p.ends for p in self.parameters}
         found = chosen([self.scenario], self.set, axes, self.seeds, self.plugins)
@@ -139,9 +137,7 @@ class Tuning:
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
     """The plan of a folder; `plugins`: besides its own.
-
-    Raises:
-        RunFolderError: it has none. ScenarioError, PluginError: the plan is damaged, or a plugin is not there.
+    Raises RunFolderError: it has none. ScenarioError, PluginError: the plan is damaged, or a plugin is not there.
     """
     path = plan_in(folder, "tune", PLAN)
     plain, marks = plain_mapping(text_of(path), str(path), "a search needs scenario and vary")
@@ -153,9 +149,7 @@ def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
 
 def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, int | None]:
     """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn.
-
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs.
     """
     comparison = plan.comparison()
     space = checked(comparison, plan.parameters)
@@ -248,10 +242,8 @@ class Search:
         return best_of(self.trials, self.plan.higher)
 
     def carry_out(self) -> tuple[Trial, Trial] | None:
-        """Do all trials, and the check; returns the best one and the scenario as it is on the fresh starts, None without any.
-
-        Raises:
-            ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Campaign.run`.
+        """Do all trials, and the check; returns the best one and the scenario as it is on the fresh starts, None without any. Raises
+        ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Campaign.run`.
         """
         with ExitStack() as stack:
             self._stack = stack
@@ -464,9 +456,7 @@ class TuningResult:
 
     def write(self) -> Path:
         """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path.
-
-        Raises:
-            OutputError, EnvironmentLackError: a file cannot be written.
+        Raises OutputError, EnvironmentLackError: a file cannot be written.
         """
         write_table(self.folder / TABLE, self.table)
         if self.best is not None:
@@ -543,10 +533,8 @@ def tune(
         resume: go on with the search in `out`, of which `trials` alone may be changed.
         set: values by dotted path for all trials. plugins: files or modules that add kinds. listener: is told of each run.
 
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
-        OutputError: `out` is taken, or another process writes into it. RunFolderError: `out` holds no search.
-        EnvironmentLackError: no optuna, no OpenGL where a run needs it, no space, no cluster.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken, or another process writes into
+    it. RunFolderError: `out` holds no search. EnvironmentLackError: no optuna, no OpenGL where a run needs it, no space, no cluster.
     """
     must_not_be_worker("tune")
     plan = None
@@ -591,12 +579,8 @@ def _plain(one: Parameter) -> object:
 def begun(plan: Tuning | None, out: Path | None, trials: int | None = None, plugins: Sequence[str] = ()) -> Iterator[Search]:
     """Check a plan, make its folder, and hold it until the block ends; without a plan, go on with the search of a folder.
 
-    Args:
-        plan: of a new search. out: its folder, or that of the search that goes on. trials: new number of trials of that one.
-        plugins: for that one, besides its own.
-
-    Raises:
-        ParameterError: as of `tune`. RunFolderError: the folder holds no search.
+    plan: of a new search. out: its folder, or that of the search that goes on. trials: new number of trials of that one. plugins: for that
+    one, besides its own. Raises ParameterError: as of `tune`. RunFolderError: the folder holds no search.
     """
     must_be_installed()
     if plan is not None:
@@ -627,9 +611,7 @@ def finished(search: Search) -> TuningResult:
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers.
-
-    Raises:
-        RunFolderError: a run is missing, or a file is damaged.
+    Raises RunFolderError: a run is missing, or a file is damaged.
     """
     with begun(None, folder, plugins=plugins) as search:
         search.stored_alone = True

@@ -47,12 +47,8 @@ LEVEL_DEG = 1.0
 def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
     """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
 
-    Args:
-        setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,);
-            None: all.
-
-    Raises:
-        ParameterError: it names the field, the markers, what hides them, and what would work.
+    setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,); None: all.
+    Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
     p = target.seen_from(inverse(T_camera_target))
@@ -126,9 +122,7 @@ def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str,
 
 def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
     """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
+    Raises ParameterError: it names the field, and what would work.
     """
     if robot.base != "floating":
         return
@@ -186,19 +180,11 @@ class GoalPicture:
 
     @property
     def source(self) -> Path | None:
-        """The file; None where the simulated camera takes the picture.
-
-        Raises:
-            ParameterError: it is not there.
-        """
+        """The file; None where the simulated camera takes the picture. Raises ParameterError: it is not there."""
         return None if self.file is None else place_of_file(self.file)
 
     def read(self, camera: Camera) -> Image:
-        """The file's picture (H, W, 3) RGB.
-
-        Raises:
-            ParameterError: it cannot be read, or is of another size than the camera's pictures.
-        """
+        """The file's picture (H, W, 3) RGB. Raises ParameterError: it cannot be read, or is of another size than the camera's pictures."""
         assert self.source is not None
         image = read_rgb(self.source)
         height, width = image.shape[:2]
@@ -423,11 +409,8 @@ class TaskBase:
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
 
-    Args:
-        setup: the experiment's parts.
-        pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a place of the base, a
-            wrong calibration of the mount displaces the believed goal view.
-        number: of the view, among several in turn.
+    setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a
+    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of the view, among several in turn.
     """
     target, points, scale = setup.target, setup.target.points, setup.depth_scale
     if setup.goal_shown:

@@ -42,9 +42,6 @@ class MinSpeed:
 class SpeedMonitor:
     """Tests mean speeds over WINDOW_S, and keeps the first violation.
 
-    Args:
-        speeds: the minimum speeds. from_s: start of the test [s]; the time before fills the first window.
-
     Attributes:
         slow: time [s] and reason of the first violation; None without one.
     """

@@ -219,11 +219,7 @@ class GoalLine(Continuing):
 
 
 def _lines(target: Target) -> GroundLines:
-    """The target as lines on the floor.
-
-    Raises:
-        ParameterError: it is another kind of target.
-    """
+    """The target as lines on the floor. Raises ParameterError: it is another kind of target."""
     if not isinstance(target, GroundLines):  # the one task that needs more of its target than markers: a route
         raise ParameterError("goal", "of kind line needs a line on the floor; use target: {kind: lines}")
     return target

@@ -33,8 +33,7 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it.
-        by: who measured it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it. by: who measured it.
     """
 
     value: float

@@ -297,9 +297,7 @@ def own_titles() -> dict[str, tuple[str, str]]:
 
 def check_metrics(metrics: Sequence[MetricContract]) -> None:
     """Refuse metrics two of which have a figure of one name, or one that every run has.
-
-    Raises:
-        ParameterError: it names the metric, and the figure.
+    Raises ParameterError: it names the metric, and the figure.
     """
     owner: dict[str, str] = dict.fromkeys(TAKEN, "every run")
     for i, metric in enumerate(metrics):
@@ -311,11 +309,7 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
 
 
 def figures_of(metric: MetricContract, part: Part) -> Figures:
-    """The figures of a metric of one run.
-
-    Raises:
-        ParameterError: they are not those of its `titles`, or not numbers.
-    """
+    """The figures of a metric of one run. Raises ParameterError: they are not those of its `titles`, or not numbers."""
     found, names = part.figures(), list(metric.titles)
     if not isinstance(found, dict) or set(found) != set(names):
         raise ParameterError(f"metrics: {metric.kind}", f"figures() must give {', '.join(names)}, as its `titles` say", str(found))

@@ -280,11 +280,7 @@ class OwnMonitor:
         self._kind, self._monitor = rule.kind, rule.monitor(setup)
 
     def update(self, frame: Frame) -> Verdict | None:
-        """The rule's verdict.
-
-        Raises:
-            ParameterError: it is neither None nor an outcome with its reason.
-        """
+        """The rule's verdict. Raises ParameterError: it is neither None nor an outcome with its reason."""
         verdict = self._monitor.update(frame)
         match verdict:
             case None | (Outcome(), str()):

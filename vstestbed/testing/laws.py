@@ -39,11 +39,7 @@ def check_feature(feature: Feature, seed: int = 0) -> None:
 
     The markers lie on a circle: four, or as many as the feature needs.
 
-    Args:
-        feature: with the parameters to test. seed: of the views that are tried.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
+    feature: with the parameters to test. seed: of the views that are tried.
     """
     assert FEATURES.contract is not None
     FEATURES.contract.check(type(feature))
@@ -107,11 +103,7 @@ QUICK: dict[str, tuple[str, dict[str, object]]] = {
 
 
 def quick(task: str) -> Scenario:
-    """The closed loop for a kind of task.
-
-    Raises:
-        ParameterError: there is none of this kind.
-    """
+    """The closed loop for a kind of task. Raises ParameterError: there is none of this kind."""
     if task not in QUICK:
         raise ParameterError("tasks", f"has no closed loop to be tested in; valid: {', '.join(QUICK)}", task)
     name, changes = QUICK[task]
@@ -138,12 +130,8 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
 
     Of the observation it may read the time, the pixels, and the fields that its `inputs` name.
 
-    Args:
-        law: with the parameters to test.
-        scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of `law.tasks`.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
+    law: with the parameters to test. scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of
+    `law.tasks`.
     """
     LAW_CONTRACT.check(type(law))
     loop = scenario or quick(law.tasks[0])

@@ -58,11 +58,9 @@ def compare(
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
 
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
-        RunFolderError: the baseline is no comparison, or has none of these runs.
-        OutputError: `out` is taken, or another process writes into it.
-        EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
+    of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
+    space, no cluster.
     """
     must_not_be_worker("compare")
     must_be_known(executor)
@@ -85,9 +83,7 @@ def carry_out(
     baseline: Baseline | None = None,
 ) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
-
-    Raises:
-        EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
+    Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
     """
     with ExitStack() as stack:
         pool = None
@@ -158,9 +154,7 @@ def _check_before(comparison: Comparison, found: Variants, baseline: Baseline | 
 
 def _check_workers_find(found: Variants) -> None:
     """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers.
-
-    Raises:
-        ParameterError: it names the class, and how it gets into a file.
+    Raises ParameterError: it names the class, and how it gets into a file.
     """
     typed_in = not hasattr(sys.modules["__main__"], "__file__")
     if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
@@ -170,9 +164,7 @@ def _check_workers_find(found: Variants) -> None:
 
 def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
     """The comparison of a folder with its controllers.
-
-    Raises:
-        ParameterError: the command line requests another comparison than the folder's.
+    Raises ParameterError: the command line requests another comparison than the folder's.
     """
     comparison = read_comparison(folder / PLAN, plugins)
     found = controllers(comparison, force)
@@ -200,9 +192,7 @@ def _write_table(folder: Path, table: pl.DataFrame) -> None:
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
     """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
-
-    Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
+    Raises RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
     """
     comparison, table, _ = stored(folder, plugins)
     _write_table(folder, table)
@@ -212,9 +202,7 @@ def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
 
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
     """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
-
-    Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
+    Raises RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
     """
     comparison = read_comparison(folder / PLAN, plugins)
     every = jobs(controllers(comparison, force=True), comparison.seeds)

@@ -34,22 +34,15 @@ DEEPEST = 5
 
 
 def summary_of(folder: Path, job: Job) -> dict[str, Any]:
-    """The summary of a stored run.
-
-    Raises:
-        RunFolderError: the run is missing, or its summary is damaged.
-    """
+    """The summary of a stored run. Raises RunFolderError: the run is missing, or its summary is damaged."""
     return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
 
 
 def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[Job]:
     """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are.
 
-    Args:
-        folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again.
-
-    Raises:
-        RunFolderError: a summary cannot be read, and `damaged` is False.
+    folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again. Raises
+    RunFolderError: a summary cannot be read, and `damaged` is False.
     """
     yield from (job for job, _ in _summaries(folder, jobs, damaged))
 
@@ -153,12 +146,8 @@ FILMS = ("overview.mp4", "camera.mp4")
 def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
     """Make film and report of the finished runs; nothing if there is none.
 
-    Args:
-        folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done.
-        call: does shares of the work at the same time, in other processes.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
+    folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done. call: does shares of the work
+    at the same time, in other processes. Raises OutputError, EnvironmentLackError: a file cannot be written.
     """
     from vstestbed.report.comparison.page import write_comparison_report
 
@@ -237,9 +226,7 @@ class Baseline:
     @classmethod
     def read(cls, place: str | Path) -> Baseline:
         """The table of a comparison's folder, or of its file.
-
-        Raises:
-            RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
+        Raises RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
         """
         place = Path(place)
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
@@ -252,9 +239,7 @@ class Baseline:
 
     def must_match(self, comparison: Comparison, jobs: Iterable[Job]) -> None:
         """Refuse a comparison none of whose runs is in this one: before anything runs.
-
-        Raises:
-            RunFolderError: it names the controllers that are in the baseline.
+        Raises RunFolderError: it names the controllers that are in the baseline.
         """
         varied = comparison.varied
         there = set(_rows_by_key(self.table, varied))
@@ -266,11 +251,7 @@ class Baseline:
             raise RunFolderError(self.place, words, "compare the same scenarios with the same --vary and --seeds")
 
     def changes(self, comparison: Comparison, table: pl.DataFrame, folder: Path) -> BaselineChanges:
-        """What changed in the runs that both have.
-
-        Args:
-            comparison: the new one. table: of its runs. folder: its folder.
-        """
+        """What changed in the runs that both have. comparison: the new one. table: of its runs. folder: its folder."""
         results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
         before = _rows_by_key(self.table, comparison.varied)
         left, only_now, found = dict(before), list[str](), []

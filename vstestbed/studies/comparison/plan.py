@@ -127,11 +127,7 @@ class StartTable:
 
 
 def _read_lists(file: str) -> StartLists:
-    """The lists of a table's file.
-
-    Raises:
-        ParameterError: it is not there, is no JSON, or holds something else.
-    """
+    """The lists of a table's file. Raises ParameterError: it is not there, is no JSON, or holds something else."""
     path = place_of_file(file)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -246,9 +242,7 @@ def _same(a: object, b: object) -> bool:
 
 def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
     """Read a comparison's YAML file; scenario files in `base` are searched beside it first. `plugins`: besides its own.
-
-    Raises:
-        ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
+    Raises ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
     load_named(plain, marks, str(path), plugins)
@@ -276,8 +270,7 @@ def chosen(
 
     Scenarios after a comparison's name take the place of its own.
 
-    Raises:
-        ScenarioError, ParameterError, PluginError: invalid input.
+    Raises ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
     path = _comparison_among(names)
@@ -298,9 +291,7 @@ def chosen(
 
 def _must_have_effect(read: Comparison, path: str) -> None:
     """Refuse a setting that whatever is applied after it writes over, in every run.
-
-    Raises:
-        ScenarioError: it names the place in the file that does so.
+    Raises ScenarioError: it names the place in the file that does so.
     """
     for blocks in _after_set(read):
         over = [(key, own) for key, block in blocks for own in block if path == own or path.startswith(f"{own}.")]
@@ -328,9 +319,7 @@ def _comparison_among(names: list[str]) -> Path | None:
 
 def _is_comparison(path: Path) -> bool:
     """Whether a file is a comparison: it has the key `base` at its top level.
-
-    Raises:
-        ScenarioError: it is no mapping, so neither a comparison nor a scenario.
+    Raises ScenarioError: it is no mapping, so neither a comparison nor a scenario.
     """
     needs = "a comparison needs base, a scenario robot, target, law and goal"
     return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]
@@ -364,8 +353,7 @@ class Starts(Lazy[Scenario]):
     """The scenarios of a task's runs, each made when it is asked for.
 
     Args:
-        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can.
-        runs: how many there are.
+        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can. runs: how many there are.
     """
 
     def __init__(self, make: Callable[[int], tuple[Scenario, str]], runs: int):
@@ -448,9 +436,7 @@ class Job:
 
     def scenario(self) -> Scenario:
         """The scenario with its start and its noise drawn from the seed.
-
-        Raises:
-            UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
+        Raises UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
         """
         found = self.controller
         if found.starts is not None and self.seed is not None:
@@ -517,12 +503,8 @@ def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str,
 def controllers(comparison: Comparison, force: bool = False) -> Variants:
     """All controllers, the first MOST_RUNS of them loaded and checked: bad input is found before anything runs.
 
-    Args:
-        comparison: the plan. force: allow more than MOST_RUNS runs.
-
-    Raises:
-        ScenarioError: a scenario is invalid, or becomes so with a value of an axis.
-        ParameterError: too many runs, or more than one seed for a scenario in which a seed draws nothing.
+    comparison: the plan. force: allow more than MOST_RUNS runs. Raises ScenarioError: a scenario is invalid, or becomes so with a value of
+    an axis. ParameterError: too many runs, or more than one seed for a scenario in which a seed draws nothing.
     """
     must_be_few(comparison, force)
     for i, name in enumerate(comparison.base):
@@ -538,11 +520,7 @@ def controllers(comparison: Comparison, force: bool = False) -> Variants:
 
 
 def must_be_few(comparison: Comparison, force: bool = False) -> None:
-    """Refuse more than MOST_RUNS runs, unless by force.
-
-    Raises:
-        ParameterError: with the product of which the runs come.
-    """
+    """Refuse more than MOST_RUNS runs, unless by force. Raises ParameterError: with the product of which the runs come."""
     c = comparison
     counts = [(len(c.base), "scenarios"), *((len(those), f"of {name}") for name, those in (c.cases | c.axes).items())]
     counts.append(

@@ -47,15 +47,11 @@ class RunRequest:
 
 
 def execute(request: RunRequest, place: str | None = None) -> Files:
-    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback,
-    a start at which an arm falls `unreachable`.
+    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a
+    start at which an arm falls `unreachable`.
 
-    Args:
-        request: the run. place: where its folder is made; None: where TMPDIR says.
-
-    Raises:
-        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
-        PluginError: a plugin of the scenario is not there on this machine.
+    request: the run. place: where its folder is made; None: where TMPDIR says. Raises EnvironmentLackError: this machine has no OpenGL or
+    no space, so that every other run would fail as well. PluginError: a plugin of the scenario is not there on this machine.
     """
     scenario = parse(request.text, GIVEN)
     # the run's folder is local: the worker may be on a machine without access to the comparison's folder
@@ -98,8 +94,7 @@ class Campaign:
     """The runs of a comparison.
 
     Args:
-        folder: the comparison's folder. jobs: all runs.
-        filmed: the seeds whose runs are filmed; empty for a comparison without films.
+        folder: the comparison's folder. jobs: all runs. filmed: the seeds whose runs are filmed; empty for a comparison without films.
     """
 
     folder: Path
@@ -117,11 +112,7 @@ class Campaign:
         return {job.folder for job in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
-        """Do the missing runs.
-
-        Raises:
-            EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
-        """
+        """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
         again = list[tuple[Job, RunRequest]]()
         for job, request, future in completed(pool, self._requests(on_done), again):
             try:
