@@ -257,8 +257,8 @@ def _summary_line(limit: Limit) -> str:
         return f"{delay}: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
     line = f"{delay}: unstable from {limit.gain:.4g} 1/s, {row['measured_to_theory']:.3f} of theory for the delay alone"
     with_servos = []
-    if limit.g_lag is not None:
-        lag = f"{limit.joint} by {1e3 * limit.lag_of_first:.1f} ms"
+    if first := limit.first:
+        lag = f"{first.joint} by {1e3 * first.lag_s:.1f} ms"
         with_servos.append(f"{row['measured_to_lag']:.3f} of theory with their lag ({lag})")
     if limit.g_linear is not None:
         with_servos.append(f"{row['measured_to_linear']:.3f} of a linear model of the whole arm")

@@ -139,7 +139,6 @@ class Law(Protocol[M]):
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
-        ...
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
         """Refuse a goal view whose markers are too near to the picture's border for this law.
@@ -148,7 +147,6 @@ class Law(Protocol[M]):
 
         Raises ParameterError: it names a field of the law.
         """
-        ...
 
     def init(self, goal: Goal) -> M:
         """The memory before the first frame."""
@@ -156,7 +154,6 @@ class Law(Protocol[M]):
 
     def prepare(self) -> None:
         """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
-        ...
 
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
         """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""

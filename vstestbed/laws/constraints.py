@@ -14,9 +14,6 @@ from vstestbed.laws.points import pixel_interaction, points, usable_rows
 from vstestbed.robots.arm import singularity_damping2, unit_scale
 from vstestbed.robots.own_model import OwnModel
 
-# Quadratic programs of a law: bounds that never give way, groups of inequalities that give way in a stated order, and their solver.
-
-
 SOLVED = (1, 2)
 """Exit codes of the solver: solved, and solved with soft constraints violated."""
 INFEASIBLE = -1
@@ -65,7 +62,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
     """
-    if not _finite(A, b, groups):
+    if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
         return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
@@ -73,7 +70,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         return Solution(np.clip(np.zeros(len(H)), low, high))
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += REGULARISATION
-    groups = _given(groups)
+    groups = tuple(group for group in groups if len(group.A))
     rows, floor = _normalised(groups, len(H))
     upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
     firm = len(low)
@@ -82,25 +79,14 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         if level:
             sense[firm : firm + len(groups[level - 1].A)] = SOFT
             firm += len(groups[level - 1].A)
-        x, _, code, info = _daqp()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
+        x, _, code, info = load_solver()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
         if code in SOLVED:
             gave_way = tuple(group.word for group in groups[:level] if _violated(group, x))
             return Solution(np.clip(x, low, high), gave_way, bool(np.any(info["lam"])))
         if code != INFEASIBLE:
             break
-    return Solution(None, failure=f"the quadratic program was not solved: {_named(code)}")
-
-
-def _finite(A: Array, b: Array, groups: tuple[Group, ...]) -> bool:
-    return all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low))))
-
-
-def _given(groups: tuple[Group, ...]) -> tuple[Group, ...]:
-    return tuple(group for group in groups if len(group.A))
-
-
-def _named(code: int) -> str:
-    return "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
+    why = "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
+    return Solution(None, failure=f"the quadratic program was not solved: {why}")
 
 
 def _normalised(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
@@ -118,13 +104,9 @@ def _violated(group: Group, x: Array) -> bool:
     return bool((slack < -1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)).any())
 
 
-def load_solver() -> None:
-    """Import the solver now, not in the first frame."""
-    _daqp()
-
-
 @cache
-def _daqp() -> Any:
+def load_solver() -> Any:
+    """The function that solves programs; a law loads it before its first frame."""
     import daqp  # here: checking and listing scenarios need not pay for it
 
     return daqp.solve

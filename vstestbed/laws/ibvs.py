@@ -34,9 +34,6 @@ from vstestbed.laws.points import ALL, Rows, Visibility, check_goal
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 
-# Which motions a law leaves free for the robot's secondary task: the projection operators of the redundancy framework.
-
-
 STEEP = 6.0
 """Slope of the logistic function: that of the paper, 1 / (1 + exp(-12 x + 6)) for x from 0 to 1."""
 
@@ -183,11 +180,10 @@ class IBVSMemory:
 class IBVS(LawBase):
     """u = -lambda pinv(L B) e with e = s - s*, camera twist v = B u.
 
-    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` it is filtered (`smoothing.py`).
+    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` it is filtered. A goal view that moves
+    along a path adds its own velocity u*.
 
-    A goal view that moves along a path adds its own velocity u*.
-
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`).
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible.
 
     Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in eq. 16.11, which is
     wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the matrix at the current view makes
@@ -302,7 +298,6 @@ class IBVS(LawBase):
         return memory, self.limits.within(u)
 
     def _taken(self, sight: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
-        """The two inputs of the feature, of the selected markers."""
         what, distance = self.feature.inputs
         return getattr(sight, what)[rows], getattr(sight, distance)[rows]
 

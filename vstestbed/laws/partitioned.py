@@ -56,7 +56,7 @@ class Partitioned(LawBase):
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`):
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible:
     the features are those of the markers where they are predicted, and the estimated motion of the target is added to the twist.
 
     By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
@@ -111,6 +111,7 @@ class Partitioned(LawBase):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
+    state_size = 1  # the remaining rotation about the optical axis
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
@@ -183,11 +184,6 @@ class Partitioned(LawBase):
         p = transform(exp(-basis @ (predicted - solved)), points(known))
         return followed, moved_markers(known, p, np.ones(len(p), dtype=bool)), basis @ tau
 
-    @property
-    def state_size(self) -> int:
-        """The remaining rotation about the optical axis."""
-        return 1
-
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
         # Runs without an area are computed with sigma* instead, and set to NaN (rest) at the end: one batch, no branches.
@@ -230,7 +226,6 @@ class Partitioned(LawBase):
 
     @property
     def _columns(self) -> tuple[list[int], list[int]]:
-        """Columns of the twist in `axes`, and the others."""
         given = sorted(COLUMN[axis] for axis in self.axes)
         return given, [i for i in range(6) if i not in given]
 

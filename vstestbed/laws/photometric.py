@@ -25,8 +25,6 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimit
 #
 # Near the goal they are fitted together with the camera's motion. Far from it the fit takes errors of the motion for the light's, since the
 # columns of both look alike in small pictures that show different parts of a scene; there the two pictures get the same mean and contrast.
-
-
 Light = Literal["same", "gain_offset"]
 LEAST_SPREAD = 1e-3
 """Least standard deviation of a picture, by which one without any structure is divided [grey levels]."""

@@ -18,9 +18,6 @@ from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation, Relative
 from vstestbed.laws.solve import least_squares
 
-# Selection of the markers that a law can use, and the reasons for which laws order rest.
-
-
 Rows = slice | NDArray[np.bool_]
 """Selection of markers along the first axis of an array."""
 TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight is unknown", "the pose cannot be estimated"

@@ -27,9 +27,6 @@ from vstestbed.laws.points import Rows, check_margin, pixel_interaction, points,
 from vstestbed.laws.solve import least_squares
 from vstestbed.robots.own_model import OwnModel
 
-# Prediction over a horizon: where markers, joints and camera go under a plan of velocities, and how they change with the plan.
-
-
 STILL = np.zeros(6)
 """The motion of a target that stands still."""
 

@@ -20,8 +20,6 @@ from vstestbed.laws.points import TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.robots.own_model import OwnModel
 
-# Estimates of an image Jacobian from measured motion: Broyden's correction, and recursive least squares with forgetting.
-
 
 @spec
 class Broyden:
@@ -63,9 +61,7 @@ class RecursiveLeastSquares:
     forgetting: Annotated[float, Ge(0.1), Le(1)] = 0.8
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: inverse of the weighted sum
-        of x x^T, (N, m, m). x: displacement (m,). y: its motion in the picture (N, 2). most: bound of the eigenvalues of P.
-        """
+        """As `Broyden.corrected`; P: inverse of the weighted sum of x x^T, (N, m, m). most: bound of the eigenvalues of P."""
         Px = P @ x
         gain = Px / (self.forgetting + Px @ x)[:, None]
         J = J + _surprise(J, x, y)[..., None] * gain[:, None, :]
@@ -260,7 +256,6 @@ class Excitation:
         return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
-        """The velocities to order."""
         i, side = state.which, _side(state, robot)
         most = self.speed_share * float(robot.speed[i])
         speed = max(state.speed, min(FIRST, most))
@@ -463,7 +458,6 @@ class Uncalibrated(LawBase):
         return replace(memory, excited=self.excitation.begin(uv, columns, known), excitations=memory.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
-        """The estimate after an excitation."""
         J = excited.samples.jacobian()
         with np.errstate(invalid="ignore"):
             scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0]))))

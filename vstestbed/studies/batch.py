@@ -87,9 +87,9 @@ class OneByOne:
         return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
 
     def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
-        """What the law is shown of run i."""
         inputs = self._law.inputs
-        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in _of(views, i))
+        shown = views.xy[i], views.depth[i], views.ray[i], views.range[i]
+        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in shown)
         T = views.T_camera_target[i] if np.count_nonzero(seen) >= LEAST_POSE else None
         relative: Relative | None = relative_view(goal.xy, xy, goal.normal) if "relative" in inputs else None
         if self._law.depth.needs_pose and T is None:
@@ -97,11 +97,6 @@ class OneByOne:
         radius = views.radius_px[i] if "radius_px" in inputs else None
         robot = OwnModel.of_ideal_camera(self._camera.period, moved) if "robot" in inputs else None
         return Observation(views.t, uv, xy, depth, T, ray, reach, relative, radius_px=radius, robot=robot)
-
-
-def _of(views: Views, i: int) -> tuple[Array, Array, Array, Array]:
-    """Normalised coordinates, depths, rays and ranges of run i."""
-    return views.xy[i], views.depth[i], views.ray[i], views.range[i]
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
@@ -132,11 +127,9 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
     if detector.rows is not None and field_of_view == "limited" and not _shows_markers(scenario):
-        words = (
-            f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their place:"
-        )
-        words = f"{words} the goal's view does not show them all; sweep and compare --vary run it start by start"
-        raise ParameterError("detector.kind", words)
+        words = f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their"
+        more = "the goal's view does not show them all; sweep and compare --vary run it start by start"
+        raise ParameterError("detector.kind", f"{words} place: {more}")
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
         scenario,
@@ -193,10 +186,8 @@ class BatchSetup:
     def _check_target(self) -> None:
         s = self.scenario
         if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
-            words = (
-                "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
-            )
-            raise ParameterError("target", words)
+            words = "has a solid, and a batch does not know which markers it hides"
+            raise ParameterError("target", f"{words}; give an unlimited field of view, or a target without one")
 
     def _check_ideal(self) -> None:
         s = self.scenario
@@ -207,10 +198,9 @@ class BatchSetup:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
         if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
             words = (
-                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch;"
+                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
             )
-            words = f"{words} `basin.setup.ideal` makes it so"
-            raise ParameterError("scenario", words)
+            raise ParameterError("scenario", f"{words}; `basin.setup.ideal` makes it so")
 
     @cached_property
     def law(self) -> BatchLaw | OneByOne:
@@ -407,7 +397,6 @@ class _LastHalf:
         self._kept: list[tuple[NDArray[np.int_], Array, Array]] = []
 
     def add(self, now: Instant) -> None:
-        """One more frame."""
         if now.step == 0:
             self._first = now.error
         if now.step >= self._from:

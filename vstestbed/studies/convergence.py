@@ -23,7 +23,7 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.studies.maps import ConvergenceMap, write_page
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison.plan import Comparison, Job, controllers, jobs, must_be_few
+from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4
@@ -118,7 +118,7 @@ class Study:
     @cached_property
     def runs(self) -> Sequence[Job]:
         """Every run."""
-        return jobs(controllers(self.comparison, self.force), self.comparison.seeds)
+        return Jobs(controllers(self.comparison, self.force), self.comparison.seeds)
 
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
         """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each.
@@ -190,7 +190,6 @@ def _endings(future: Future[list[RunEnding]], request: MapRequest, pool: Pool, r
 
 
 def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
-    """The map of one law from the runs of each cell (x, y)."""
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
     others = np.full((len(ys), len(xs)), "", dtype=object)  # object: the words differ in length
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):

@@ -30,9 +30,6 @@ from vstestbed.sim.linear import LinearArm, linear_arm
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
-# Identification of the actuators' lag: the shares b_j of a one-frame command that each joint executes in the frames after it.
-
-
 EXCITED, SETTLING, ROUNDS = 10, 4, 4
 """Periods for which a joint is excited; how many of them pass before its motion is used (transient); iterations of the frequency."""
 LEAST_W = 0.05
@@ -230,18 +227,13 @@ class Limit:
     g_linear: float | None = None
 
     @property
-    def joint(self) -> str | None:
-        """The joint with the lowest predicted gain limit."""
-        return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares)).joint if self.lags else None
-
-    @property
-    def lag_of_first(self) -> float:
-        """Lag of that joint at the frequency of the limit [s]; 0 for a robot without joints."""
-        return next((lag.lag_s for lag in self.lags if lag.joint == self.joint), 0.0)
+    def first(self) -> Lag | None:
+        """The lag of the joint with the lowest predicted gain limit; None for a robot without joints."""
+        return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares), default=None)
 
     def row(self) -> dict[str, float | int | str | None]:
         """The limit as a row of the table."""
-        first = next((lag for lag in self.lags if lag.joint == self.joint), None)
+        first = self.first
         linear = {} if self.g_linear is None else {"g_linear": self.g_linear, "measured_to_linear": self.g / self.g_linear}
         return {
             "delay_frames": self.delay_frames,
@@ -252,7 +244,7 @@ class Limit:
             "measured_to_theory": self.g / self.g_theory,
             "g_with_lag": self.g_lag,
             "measured_to_lag": None if self.g_lag is None else self.g / self.g_lag,
-            "joint": self.joint,
+            "joint": None if first is None else first.joint,
             "joint_lag_s": None if first is None else first.lag_s,
             "joint_gain": None if first is None else first.gain,
             "runs": self.runs,
@@ -447,7 +439,7 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
 
 def branches(limit: Limit) -> Branches:
     """Root locus of one delay, with the measured lag of the joint that becomes unstable first, if the robot has joints."""
-    first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), NO_LAG)
+    first = NO_LAG if limit.first is None else limit.first.shares
     end = limit.g_lag or limit.g_theory
     gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]

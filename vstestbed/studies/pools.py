@@ -63,11 +63,6 @@ def begin(place: str) -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def process_id() -> int:
-    """Process id of the worker, with which the pool can kill it."""
-    return os.getpid()
-
-
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 """Environment of a worker, which has one core: no extra threads of Mesa's software renderer (LP) or of BLAS."""
 KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(1 << 25), "MALLOC_TRIM_THRESHOLD_": str(1 << 28), "MALLOC_TOP_PAD_": str(1 << 26)}
@@ -108,7 +103,6 @@ class Pool(Protocol):
 
     def close(self) -> None:
         """Stop all workers at once."""
-        ...
 
 
 class WorkerLostError(Exception):
@@ -185,7 +179,7 @@ class _Slot:
         self.broken = False
         # the process starts with the first submission, so that it inherits these variables, and what is held back
         with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():
-            self.pid = self.executor.submit(process_id)
+            self.pid = self.executor.submit(os.getpid)
 
     def run(self, request: Request[Done]) -> Future[Done]:
         """Start a run, in a new process if the last one has died."""

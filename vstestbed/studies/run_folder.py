@@ -89,7 +89,6 @@ def run_into(
 def _run_into(
     folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None, fine: bool
 ) -> Recording:
-    """`run_into` without the report."""
     with _all_or_nothing(folder):
         before = files_before(scenario)  # first: what its seed draws may be refused
         scenario = scenario.resolved
@@ -112,8 +111,6 @@ def _run_into(
 
 
 # What is in a run's folder, and how it is written: a single run, a worker of a study and a crash have their files from here.
-
-
 Files = dict[str, bytes]
 """Content of a run's folder by file name, in the order in which they are written."""
 

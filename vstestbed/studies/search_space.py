@@ -77,7 +77,6 @@ class Range:
         return found if inside else None
 
     def __str__(self) -> str:
-        """As on the command line."""
         return f"{self.low:.12g}:{self.high:.12g}{':log' if self.log else ''}"
 
 
@@ -112,7 +111,6 @@ class Choice:
         return next((value for value, one in zip(self.values, at_values, strict=True) if one == scenario), None)
 
     def __str__(self) -> str:
-        """As on the command line."""
         return ",".join(self.words)
 
 
@@ -384,7 +382,6 @@ def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
 
 
 def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:
-    """Settings drawn evenly from the space."""
     values: dict[str, object] = {}
     for p in space.parameters:
         if isinstance(p, Choice):

@@ -29,7 +29,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import plain_mapping
 from vstestbed.studies.comparison.folder import summary_of
-from vstestbed.studies.comparison.plan import Comparison, Job, changed, chosen, controllers, jobs
+from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
 from vstestbed.studies.comparison.runs import Campaign
 from vstestbed.studies.folder import RESUMABLE, plan_in, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
@@ -51,9 +51,6 @@ from vstestbed.studies.search_space import (
 from vstestbed.tasks.metrics import FIGURES, own_titles
 
 __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", "planned", "report_again", "tune"]
-
-# Plan of a search for good settings: its file `tuning.yaml`, and the comparison that its trials are.
-
 
 PLAN = "tuning.yaml"
 SEEDS = 10
@@ -178,28 +175,16 @@ class Listener(Protocol):
 
     def run_done(self, job: Job, summary: dict[str, Any]) -> None:
         """A run is done."""
-        ...
 
     def were_done(self, runs: int) -> None:
         """So many runs were done before the search was interrupted."""
-        ...
 
     def say(self, words: str) -> None:
         """What is being done."""
-        ...
 
 
-class NoListener:
+class NoListener(Listener):
     """A listener that does nothing."""
-
-    def run_done(self, job: Job, summary: dict[str, Any]) -> None:
-        """See `Listener`."""
-
-    def were_done(self, runs: int) -> None:
-        """See `Listener`."""
-
-    def say(self, words: str) -> None:
-        """See `Listener`."""
 
 
 @dataclass
@@ -275,7 +260,6 @@ class Search:
             self._check_metric()
 
     def _tried(self, settings: Mapping[int, dict[str, object]]) -> list[Trial]:
-        """The trials with these settings, done at once."""
         refused = {number: words for number, values in settings.items() if (words := self._refusal(number, values))}
         if not self.trials and len(refused) == len(settings):
             raise ParameterError("--vary", f"gives settings that the scenario does not take: {next(iter(refused.values()))}")
@@ -303,7 +287,7 @@ class Search:
     def _run(self, settings: Mapping[str, dict[str, object]], first: int, seeds: int) -> dict[str, list[dict[str, Any]]]:
         """The summaries of runs from the seeds `first` to `seeds` - 1, by name of the setting; those that are missing are done."""
         comparison = self._comparison(settings, seeds if self.plan.seeds else None)
-        wanted = [job for job in jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
+        wanted = [job for job in Jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
         campaign = Campaign(self.folder, wanted)
         self.listener.were_done(campaign.done)
         if self.stored_alone and campaign.done < len(wanted):
@@ -330,9 +314,6 @@ class Search:
         name, metric = str(best.number), self.plan.shown
         found = self._run({name: best.values, AS_IT_IS: {}}, self.runs, self.runs + self.fresh)
         return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
-
-
-# The result.
 
 
 BEST, TABLE = "best.yaml", "trials"

@@ -35,9 +35,6 @@ from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-# Checks of goal views: markers within the picture and not hidden, a flying robot level.
-
-
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for points in front of the camera."""
 LEVEL_DEG = 1.0
@@ -97,7 +94,6 @@ def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArr
 
 
 def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
-    """Where a marker behind the camera is, and the remedy."""
     if isinstance(camera, Perspective):
         return "behind the camera", "a wider camera"
     return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
@@ -115,7 +111,6 @@ def _markers(target: Target, which: NDArray[np.bool_]) -> str:
 
 
 def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
-    """The error for a goal view in which markers (N,) are not visible."""
     words = f"is a view in which {_markers(target, bad)} {where}; move the goal back, or use {remedy} or a smaller target"
     return ParameterError(field, words)
 
@@ -246,11 +241,9 @@ class Task(Protocol):
 
     def check(self, setup: Setup) -> None:
         """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
-        ...
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Refuse goal views that cannot be seen. ParameterError names the field and what would work."""
-        ...
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
@@ -271,7 +264,6 @@ class Task(Protocol):
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
         """The initial state of the reference."""
-        ...
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
         """The next state, and the goal for the law at this frame."""
@@ -309,6 +301,8 @@ class TaskBase:
     needs_pose: ClassVar[bool] = False
     needs_still: ClassVar[bool] = False
     """Whether the target must stand still."""
+    view_fields: ClassVar[tuple[str, ...]] = ()
+    """The scenario's field of each goal view, for error messages; `goal` where there is none."""
 
     kind: Any  # the word in a scenario: a field of each task
     settle_s: Any = 0.0
@@ -352,11 +346,6 @@ class TaskBase:
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
         """None: the simulated camera takes them."""
-        return ()
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The scenario's field of each goal view, for error messages; `goal` where there is none."""
         return ()
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:

@@ -18,9 +18,6 @@ from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
-# Minimum-speed monitor of continuing tasks: line following, car following.
-
-
 WINDOW_S = 2.0
 """Window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)."""
 STEADY = 0.8

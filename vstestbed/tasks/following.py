@@ -24,9 +24,6 @@ from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Se
 from vstestbed.tasks.monitor import Setup
 from vstestbed.vision.floor_pose import LEVEL
 
-# Car following: keep a distance to the vehicle ahead.
-
-
 ONE_PLACE_M = 1e-6
 """Points within this of one another in the floor plan are at one place [m]."""
 

@@ -51,12 +51,8 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
     """The error that `stop.converged` tests at the end of a run; of several, the one that is largest compared with its limit."""
     found: list[JudgedError] = []
     if converged.error_px is not None:
-        level = "level_error_px" in log
-        found.append(
-            JudgedError(
-                _last(log, "level_error_px" if level else "error_px"), "px", converged.error_px, "level pixels" if level else "pixels"
-            )
-        )
+        column, by = ("level_error_px", "level pixels") if "level_error_px" in log else ("error_px", "pixels")
+        found.append(JudgedError(_last(log, column), "px", converged.error_px, by))
     if converged.error_grey is not None:
         found.append(JudgedError(_last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"))
     if converged.position_m is not None:

@@ -56,6 +56,7 @@ class GoalLanding(TaskBase):
     asks: ClassVar[str] = "landing"
     bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
     lands: ClassVar[bool] = True
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.above",)
 
     def check(self, setup: Setup) -> None:
         """The target must have a pad."""
@@ -74,11 +75,6 @@ class GoalLanding(TaskBase):
         below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])  # the base in the target's frame, whose z points down
         T[:3, 3] = (setup.robot.standing_m + below_m) * T[:3, 2]
         return T
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """Field of that view."""
-        return ("goal.above",)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
         """At full height."""

@@ -17,9 +17,6 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.monitor import Setup
 
-# A metric of how much of the start's error is left, for protocols that judge a run by it.
-
-
 ERRORS = ("position_error_m", "rotation_error_rad")
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-6
@@ -58,7 +55,6 @@ class _StartShares:
         self._turned, self._pictures, self._reached = 0.0, 0, 0
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         errors = np.column_stack([log[name] for name in ERRORS])
         if not self._pictures:
             self._start = errors[0]
@@ -72,7 +68,6 @@ class _StartShares:
         self._pictures, self._quaternion, self._last = self._pictures + len(errors), q[-1:], errors[-1]
 
     def figures(self) -> dict[str, object]:
-        """See `Part`."""
         known = bool((self._start > LEAST).all())
         if not known:  # also where the goal is no single pose
             return {**dict.fromkeys(StartShares.titles)}
@@ -116,24 +111,9 @@ SWING_FIGURES = ("swung_s", "swing_frames")
 """Those of a run whose command swung."""
 SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES, *SWING_FIGURES)
 """Those that only some runs have."""
-TAKEN = frozenset(
-    (
-        *FIGURES,
-        *SOME_FIGURES,
-        *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts"),
-        *(
-            "wall_time_s",
-            "real_time_factor",
-            "time_ms",
-            "versions",
-            "worst_task_error_m",
-            "judged_unit",
-            "judged_limit",
-            "judged_by",
-            "law_mode_share",
-        ),
-    )
-)
+_COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "versions", "time_ms")
+_OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
+TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))
 """Names that a summary or a comparison's table has already."""
 Figures = dict[str, object]
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -144,7 +124,6 @@ class Part(Protocol):
 
     def add(self, log: Log) -> None:
         """Take the next block of rows, of one row at least."""
-        ...
 
     def figures(self) -> Figures:
         """The metrics of the blocks so far."""
@@ -198,7 +177,6 @@ class _ErrorIntegrals:
         self._sums = np.zeros(3)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
         rows = np.vstack([self._last, np.column_stack([t, e])[np.isfinite(e)]])
         if len(rows):
@@ -206,7 +184,6 @@ class _ErrorIntegrals:
             self._sums = self._sums + [np.trapezoid(y, t) for y in (e, e * e, t * e)]
 
     def figures(self) -> Figures:
-        """See `Part`."""
         names = ErrorIntegrals.titles
         return dict(zip(names, self._sums.tolist(), strict=True)) if len(self._last) else {**dict.fromkeys(names)}
 
@@ -235,13 +212,11 @@ class _CommandVariation:
         self._sums = np.zeros(2)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         rows = np.vstack([self._last, np.column_stack([log[f"cmd_{name}"] for name in TWIST])])
         steps = np.diff(rows, axis=0).reshape(-1, 2, 3)
         self._last, self._sums = rows[-1:], self._sums + np.linalg.norm(steps, axis=2).sum(axis=0)
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return dict(zip(CommandVariation.titles, self._sums.tolist(), strict=True))
 
 
@@ -275,7 +250,6 @@ class _ErrorGrowth:
         self._frames = np.zeros(3, dtype=int)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         errors = np.column_stack([log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")])
         rows = np.vstack([self._last, errors])
         largest = np.maximum(self._largest, np.fmax.accumulate(np.nan_to_num(rows, nan=-np.inf), axis=0))
@@ -283,7 +257,6 @@ class _ErrorGrowth:
         self._last, self._largest = rows[-1], largest[-1]
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return dict(zip(ErrorGrowth.titles, self._frames.tolist(), strict=True))
 
 

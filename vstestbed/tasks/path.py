@@ -91,7 +91,7 @@ class GoalPath(Continuing):
         return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))
 
     @property
-    def view_fields(self) -> tuple[str, ...]:
+    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Field of each view."""
         return tuple(f"goal.way.{i}.T_camera_target" for i in range(len(self.way)))
 
@@ -256,7 +256,7 @@ class GoalViews(TaskBase):
         return tuple(picture for view in self.views for picture in view.pictures)
 
     @property
-    def view_fields(self) -> tuple[str, ...]:
+    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Field of each view."""
         return tuple(view.view_fields[0].replace("goal.", f"goal.views.{i}.") for i, view in enumerate(self.views))
 

@@ -20,8 +20,6 @@ from vstestbed.tasks.base import GoalPicture, TaskBase
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.monitor import Setup
 
-# A view: see the target from a given pose, or as a vehicle's camera sees it from a given place.
-
 
 @spec
 class GoalView(TaskBase):
@@ -38,6 +36,7 @@ class GoalView(TaskBase):
     T_camera_target: Pose
     markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)] | Name, ...], Len(1, 24)] | None = None
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
@@ -47,11 +46,6 @@ class GoalView(TaskBase):
     def pictures(self) -> tuple[GoalPicture, ...]:
         """The picture taken at the pose."""
         return (self.picture,)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The pose."""
-        return ("goal.T_camera_target",)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The view with the markers that count."""
@@ -95,6 +89,7 @@ class GoalViewFrom(TaskBase):
     kind: Literal["view_from"] = "view_from"
     view_from: GroundPose
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.view_from",)
     bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
     needs_still: ClassVar[bool] = True
 
@@ -110,11 +105,6 @@ class GoalViewFrom(TaskBase):
     def pictures(self) -> tuple[GoalPicture, ...]:
         """The picture taken from the place."""
         return (self.picture,)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """Field of the place."""
-        return ("goal.view_from",)
 
     def check_counted(self, setup: Setup, field: str) -> None:
         """Nothing: all markers count."""
@@ -177,15 +167,11 @@ class GoalTrack(Continuing):
     T_camera_target: Pose
     band_m: Tolerance = 0.05
     settle_s: Settle = 5.0
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The pose."""
-        return ("goal.T_camera_target",)
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from its goal pose."""

@@ -25,9 +25,6 @@ from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
 from vstestbed.timing.plan import Timing
 
-# What every image feature must do.
-
-
 STEP = 1e-6
 """Motion of the camera for a difference quotient [m, rad], which then has 9 digits."""
 VIEWS = 20
@@ -121,7 +118,6 @@ class _Frames:
         self.kept: list[Frame] = []
 
     def frame(self, frame: Frame) -> None:
-        """Keep one."""
         self.kept.append(frame)
 
 
@@ -228,7 +224,6 @@ def _must_refuse(build: Any, words: str) -> None:
 
 
 def _basis(loop: Scenario) -> Array:
-    """The robot's motions at its start."""
     return loop.robot.motion_basis(Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints())
 
 

@@ -25,9 +25,6 @@ from vstestbed.targets.markers import Disc
 from vstestbed.vision import Blobs, Detector, TruthView
 from vstestbed.vision.local_features import extracted, matched, mutual_matches
 
-# What every detector must do.
-
-
 SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "disc": ("ibvs_book", {}),
     "tag": ("arm_tags", {}),
@@ -92,7 +89,6 @@ def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: fl
 
 
 def _scene(detector: Detector[Any]) -> Scenario:
-    """The bundled scenario whose start shows markers that the detector sees."""
     if detector.needs_sheet:
         return load("arm_patch")
     marker = detector.markers[0] if detector.markers else "disc"

@@ -127,6 +127,5 @@ def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> N
 
 
 def _reading(robot: Robot) -> Reading:
-    """What it reads at rest at its start."""
     q = robot.start_joints()
     return Reading(q, np.zeros_like(q))

@@ -201,8 +201,6 @@ def command_of(comparison: Comparison) -> str:
 
 
 # An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
-
-
 TABLES = ("comparison.parquet", "comparison.csv")
 NEEDED = ("scenario", "seed", "outcome", "success")
 MOST_NAMED = 6
@@ -331,7 +329,6 @@ def _named(table: pl.DataFrame) -> list[str]:
 
 
 def _controllers(table: pl.DataFrame) -> list[dict[str, Any]]:
-    """The controller of each run."""
     return table.select(_named(table)).to_dicts()
 
 

@@ -28,8 +28,6 @@ from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, own_titles
 
-# Start tables: starts that form a task, such as rotations of 20 to 180 deg about the optical axis.
-
 
 class StartLists(NamedTuple):
     """The lists of a start table, one entry a run: values by dotted path, and displacements of the camera or of the target."""
@@ -326,8 +324,6 @@ def _is_comparison(path: Path) -> bool:
 
 
 # The controllers and runs of a comparison: counted before any is made, and made when their turn comes.
-
-
 STARTS_KEPT = 100
 """Scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes."""
 
@@ -344,7 +340,6 @@ class Lazy(Sequence[T]):
     @overload
     def __getitem__(self, i: slice) -> list[T]: ...
     def __getitem__(self, i: int | slice) -> T | list[T]:
-        """Item i, or a list of the items of a slice."""
         places = range(len(self))[i]
         return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
@@ -565,7 +560,6 @@ def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Pla
 
 
 def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
-    """The settings of run i of a task with lists."""
     return {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in task.setting(i).items()}
 
 
@@ -583,7 +577,11 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
 
 
 class Jobs(Lazy[Job]):
-    """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them."""
+    """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them.
+
+    Args:
+        found: the controllers. seeds: of those without a task; None: the nominal start.
+    """
 
     def __init__(self, found: Sequence[Variant], seeds: int | None):
         self._found = found
@@ -616,8 +614,3 @@ class Jobs(Lazy[Job]):
     def item(self, i: int) -> Job:
         """Run i."""
         return next(itertools.islice(self, i, None))
-
-
-def jobs(found: Sequence[Variant], seeds: int | None) -> Jobs:
-    """All runs of controllers; `seeds` for those without a task, None for the nominal start."""
-    return Jobs(found, seeds)
