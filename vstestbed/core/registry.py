@@ -162,7 +162,8 @@ class Contract:
     """What a class must have to be a member of a room.
 
     Attributes:
-        protocol: the class (a `typing.Protocol`) whose public methods and attributes every member must have.
+        protocol: the class whose public methods and attributes every member must have: a `typing.Protocol`, or the base itself,
+            whose abstract methods and bare annotations are to be written.
         base: a class with defaults for most of them, recommended by the error messages; None where the room has none.
         words: the valid items of attributes that are tuples of words, by the attribute's name.
     """
@@ -195,12 +196,14 @@ class Contract:
         own = inspect.getattr_static(member, name, None)
         if own is None:
             return hasattr(member, name) or name in getattr(member, "__dataclass_fields__", {})
-        return own is not vars(self.protocol).get(name)
+        if getattr(self.protocol, "_is_protocol", False):
+            return own is not vars(self.protocol).get(name)
+        return not getattr(own, "__isabstractmethod__", False)
 
     def _remedy(self, member: type) -> str:
         if self.base is None or issubclass(member, self.base):
             return f"add what is missing (see {self.protocol.__module__}.{self.protocol.__name__})"
-        rest = [name for name in _public_members(self.protocol) if not hasattr(self.base, name)]
+        rest = [name for name in _public_members(self.protocol) if not self._has(self.base, name)]
         return f"derive it from {self.base.__module__}.{self.base.__name__}, which has defaults for all but {' and '.join(rest)}"
 
 

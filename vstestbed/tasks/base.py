@@ -6,10 +6,11 @@ A goal block of a scenario is a `Task`: parameters and behaviour in one frozen o
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -208,117 +209,43 @@ class Reference(NamedTuple):
     view: int = 0
 
 
-class Task(Protocol):
-    """The task of a scenario, its `goal` block. `TaskBase` has defaults for all but `kind` and `goal_poses`."""
-
-    asks: ClassVar[str]
-    """The word by which a law declares that it supports such tasks (`Law.tasks`)."""
-    bases: ClassVar[frozenset[Base]]
-    """The bases of robots that can execute it."""
-    continuing: ClassVar[bool]
-    """Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration."""
-    lands: ClassVar[bool]
-    """Whether it ends on the ground."""
-    by_clock: ClassVar[bool]
-    """Whether the reference moves with time, so that `goal_poses` are points on a trajectory."""
-    needs_pose: ClassVar[bool]
-    """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
-
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
-
-    @property
-    def tolerance_m(self) -> float | None:
-        """Of a continuing task, the largest permitted error once settled [m]; None for others."""
-        ...
-
-    @property
-    def settle_s(self) -> float:
-        """Settling time, after which the tolerance counts [s]."""
-        ...
-
-    def check(self, setup: Setup) -> None:
-        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
-
-    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Refuse goal views that cannot be seen. ParameterError names the field and what would work."""
-
-    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
-        ...
-
-    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
-        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
-        ...
-
-    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The goals for the law: one view, or several in turn."""
-        ...
-
-    @property
-    def pictures(self) -> tuple[GoalPicture, ...]:
-        """What is said of the picture at each goal view; () where nothing can be."""
-        ...
-
-    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """The initial state of the reference."""
-
-    def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The next state, and the goal for the law at this frame."""
-        ...
-
-    def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
-        ...
-
-    def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """The monitor, which measures the task's error and decides when it is completed or failed."""
-        ...
-
-    def metrics(self, log: Log) -> dict[str, float | None]:
-        """Summary figures of this task alone."""
-        ...
-
-    def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error by which the task was judged, from the log of a run."""
-        ...
-
-    def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """Straight distance from the start of a run to its goal [m]."""
-        ...
-
-
-class TaskBase:
-    """Defaults: one view, for robots on any base, reached when the error is small."""
+class Task:
+    """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`: one view, on any base."""
 
     asks: ClassVar[str] = "view"
+    """The word by which a law declares that it supports such tasks (`Law.tasks`)."""
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
+    """The bases of robots that can execute it."""
     continuing: ClassVar[bool] = False
+    """Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration."""
     lands: ClassVar[bool] = False
+    """Whether it ends on the ground."""
     by_clock: ClassVar[bool] = False
+    """Whether the reference moves with time, so that `goal_poses` are points on a trajectory."""
     needs_pose: ClassVar[bool] = False
+    """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
     needs_still: ClassVar[bool] = False
     """Whether the target must stand still."""
     view_fields: ClassVar[tuple[str, ...]] = ()
     """The scenario's field of each goal view, for error messages; `goal` where there is none."""
 
-    kind: Any  # the word in a scenario: a field of each task
+    kind: Any
+    """The word in a scenario, a field of each task."""
     settle_s: Any = 0.0
+    """Settling time, after which the tolerance counts [s]."""
 
     @property
     def tolerance_m(self) -> float | None:
-        """None: the task has a goal to reach."""
+        """Of a continuing task, the largest permitted error once settled [m]; None for others."""
         return None
 
-    if TYPE_CHECKING:  # each task has its own; not at run time, where the contract misses it
-
-        def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:  # noqa: D102 - the protocol says it
-            ...
+    @abstractmethod
+    def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
+        """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
+        ...
 
     def check(self, setup: Setup) -> None:
-        """The law supports the task, the robot's base can execute it, and the target has markers."""
+        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
         self._check_law(setup.law)
         self._check_base(setup.robot)
         if setup.target.painted_route is not None:
@@ -345,11 +272,11 @@ class TaskBase:
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """None: the simulated camera takes them."""
+        """What is said of the picture at each goal view; () where nothing is: the simulated camera takes it."""
         return ()
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Every goal view must show its markers, and a flying robot must be level there."""
+        """Refuse goal views that do not show their markers, or at which a flying robot is not level. Raises ParameterError."""
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
         fields = self.view_fields or ("goal",) * len(poses)
         for field, pose, view in zip(fields, poses, views, strict=True):
@@ -357,42 +284,46 @@ class TaskBase:
             check_level(setup.robot, setup.camera, setup.target, pose, field)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
-        """The pose of the view."""
+        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
         return poses[view] if np.isfinite(poses[view]).all() else None
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The views from the goal poses."""
+        """The goals for the law: the views from the goal poses."""
         n = len(self.goal_poses(setup.target, setup.camera.mount.T))
         # i=i binds the number now: a plain closure would give every view the last pose.
         return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """At the first view."""
+        """The initial state of the reference: at the first view."""
         return Reference(views)
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The current view."""
+        """The next state, and the goal for the law at this frame: the current view."""
         return memory, memory.views[memory.view]
 
     def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """The same view."""
+        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
         return memory, None
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """Reached when `stop.converged` holds."""
+        """What measures the task's error and decides when it is completed or failed; by default reached when `stop.converged` holds."""
         return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """None."""
+        """Summary figures of this task alone."""
         return {}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error that `stop.converged` tests."""
+        """The error by which the task was judged, from the log of a run; by default the one that `stop.converged` tests."""
         return by_convergence(log, stop.converged)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """The first frame's position error."""
+        """Straight distance from the start of a run to its goal [m]: the first frame's position error."""
         return float(log["position_error_m"][0])
+
+
+TaskBase = Task
+"""The name by which tasks of one's own derive from it."""
 
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:

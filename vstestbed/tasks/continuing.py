@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import PositiveLength, Time
 from vstestbed.robots.base import Supervisor
-from vstestbed.tasks.base import Log, TaskBase
+from vstestbed.tasks.base import Log, Task
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
@@ -79,7 +79,7 @@ class Odometer(Protocol):
         ...
 
 
-class Continuing(TaskBase):
+class Continuing(Task):
     """Defaults of continuing tasks; `band_m` and `settle_s` are fields of each."""
 
     continuing: ClassVar[bool] = True

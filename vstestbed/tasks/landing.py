@@ -15,7 +15,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Log, TaskBase, view_from
+from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end, largest
 from vstestbed.tasks.monitor import GoalMonitor, Setup
@@ -34,7 +34,7 @@ class Descent(NamedTuple):
 
 
 @spec
-class GoalLanding(TaskBase):
+class GoalLanding(Task):
     """Land on the target's origin: from the view `above` the reference descends while the craft is over the pad.
 
     Args:

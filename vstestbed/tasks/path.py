@@ -20,7 +20,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
-from vstestbed.tasks.base import GoalPicture, Log, TaskBase, view_from
+from vstestbed.tasks.base import GoalPicture, Log, Task, view_from
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.frame import ImageError
 from vstestbed.tasks.judged import JudgedError, by_convergence
@@ -202,7 +202,7 @@ class Passage(NamedTuple):
 
 
 @spec
-class GoalViews(TaskBase):
+class GoalViews(Task):
     """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is the goal.
 
     Without `speed_mps` the goal jumps from view to view, and the command with it: the law begins anew. With it the goal moves,

@@ -16,13 +16,13 @@ from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
 from vstestbed.targets import Name, Target
-from vstestbed.tasks.base import GoalPicture, TaskBase
+from vstestbed.tasks.base import GoalPicture, Task
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.monitor import Setup
 
 
 @spec
-class GoalView(TaskBase):
+class GoalView(Task):
     """The goal as a view: the pose T_camera_target from which the target is to be seen.
 
     Args:
@@ -78,7 +78,7 @@ class GoalView(TaskBase):
 
 
 @spec
-class GoalViewFrom(TaskBase):
+class GoalViewFrom(Task):
     """The goal as a view: what a vehicle's camera sees of the target from a place on the floor.
 
     Args:
@@ -115,7 +115,7 @@ VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view",
 
 # Docking at a place: a vehicle drives to a pose on the floor, by landmarks.
 @spec
-class GoalPlace(TaskBase):
+class GoalPlace(Task):
     """The goal as a place of a vehicle in the world, reached by landmarks.
 
     Args:

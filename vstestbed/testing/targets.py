@@ -21,7 +21,7 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target, TargetContract
 from vstestbed.targets.motion import MotionBase
-from vstestbed.tasks import Task, TaskBase
+from vstestbed.tasks import Task
 
 
 def check_target(target: Target) -> None:
@@ -132,7 +132,7 @@ def check_task(scenario: Scenario) -> None:
     scenario: with the task as its goal, which its robot and law reach.
     """
     task = scenario.goal
-    Contract(Task, base=TaskBase).check(type(task))
+    Contract(Task, base=Task).check(type(task))
     poses, views = scenario.goal_poses, scenario.goal_views
     assert len(poses) == len(views), f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
     numbers = [view.view for view in views]
