@@ -307,8 +307,8 @@ def tune(
     must_be_known(executor)
     plan, settings = None, settings_of(set_)
     if not resume:
-        numbers = (trials or 30, seeds, batch, check, seed)
-        plan = planned(scenario, ranges_of(vary), metric, maximise or None, *numbers, settings, plugin or [])
+        numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
+        plan = planned(scenario, ranges_of(vary), settings, plugin or [], metric=metric, maximise=maximise or None, **numbers)
     elif any((scenario, vary, settings)):
         raise ParameterError("--resume", "goes on with what the folder searches; leave the rest out, but for --trials")
     with begun(plan, out, trials, plugin or []) as search:

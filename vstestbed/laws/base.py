@@ -304,4 +304,3 @@ class LawBase:
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
 LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
-"""The contract of the members of `LAWS`."""

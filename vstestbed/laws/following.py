@@ -38,7 +38,6 @@ class Followed:
 
 
 NOTHING = Followed()
-"""The state before the first frame."""
 
 
 def inputs_of(kind: Feedforward) -> tuple[str, ...]:

@@ -117,7 +117,6 @@ class Shaped:
 
 
 BEGIN = Shaped()
-"""The state before the first command."""
 
 
 @dataclass(frozen=True, slots=True)

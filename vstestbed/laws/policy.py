@@ -75,7 +75,6 @@ Act = Callable[[Mapping[str, Array]], Any]
 """From what a policy sees to an action (n,) in [-1, 1]; None where it has none."""
 NO_ACTION = "the policy gave no action"
 POLICY_FILE = re.compile(r"\.onnx$|\.py:\w+$")
-"""The end of a policy's name."""
 ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 

@@ -28,7 +28,6 @@ from vstestbed.laws.solve import least_squares
 from vstestbed.robots.own_model import OwnModel
 
 STILL = np.zeros(6)
-"""The motion of a target that stands still."""
 
 
 @dataclass(frozen=True, slots=True)

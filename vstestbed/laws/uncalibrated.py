@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -84,17 +84,16 @@ ESTIMATORS = OneOf("estimator", Broyden, RecursiveLeastSquares)
 Estimator = Annotated[Broyden | RecursiveLeastSquares, ESTIMATORS]
 
 
-class MotionSums:
-    """Sums of displacements and of the motion in the picture that they made, for J by least squares; a value, never changed.
+class MotionSums(NamedTuple):
+    """Sums of displacements and of the motion in the picture that they made, for J by least squares.
 
     Attributes:
         xx: sum of x x^T for each marker (N, m, m). yx: sum of y x^T, (N, 2, m). taken: x x^T of all frames, seen or not (m, m).
     """
 
-    __slots__ = ("taken", "xx", "yx")
-
-    def __init__(self, xx: Array, yx: Array, taken: Array):
-        self.xx, self.yx, self.taken = xx, yx, taken
+    xx: Array
+    yx: Array
+    taken: Array
 
     @classmethod
     def none(cls, markers: int, columns: int) -> MotionSums:

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
 SIX = np.eye(6)
-"""The motions of the ideal camera."""
 LEAST_POSE = 3
 """Markers that leave finitely many poses."""
 

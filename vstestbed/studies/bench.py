@@ -368,7 +368,6 @@ SHORT_S = 4.0
 IDEAL_STEPS = 2000
 IDEAL: dict[str, object] = {"detector": {"kind": "oracle"}, "law.depth": "oracle"}
 RUNS, JOBS = 16, 2
-"""Runs of the comparison, and processes that share them."""
 PROMPT = "import mujoco, cv2, numpy"
 """What any program with physics and pictures must import."""
 FIRST = """

@@ -96,14 +96,9 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
     q[frames] = plant.reading().q[joint]
     plant.apply(np.zeros(len(plant.reading().q)))
     plant.advance(5 * plant.steps_per_frame)  # the next joint begins with the arm at rest
-    b = _fit(np.diff(q) / period, command, first)
+    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(frames - first)])  # the third takes up a constant drift
+    b = np.linalg.lstsq(A, (np.diff(q) / period)[first:], rcond=None)[0]
     return float(b[0]), float(b[1])
-
-
-def _fit(velocity: Array, command: Array, first: int) -> Array:
-    """(b_0, b_1) from measured and commanded velocities (m,), from the frame `first` on; the third column takes up a constant drift."""
-    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(len(command) - first)])
-    return np.asarray(np.linalg.lstsq(A, velocity[first:], rcond=None)[0][:2], dtype=float)
 
 
 # Linear model of the visual servo loop of an arm: gain limit with its servos, its coupled inertia and its elastic joints.

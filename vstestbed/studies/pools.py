@@ -39,11 +39,6 @@ class Request(Protocol[Done_co]):
         ...
 
 
-def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
-    """Do what a request asks for: a function, as pools need it."""
-    return request.perform(place)
-
-
 def begin(place: str) -> None:
     """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
     place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
@@ -185,13 +180,18 @@ class _Slot:
         """Start a run, in a new process if the last one has died."""
         try:
             if not self.broken:
-                return self.executor.submit(perform, request)
+                return self.executor.submit(request.perform)
         except BrokenProcessPool:  # killed while it was idle
             pass
         self.kill()
         self.executor.shutdown(wait=False, cancel_futures=True)
         self.start()
-        return self.executor.submit(perform, request)
+        return self.executor.submit(request.perform)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the process has ever answered: one that never did cannot start at all."""
+        return self.pid.done() and self.pid.exception() is None
 
     def kill(self) -> None:
         """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
@@ -247,7 +247,7 @@ class LocalPool:
         error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
             slot.broken = True
-            error = WorkerLostError("its worker process died") if _answered(slot) else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
+            error = WorkerLostError("its worker process died") if slot.answered else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
         self._free.append(slot)
         if error is not None:
             outer.set_exception(error)
@@ -286,11 +286,6 @@ class LocalPool:
 
 
 NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call it under `if __name__ == '__main__':`"
-
-
-def _answered(slot: _Slot) -> bool:
-    """Whether a slot's process has ever answered: one that never did cannot start at all."""
-    return slot.pid.done() and slot.pid.exception() is None
 
 
 SCHEDULER_GONE = "the dask scheduler is gone", "start it again, then go on with --resume"
@@ -394,12 +389,12 @@ class DaskPool:
 
 
 def _execute_on_dask(request: Request[Done], key: str) -> Done:
-    """`perform`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
+    """What the request asks for, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
     from distributed import get_worker
 
     worker = get_worker()
     worker.log_event(key, "begun")
-    return perform(request, worker.local_directory)
+    return request.perform(worker.local_directory)
 
 
 def must_not_be_worker(function: str) -> None:

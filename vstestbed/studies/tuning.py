@@ -520,7 +520,8 @@ def tune(
     must_not_be_worker("tune")
     plan = None
     if not resume:
-        plan = planned(scenario, vary or {}, metric, maximise, trials or 30, seeds, batch, check, seed, set or {}, plugins)
+        numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
+        plan = planned(scenario, vary or {}, set or {}, plugins, metric=metric, maximise=maximise, **numbers)
     with begun(plan, None if out is None else Path(out), trials, plugins) as search:
         search.jobs, search.executor = jobs, executor
         search.listener = listener or search.listener
@@ -530,25 +531,18 @@ def tune(
 def planned(
     scenario: str | Path | None,
     vary: Mapping[str, str | Sequence[object]],
-    metric: str,
-    maximise: bool | None,
-    trials: int,
-    seeds: int | None,
-    batch: int,
-    check: int,
-    seed: int,
     settings: Mapping[str, object],
     plugins: Sequence[str],
+    **others: Any,
 ) -> Tuning:
-    """The plan of a search; arguments and errors as of `tune`."""
+    """The plan of a search; arguments and errors as of `tune`, the others by the names of `Tuning`."""
     if scenario is None:
         raise ParameterError("SCENARIO", "is missing: name the scenario that is to be tuned")
     loaded, here = load_plugins(plugins), Path.cwd()  # first: a metric may be one of theirs
     varied = {path: _plain(parameter(path, given)) for path, given in vary.items()}
     own = {path: block_of(value) for path, value in settings.items()}
     own, varied = absolute_files(own, here), absolute_files(varied, here)
-    numbers = {"trials": trials, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
-    return Tuning(scenario=str(scenario), plugins=loaded, set=own, vary=varied, metric=metric, maximise=maximise, **numbers)
+    return Tuning(scenario=str(scenario), plugins=loaded, set=own, vary=varied, **others)
 
 
 def _plain(one: Parameter) -> object:

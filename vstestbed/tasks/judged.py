@@ -12,7 +12,6 @@ from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged, Stop
 
 By = Literal["pixels", "level pixels", "grey levels", "estimate", "truth"]
-"""Who measured the error."""
 MEASURED_BY: dict[By, str] = {
     "pixels": "measured pixels",
     "level pixels": "measured pixels after derotation",

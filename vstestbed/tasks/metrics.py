@@ -110,7 +110,6 @@ GREY_FIGURES = ("final_error_grey",)
 SWING_FIGURES = ("swung_s", "swing_frames")
 """Those of a run whose command swung."""
 SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES, *SWING_FIGURES)
-"""Those that only some runs have."""
 _COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "versions", "time_ms")
 _OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
 TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))

@@ -38,17 +38,12 @@ def summary_of(folder: Path, job: Job) -> dict[str, Any]:
     return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
 
 
-def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[Job]:
-    """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are.
+def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[tuple[Job, dict[str, Any]]]:
+    """The jobs that are done, with their summaries, in the order of the plan, in a time that depends on how many are done.
 
     folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again. Raises
     RunFolderError: a summary cannot be read, and `damaged` is False.
     """
-    yield from (job for job, _ in _summaries(folder, jobs, damaged))
-
-
-def _summaries(folder: Path, jobs: Iterable[Job], damaged: bool) -> Iterator[tuple[Job, dict[str, Any]]]:
-    """As `finished`, with the summaries."""
     there = set(_with_summary(str(folder), "runs", DEEPEST)) if (folder / "runs").is_dir() else set[str]()
     for job in jobs:
         if not there:
@@ -76,7 +71,7 @@ def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.Data
     `damaged`: see `finished`.
     """
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
-    found, parts = _summaries(folder, jobs, damaged), list[pl.DataFrame]()
+    found, parts = finished(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
         names = _names(rows)
         filled = [dict(zip(names, map(row.get, names), strict=True)) for row in rows]
@@ -94,9 +89,11 @@ def _names(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:
-    # a table column holds numbers or text: blocks and lists go in as JSON
-    values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
-    first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
+    first = (
+        {"scenario": job.controller.scenario.name}
+        | _as_text(job.controller.values)
+        | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
+    )
     if job.controller.amounts and job.seed is not None:
         first |= {AMOUNT: job.controller.amounts[job.seed]}
     return first | _flat(summary, "")
@@ -315,7 +312,7 @@ def _norm(value: object) -> object:
 
 
 def _as_text(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A planned run's values as in a table: blocks and lists as JSON."""
+    """A planned run's values as in a table, whose columns hold numbers or text: blocks and lists as JSON."""
     return {name: value if isinstance(value, int | float | str) else json.dumps(value) for name, value in row.items()}
 
 

@@ -38,7 +38,6 @@ class StartLists(NamedTuple):
 
 
 MUST_BE = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
-"""What a file of starts holds."""
 
 
 @spec
@@ -106,10 +105,6 @@ class StartTable:
     def displacements(self) -> tuple[Pose, ...]:
         """Those of the camera or of the target."""
         return self.lists.camera_from_goal or self.lists.target_from_goal
-
-    def setting(self, i: int) -> dict[str, object]:
-        """The settings of run i by dotted path."""
-        return {path: values[i] for path, values in self.lists.each.items()}
 
     def numbers(self, limit: int | None) -> tuple[int, ...]:
         """The numbers of the runs that are made, from 0: all, or `limit` of them, spread evenly; of random starts the first ones."""
@@ -560,7 +555,8 @@ def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Pla
 
 
 def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
-    return {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in task.setting(i).items()}
+    each = task.lists.each.items()
+    return {path: Placed(values[i], marks_under(("tasks", name, "each", path, i), c.places)) for path, values in each}
 
 
 def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:

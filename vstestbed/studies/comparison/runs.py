@@ -96,7 +96,7 @@ class Campaign:
     @cached_property
     def _done(self) -> set[str]:
         """The folders of the jobs with a stored result: read once, then kept up to date."""
-        return {job.folder for job in finished(self.folder, self.jobs)}
+        return {job.folder for job, _ in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
         """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
