@@ -190,10 +190,7 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
 
 
 def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) -> Group:
-    """|v_i| <= speed_mps, |w_i| <= rate_radps for each component of the camera twist J @ rates: the box round the sphere of the limit.
-
-    None: no such limit.
-    """
+    """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera twist J @ rates: a box."""
     rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
     for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:

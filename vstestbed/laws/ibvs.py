@@ -316,10 +316,7 @@ class IBVS(LawBase):
 
 @lru_cache(maxsize=256)
 def _at_goal(feature: Feature, x: bytes, distance: bytes) -> tuple[Array, Array]:
-    """The feature s* and its interaction matrix L* in the goal view, its inputs given as bytes, which can be hashed.
-
-    Most goals are the same at every frame.
-    """
+    """The feature s* and its L* in the goal view, the same at most frames; its inputs as bytes, which can be hashed."""
     of_points = np.frombuffer(distance)
     at = np.frombuffer(x).reshape(len(of_points), -1)
     return feature.measure(at), feature.interaction(at, of_points)

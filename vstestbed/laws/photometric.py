@@ -243,10 +243,7 @@ class GoalLevel:
 
     @cached_property
     def least_change(self) -> float:
-        """RMS change of the picture [grey levels] by that motion of the size S of `MOTION` which changes it least.
-
-        The root of the least eigenvalue of S H S / n.
-        """
+        """RMS change [grey levels] by the motion of size S (`MOTION`) with the least: root of the least eigenvalue of S H S / n."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(MOTION, MOTION))[0], 0.0) / max(self.L.shape[1], 1)))
 
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:

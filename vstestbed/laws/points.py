@@ -51,9 +51,7 @@ def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
 
 
 def check_goal(feature: Feature, goal: Goal) -> None:
-    """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has one.
-    Raises ParameterError: it names a field of the scenario.
-    """
+    """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has one."""
     check, inputs = getattr(feature, "check_goal", None), at_goal(feature, goal)
     if check is not None and inputs is not None:
         check(*inputs)
@@ -214,9 +212,7 @@ class Visibility:
 
 
 def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: float, called: Callable[[int], str]) -> None:
-    """Refuse a goal with a marker inside a margin of the border, which would keep it from there.
-    Raises ParameterError: it names the field.
-    """
+    """Refuse a goal with a marker inside a margin of the border, which would keep it from there."""
     radius = goal.camera.half_size(goal.ray * goal.range[:, None], marker_radius_m).max(axis=1)
     nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
     marker = int(nearest.argmin())

@@ -102,10 +102,7 @@ def target_distance(observation: Observation) -> float:
 
 
 def quantity(name: str, observation: Observation, goal: Goal, start_m: float) -> float:
-    """One of the quantities, in the unit of its fields; NaN where it is unknown.
-
-    start_m: distance of the camera from the target at the start.
-    """
+    """A quantity in the unit of its fields, NaN where it is unknown; start_m: distance of the camera from the target at the start."""
     if name == "retreat":
         return target_distance(observation) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
     return _MEASURES[name](observation, goal)

@@ -192,9 +192,7 @@ class Excitation:
     speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
 
     def begin(self, uv: Array, columns: int, known: Array) -> Excited:
-        """Before its first motion.
-        uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
-        """
+        """Before its first motion, for markers uv (N, 2) [px]; known: their motion per unit of each column (m,) [px], 0: unknown."""
         return Excited(
             uv, np.zeros(columns), MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2), known, uv, pixels=float(known[0])
         )
@@ -212,10 +210,7 @@ class Excitation:
         return self._ordered(state, robot)
 
     def retreat(self, state: Excited, moved: Array, robot: OwnModel) -> tuple[Excited, Array]:
-        """A frame that shows too few markers: back to where the velocity's turn began and they were in sight, by the robot's sensors.
-
-        Args and result are those of `step`.
-        """
+        """A frame with too few markers: back to where the velocity's turn began, by the robot's sensors; otherwise as `step`."""
         uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)  # of a target that moves: what comes next
         return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
 

@@ -248,9 +248,7 @@ def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
 
 
 def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> None:
-    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force.
-    Raises ParameterError: with the product of which the starts come.
-    """
+    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force."""
     maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
     if maps * n * n > MOST_STARTS and not force:
         words = f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all need --force"

@@ -88,9 +88,7 @@ class IdealBench(Result):
 
 
 def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> IdealBench:
-    """Measure both loops in turn, `repeats` times. repeats: counted measurements. steps: of the single run, which stays at its goal to the
-    end. runs: runs in the batch. Raises ParameterError: there is nothing to measure.
-    """
+    """Measure both loops in turn, `repeats` times; steps: of the single run, which stays at its goal to the end; runs: in the batch."""
     if min(repeats, steps, runs) < 1:
         raise ParameterError("repeats, steps and runs", "must be 1 or more", (repeats, steps, runs))
     scenario, start = endless(steps), _starts(runs)

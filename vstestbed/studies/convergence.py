@@ -121,9 +121,7 @@ class Study:
         return Jobs(controllers(self.comparison, self.force), self.comparison.seeds)
 
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
-        """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each.
-        Raises EnvironmentLackError: see `run_one`; or no worker can start.
-        """
+        """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each."""
         runs, again = self.runs, list[Work]()
         with closing(pool_of("local", workers(processes, len(runs)), folder)) as pool:
             for chunk, request, future in completed(pool, self._work(on_done), again):
@@ -203,9 +201,7 @@ def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str
 
 
 def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
-    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
-    Raises OutputError, EnvironmentLackError: a file cannot be written.
-    """
+    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
     write_table(folder / "convergence", study.table(ended))
     axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
     seeds = study.comparison.seeds or 0

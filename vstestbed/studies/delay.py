@@ -305,9 +305,7 @@ def _off(robot: Robot) -> float:
 
 
 def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
-    """Growth of the oscillation over the second half of a run; above 1 the loop is unstable.
-    at_start: a scenario from `displaced`. gain: gain of the law [1/s]. delay_frames: d.
-    """
+    """Growth of the oscillation over the second half of a run from `displaced`, at a gain [1/s]; above 1 the loop is unstable."""
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
     scenario = replace(
@@ -330,9 +328,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
 
 
 def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
-    """The gain limit at one delay, by bisection.
-    Raises ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
-    """
+    """The gain limit at one delay, by bisection."""
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
     g_linear, robot = _linear(at_goal, delay_frames), at_goal.robot
@@ -391,9 +387,7 @@ def _linear(at_goal: Scenario, delay_frames: float) -> float | None:
 
 
 def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
-    """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it.
-    Raises ParameterError: one is negative or above MOST_FRAMES.
-    """
+    """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it."""
     if bad := [d for d in frames if not 0 <= d <= MOST_FRAMES]:
         raise ParameterError("--frames", f"must be whole numbers from 0 to {MOST_FRAMES}", bad[0])
     latency, period = scenario.camera.latency_s, scenario.camera.period
@@ -405,9 +399,7 @@ def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
 
 
 def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
-    """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found.
-    Raises ParameterError: as `prepared`, `find_limit` and `delays_of`.
-    """
+    """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found."""
     delays = delays_of(scenario, frames)
     at_goal, limits = prepared(scenario), []
     for d in delays:
@@ -422,9 +414,7 @@ BEYOND = 1.3
 
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:
-    """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path.
-    Raises OutputError, EnvironmentLackError: a file cannot be written.
-    """
+    """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path."""
     rows = [limit.row() for limit in limits]
     write_table(folder / "delay", pl.DataFrame(rows, infer_schema_length=None))
     lags = [row | {"lags": [asdict(lag) for lag in limit.lags]} for row, limit in zip(rows, limits, strict=True)]

@@ -37,9 +37,7 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
 @contextmanager
 def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
-    """Hold the folder of a study that goes on. kind: the command, such as `compare`. out: the folder. plan: name of the plan in it. Raises
-    ParameterError: no folder is given. RunFolderError: it has no such plan. OutputError: another process writes into it.
-    """
+    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of the plan in it."""
     if out is None:
         raise ParameterError("--resume", f"needs the folder that `vstestbed {kind}` has made: --out DIR")
     plan_in(out, kind, plan)

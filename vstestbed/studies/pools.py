@@ -142,10 +142,7 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """A process that is started meanwhile receives no Ctrl-C, which the terminal sends to all, before `begin` ignores it.
-
-    Its imports take a second or more, and would end with a traceback.
-    """
+    """A process that is started meanwhile receives no Ctrl-C before `begin` ignores it: its imports would end with a traceback."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows, where console processes cannot hold it back
         yield
         return
@@ -322,9 +319,7 @@ class DaskPool:
 
     @contextmanager
     def _scheduler_there(self) -> Iterator[None]:
-        """Turn errors of a client whose scheduler does not answer any more into one with a remedy.
-        Raises EnvironmentLackError: the scheduler has ended, or no network leads to it.
-        """
+        """Turn errors of a client whose scheduler does not answer any more into one with a remedy."""
         try:
             yield
         except OSError as error:
@@ -413,9 +408,7 @@ def workers(requested: int | None, runs: int) -> int:
 
 
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:
-    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's.
-    Raises ParameterError: another value. EnvironmentLackError: see DaskPool.
-    """
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's."""
     must_be_known(executor)
     return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
 

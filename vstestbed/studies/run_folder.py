@@ -45,9 +45,7 @@ REMEDY = "give a new folder; an older run is never written over"
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:
-    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number.
-    Raises OutputError: `out` holds something already, or cannot be made.
-    """
+    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number."""
     return files.new_folder(Path("runs") / files.file_word(scenario.name), out, REMEDY)
 
 

@@ -118,9 +118,7 @@ Parameter = Range | Choice
 
 
 def parameter(path: str, given: object) -> Parameter:
-    """The range or the choice that is given for a field. path: dotted path. given: `"0.2:2"`, `"10:80:log"`, or a sequence of values; a
-    sequence of one such text is that range. Raises ParameterError: it is neither.
-    """
+    """The range `"0.2:2"` or `"10:80:log"` (also as the only item of a sequence) or the choice of several values, for a dotted path."""
     if not isinstance(given, str):
         values = tuple(given) if isinstance(given, Sequence) else (given,)
         if len(values) > 1:
@@ -263,9 +261,7 @@ class Trial:
         return sum(known) / len(known) if known else math.nan
 
     def rank(self, higher: bool) -> tuple[float, float]:
-        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number.
-        higher: whether more of the metric is better.
-        """
+        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number."""
         mean = -self.mean if higher else self.mean
         return (math.inf if self.refused else self.failed, mean if math.isfinite(mean) else math.inf)
 

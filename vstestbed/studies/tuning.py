@@ -106,9 +106,7 @@ class Tuning:
         return self.shown.higher if self.maximise is None else self.maximise
 
     def comparison(self) -> Comparison:
-        """The scenario with its settings; `axes` has the ends of the ranges and the choices.
-        Raises ScenarioError, ParameterError: bad input.
-        """
+        """The scenario with its settings; `axes` has the ends of the ranges and the choices."""
         axes = {p.path: p.ends for p in self.parameters}
         found = chosen([self.scenario], self.set, axes, self.seeds, self.plugins)
         if len(found.base) != 1 or found.cases or found.tasks or set(found.axes) != set(axes):
@@ -133,9 +131,7 @@ class Tuning:
 
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
-    """The plan of a folder; `plugins`: besides its own.
-    Raises RunFolderError: it has none. ScenarioError, PluginError: the plan is damaged, or a plugin is not there.
-    """
+    """The plan of a folder; `plugins`: besides its own."""
     path = plan_in(folder, "tune", PLAN)
     plain, marks = plain_mapping(text_of(path), str(path), "a search needs scenario and vary")
     load_named(plain, marks, str(path), plugins)
@@ -145,9 +141,7 @@ def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
 
 
 def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, int | None]:
-    """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn.
-    Raises ScenarioError, ParameterError: bad input, found before anything runs.
-    """
+    """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn."""
     comparison = plan.comparison()
     space = checked(comparison, plan.parameters)
     bare = changed(comparison, axes={}, seeds=seeds)
@@ -436,9 +430,7 @@ class TuningResult:
         return found
 
     def write(self) -> Path:
-        """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path.
-        Raises OutputError, EnvironmentLackError: a file cannot be written.
-        """
+        """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path."""
         write_table(self.folder / TABLE, self.table)
         if self.best is not None:
             dump(self.scenario, self.folder / BEST)
@@ -585,9 +577,7 @@ def finished(search: Search) -> TuningResult:
 
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
-    """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers.
-    Raises RunFolderError: a run is missing, or a file is damaged.
-    """
+    """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers."""
     with begun(None, folder, plugins=plugins) as search:
         search.stored_alone = True
         return finished(search).folder / "report.html"

@@ -117,9 +117,7 @@ def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str,
 
 
 def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
-    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
-    Raises ParameterError: it names the field, and what would work.
-    """
+    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest."""
     if robot.base != "floating":
         return
     # z of the base, in the world's axes: its last component is the cosine of the tilt.

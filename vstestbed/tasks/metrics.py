@@ -268,9 +268,7 @@ def own_titles() -> dict[str, tuple[str, str]]:
 
 
 def check_metrics(metrics: Sequence[MetricContract]) -> None:
-    """Refuse metrics two of which have a figure of one name, or one that every run has.
-    Raises ParameterError: it names the metric, and the figure.
-    """
+    """Refuse metrics two of which have a figure of one name, or one that every run has."""
     owner: dict[str, str] = dict.fromkeys(TAKEN, "every run")
     for i, metric in enumerate(metrics):
         for name in metric.titles:

@@ -32,12 +32,7 @@ RADIUS_M = 0.35
 
 
 def check_feature(feature: Feature, seed: int = 0) -> None:
-    """L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken.
-
-    The markers lie on a circle: four, or as many as the feature needs.
-
-    feature: with the parameters to test. seed: of the views that are tried.
-    """
+    """On a circle of markers L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken."""
     assert FEATURES.contract is not None
     FEATURES.contract.check(type(feature))
     rng, many = np.random.default_rng(seed), []

@@ -65,9 +65,7 @@ def _pixels(perturbation: Perturbation, seed: int) -> Array:
 
 
 def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> None:
-    """A metric's figures are numbers under names of their own, whatever the blocks in which it gets the log.
-    metric: with the parameters to test. scenario: whose run it measures; None: a quick one.
-    """
+    """A metric's figures are numbers under names of their own in a scenario's run, whatever the blocks in which it gets the log."""
     kind = metric.kind
     assert METRICS.contract is not None
     METRICS.contract.check(type(metric))

@@ -120,9 +120,7 @@ AT_M = 0.6
 
 
 def check_camera(camera: Camera, seed: int = 0) -> None:
-    """`ray` is the inverse of `project`, both take leading axes, and markers are rendered and detected where `project` says.
-    camera: with the parameters to test. seed: of the directions tried.
-    """
+    """`ray` is the inverse of `project`, both take leading axes, and markers are rendered and detected where `project` says."""
     kind = getattr(camera, "kind", type(camera).__name__)
     assert isinstance(camera, Camera), f"{kind}: a lens must derive from vstestbed.camera.Camera, or Radial"
     uv = _check_pixels(camera, kind)

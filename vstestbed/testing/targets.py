@@ -128,9 +128,7 @@ SHORT_FRAMES = 3
 
 
 def check_task(scenario: Scenario) -> None:
-    """A task ends as it should: reached in its scenario, not reached when there is no time; its columns are in the log.
-    scenario: with the task as its goal, which its robot and law reach.
-    """
+    """A task ends as it should: reached in its scenario, not reached when there is no time; its columns are in the log."""
     task = scenario.goal
     Contract(Task, base=Task).check(type(task))
     poses, views = scenario.goal_poses, scenario.goal_views

@@ -148,9 +148,7 @@ def prepared(
 
 
 def _check_workers_find(found: Variants) -> None:
-    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers.
-    Raises ParameterError: it names the class, and how it gets into a file.
-    """
+    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers."""
     typed_in = not hasattr(sys.modules["__main__"], "__file__")
     if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
         for variant in found:
@@ -158,9 +156,7 @@ def _check_workers_find(found: Variants) -> None:
 
 
 def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
-    """The comparison of a folder with its controllers.
-    Raises ParameterError: the command line requests another comparison than the folder's.
-    """
+    """The comparison of a folder with its controllers."""
     comparison = read_comparison(folder / PLAN, plugins)
     found = controllers(comparison, force)
     if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
@@ -181,9 +177,7 @@ def _essence(c: Variant) -> tuple[object, ...]:
 
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
-    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
-    Raises RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
-    """
+    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers."""
     comparison, table, _ = stored(folder, plugins)
     write_table(folder / "comparison", table, GROUP)
     finish(folder, comparison, table, lambda words: None)
@@ -191,9 +185,7 @@ def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
 
 
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
-    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
-    Raises RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
-    """
+    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
     comparison = read_comparison(folder / PLAN, plugins)
     every = Jobs(controllers(comparison, force=True), comparison.seeds)
     # A damaged run is named, and not left out as if it were still to come.

@@ -66,10 +66,7 @@ def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
 
 
 def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.DataFrame:
-    """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts.
-
-    `damaged`: see `finished`.
-    """
+    """A row per `finished` run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
     found, parts = finished(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
@@ -220,9 +217,7 @@ class Baseline:
 
     @classmethod
     def read(cls, place: str | Path) -> Baseline:
-        """The table of a comparison's folder, or of its file.
-        Raises RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
-        """
+        """The table of a comparison's folder, or of its file."""
         place = Path(place)
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
         if file.is_dir() or not file.exists():
@@ -233,9 +228,7 @@ class Baseline:
         return cls(place, file, table)
 
     def must_match(self, comparison: Comparison, jobs: Iterable[Job]) -> None:
-        """Refuse a comparison none of whose runs is in this one: before anything runs.
-        Raises RunFolderError: it names the controllers that are in the baseline.
-        """
+        """Refuse a comparison none of whose runs is in this one: before anything runs."""
         varied = comparison.varied
         there = set(_rows_by_key(self.table, varied))
         values = ({"scenario": job.controller.scenario.name, **job.controller.values, "seed": _seed_of(job)} for job in jobs)

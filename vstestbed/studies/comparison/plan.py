@@ -283,9 +283,7 @@ def chosen(
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:
-    """Refuse a setting that whatever is applied after it writes over, in every run.
-    Raises ScenarioError: it names the place in the file that does so.
-    """
+    """Refuse a setting that whatever is applied after it writes over, in every run."""
     for blocks in _after_set(read):
         over = [(key, own) for key, block in blocks for own in block if path == own or path.startswith(f"{own}.")]
         if over and len({key for key, _ in over}) == len(blocks):
@@ -311,9 +309,7 @@ def _comparison_among(names: list[str]) -> Path | None:
 
 
 def _is_comparison(path: Path) -> bool:
-    """Whether a file is a comparison: it has the key `base` at its top level.
-    Raises ScenarioError: it is no mapping, so neither a comparison nor a scenario.
-    """
+    """Whether a file is a comparison: it has the key `base` at its top level."""
     needs = "a comparison needs base, a scenario robot, target, law and goal"
     return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]
 
