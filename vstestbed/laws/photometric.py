@@ -30,11 +30,6 @@ LEAST_SPREAD = 1e-3
 """Least standard deviation of a picture, by which one without any structure is divided [grey levels]."""
 
 
-def light_rows(goal: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b, of the goal's grey levels I* (n,)."""
-    return np.stack([goal, np.ones_like(goal)])
-
-
 def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDArray[np.float32] | None) -> NDArray[np.float32]:
     """Errors e (n,) without what gain and offset explain of them, in the weighted least-squares sense."""
     weighted = of_light if w is None else of_light * w
@@ -238,8 +233,9 @@ class GoalLevel:
 
     @cached_property
     def of_light(self) -> Grey:
-        """Derivatives of the pixels by gain and offset of the light, (2, n)."""
-        return light_rows(self.grey[self.pixels.at].ravel())
+        """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b of the light, of the goal's grey levels I* (n,)."""
+        goal = self.grey[self.pixels.at].ravel()
+        return np.stack([goal, np.ones_like(goal)])
 
     @cached_property
     def least_change(self) -> float:
@@ -471,7 +467,9 @@ class Photometric(LawBase):
             return memory, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
         robust = self.robust if memory.level == 0 else "none"
-        normal = level.normal(self._lit_as(level, grey, memory.level), self.interaction, robust, near)
+        if memory.level > 0 and self.light == "gain_offset":  # at the finest level the light is fitted with the motion
+            grey = relit(grey, level.grey)
+        normal = level.normal(grey, self.interaction, robust, near)
         step = self._solved(normal, basis, self.damping.at(observation.t - memory.t0))
         if step is None:
             return memory, Command.rest(basis, NO_PIXEL)
@@ -512,10 +510,6 @@ class Photometric(LawBase):
         for _ in range(level):
             grey = coarser(grey)
         return grey
-
-    def _lit_as(self, goal: GoalLevel, grey: Grey, level: int) -> Grey:
-        """The picture of a coarser level as if in the goal's light; at the finest one the light is fitted with the motion."""
-        return relit(grey, goal.grey) if level > 0 and self.light == "gain_offset" else grey
 
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
         """The goal's picture, level by level. Raises ParameterError: the goal has no picture."""

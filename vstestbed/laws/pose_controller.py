@@ -153,18 +153,14 @@ class PoseController(LawBase):
         place, there = observation.place, goal.place
         if place is None or there is None:
             return memory, Command.rest(basis, NO_PLACE)
-        direction = memory.direction or self._direction(place, there)  # kept: a new choice near the goal could alternate
+        directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
+        direction = memory.direction or directions[self.direction]  # kept: a new choice near the goal could alternate
         arrived = memory.arrived or self._there(place, there, direction)
         memory = PoseMemory(direction, arrived)
         u = np.zeros(basis.shape[1])
         if not arrived:
             u[0], u[-1] = polar_law(place, there, np.array(direction), self.gains, self.speed_mps, self.rest_m)
         return memory, self.limits.command(u, basis)
-
-    def _direction(self, place: Array, there: Array) -> int:
-        if self.direction == "auto":
-            return int(direction_to(place, there))
-        return 1 if self.direction == "forward" else -1
 
     def _there(self, place: Array, there: Array, direction: int) -> bool:
         rho, alpha, _ = polar(place, there, np.array(direction))

@@ -125,7 +125,8 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
-    if detector.rows is not None and field_of_view == "limited" and not _shows_markers(scenario):
+    picked = detector.rows is not None and field_of_view == "limited"
+    if picked and not camera.inside(camera.project(scenario.target.points_at(scenario.goal_view.T_camera_target))).all():
         words = f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their"
         more = "the goal's view does not show them all; sweep and compare --vary run it start by start"
         raise ParameterError("detector.kind", f"{words} place: {more}")
@@ -140,12 +141,6 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         noise=Noise(),
         world=World(),
     )
-
-
-def _shows_markers(scenario: Scenario) -> bool:
-    """Whether the goal's view has all points of the target within the picture."""
-    camera, p = scenario.camera, scenario.target.points_at(scenario.goal_view.T_camera_target)
-    return bool(camera.inside(camera.project(p)).all())
 
 
 @dataclass(frozen=True)

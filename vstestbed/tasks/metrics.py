@@ -101,15 +101,12 @@ FIGURES = (
     "judged_error",
 )
 """The names of every run's figures."""
-MODE_FIGURES = ("law_switches", "law_shortest_stay_s")
-"""Those of a law with modes besides."""
-LINK_FIGURES = ("pictures_lost", "pictures_refused", "commands_lost")
-"""Those of a run with wrong time stamps, pictures out of order or a link that loses."""
-GREY_FIGURES = ("final_error_grey",)
-"""That of a law that works on grey levels."""
-SWING_FIGURES = ("swung_s", "swing_frames")
-"""Those of a run whose command swung."""
-SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES, *SWING_FIGURES)
+SOME_FIGURES = (
+    *("law_switches", "law_shortest_stay_s"),  # of a law with modes
+    *("pictures_lost", "pictures_refused", "commands_lost"),  # of wrong time stamps, pictures out of order or a link that loses
+    "final_error_grey",  # of a law that works on grey levels
+    *("swung_s", "swing_frames"),  # of a run whose command swung
+)
 _COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "versions", "time_ms")
 _OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
 TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))

@@ -231,8 +231,9 @@ class Baseline:
         """Refuse a comparison none of whose runs is in this one: before anything runs."""
         varied = comparison.varied
         there = set(_rows_by_key(self.table, varied))
-        values = ({"scenario": job.controller.scenario.name, **job.controller.values, "seed": _seed_of(job)} for job in jobs)
-        if not any(_key(_as_text(row), varied) in there for row in values):
+        planned = ((job.controller, job.controller.scenario, job.seed) for job in jobs)
+        rows = ({"scenario": s.name, **c.values, "seed": s.seed if seed is None else seed} for c, s, seed in planned)
+        if not any(_key(_as_text(row), varied) in there for row in rows):
             names = list(dict.fromkeys(map(_words, _controllers(self.table))))
             more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
             words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {_seeds(self.table)}"
@@ -307,10 +308,6 @@ def _norm(value: object) -> object:
 def _as_text(row: Mapping[str, Any]) -> dict[str, Any]:
     """A planned run's values as in a table, whose columns hold numbers or text: blocks and lists as JSON."""
     return {name: value if isinstance(value, int | float | str) else json.dumps(value) for name, value in row.items()}
-
-
-def _seed_of(job: Job) -> int:
-    return job.controller.scenario.seed if job.seed is None else job.seed
 
 
 def _named(table: pl.DataFrame) -> list[str]:

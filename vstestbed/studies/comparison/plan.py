@@ -305,13 +305,8 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
 def _comparison_among(names: list[str]) -> Path | None:
     """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
     path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
-    return path if path is not None and _is_comparison(path) else None
-
-
-def _is_comparison(path: Path) -> bool:
-    """Whether a file is a comparison: it has the key `base` at its top level."""
     needs = "a comparison needs base, a scenario robot, target, law and goal"
-    return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]
+    return path if path and is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0] else None
 
 
 # The controllers and runs of a comparison: counted before any is made, and made when their turn comes.
