@@ -10,7 +10,6 @@ import pytest
 
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
-from vstestbed.studies.pools import perform
 
 
 class Here:
@@ -19,7 +18,7 @@ class Here:
     room = 1
 
     def submit(self, request: Any) -> Future[Any]:
-        return at_once(perform, request)
+        return at_once(request.perform)
 
     def tries(self, request: Any) -> int:
         return 1

@@ -11,9 +11,10 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.studies.comparison import chosen, controllers, jobs
+from vstestbed.scenario.dump import given_text
+from vstestbed.studies.comparison import Jobs, chosen, controllers
 from vstestbed.studies.comparison.folder import PLAN
-from vstestbed.studies.comparison.runs import execute, request_of
+from vstestbed.studies.comparison.runs import RunRequest
 from vstestbed.studies.folder import write_plan
 from vstestbed.studies.run_folder import ASSETS, store
 
@@ -31,8 +32,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     compared.mkdir()
     plan = chosen(["arm_ibvs"], SMALL, {}, 2, [])
     write_plan(compared / PLAN, plan, "base")
-    for job in jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
-        files = execute(request_of(job.folder, job.scenario(), filmed=False))
+    for job in Jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
+        files = RunRequest(job.folder, given_text(job.scenario()), filmed=False).perform()
         store(compared / job.folder, files, compared / ASSETS, attempts=1)
     return place
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import wrapped
 from vstestbed.laws.pose_controller import PolarGains, direction_to, polar, polar_law
 from vstestbed.robots.car import BicycleLimits, Drive, drive
@@ -106,11 +105,6 @@ class TestLaw:
         values, vectors = np.linalg.eig(A)
         linear = vectors @ (np.exp(2.0 * values) * np.linalg.solve(vectors, [alpha, beta]))
         np.testing.assert_allclose(told, [np.exp(-2), *linear], rtol=5e-3)  # periods of 1 ms: first order
-
-    @pytest.mark.parametrize(("gains", "word"), [((-1, 5, -2), "rho"), ((1, 5, 2), "beta"), ((1, 0.9, -2), "alpha")])
-    def test_unstable_gains_are_refused(self, gains, word):
-        with pytest.raises(ParameterError, match=word):
-            PolarGains(*gains)
 
 
 class TestIdealCar:

@@ -145,7 +145,7 @@ def test_contradicting_constraints_give_way_and_the_log_tells() -> None:
 
 @pytest.mark.parametrize("law", [QP(), Predictive()], ids=lambda law: law.kind)
 def test_a_program_that_is_not_solved_gives_a_rest_with_its_reason(law: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(constraints, "_daqp", lambda: lambda *a, **k: (np.zeros(6), 0.0, -4, {"lam": np.zeros(6)}))
+    monkeypatch.setattr(constraints, "load_solver", lambda: lambda *a, **k: (np.zeros(6), 0.0, -4, {"lam": np.zeros(6)}))
     recording, frames = flown(law, changes={"stop.duration_s": 0.2})
     assert all(frame.command.rest_reason.endswith("the solver stopped with code -4") for frame in frames)
     assert {frame.command.mode for frame in frames} == {law.modes.index("not solved")}

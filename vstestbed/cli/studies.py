@@ -257,8 +257,8 @@ def _summary_line(limit: Limit) -> str:
         return f"{delay}: stable up to {limit.gain:.4g} 1/s, the largest gain that was tried"
     line = f"{delay}: unstable from {limit.gain:.4g} 1/s, {row['measured_to_theory']:.3f} of theory for the delay alone"
     with_servos = []
-    if limit.g_lag is not None:
-        lag = f"{limit.joint} by {1e3 * limit.lag_of_first:.1f} ms"
+    if first := limit.first:
+        lag = f"{first.joint} by {1e3 * first.lag_s:.1f} ms"
         with_servos.append(f"{row['measured_to_lag']:.3f} of theory with their lag ({lag})")
     if limit.g_linear is not None:
         with_servos.append(f"{row['measured_to_linear']:.3f} of a linear model of the whole arm")
@@ -307,8 +307,8 @@ def tune(
     must_be_known(executor)
     plan, settings = None, settings_of(set_)
     if not resume:
-        numbers = (trials or 30, seeds, batch, check, seed)
-        plan = planned(scenario, ranges_of(vary), metric, maximise or None, *numbers, settings, plugin or [])
+        numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
+        plan = planned(scenario, ranges_of(vary), settings, plugin or [], metric=metric, maximise=maximise or None, **numbers)
     elif any((scenario, vary, settings)):
         raise ParameterError("--resume", "goes on with what the folder searches; leave the rest out, but for --trials")
     with begun(plan, out, trials, plugin or []) as search:

@@ -42,14 +42,13 @@ class Command:
     """The output of a law: u (n,) in the robot's motion space, and the camera twist (6,) = basis @ u for which it stands.
 
     Attributes:
-        u: velocities along the robot's motions (n,) [m/s, rad/s].
-        twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
-        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it,
-            the law coasts: it cannot measure, and continues on what it knew.
+        u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it, the law coasts:
+            it cannot measure, and continues on what it knew.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
         free: the motions that the robot may use for a secondary task, none where the law does not compute them.
-        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the
-            robot finds its own for the twist.
+        rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the robot
+            finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
         error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
     """
@@ -140,17 +139,14 @@ class Law(Protocol[M]):
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
-        ...
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
         """Refuse a goal view whose markers are too near to the picture's border for this law.
 
         called: what messages call a marker.
 
-        Raises:
-            ParameterError: it names a field of the law.
+        Raises ParameterError: it names a field of the law.
         """
-        ...
 
     def init(self, goal: Goal) -> M:
         """The memory before the first frame."""
@@ -158,7 +154,6 @@ class Law(Protocol[M]):
 
     def prepare(self) -> None:
         """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
-        ...
 
     def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
         """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
@@ -309,4 +304,3 @@ class LawBase:
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
 LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
-"""The contract of the members of `LAWS`."""

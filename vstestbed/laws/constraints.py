@@ -14,9 +14,6 @@ from vstestbed.laws.points import pixel_interaction, points, usable_rows
 from vstestbed.robots.arm import singularity_damping2, unit_scale
 from vstestbed.robots.own_model import OwnModel
 
-# Quadratic programs of a law: bounds that never give way, groups of inequalities that give way in a stated order, and their solver.
-
-
 SOLVED = (1, 2)
 """Exit codes of the solver: solved, and solved with soft constraints violated."""
 INFEASIBLE = -1
@@ -44,10 +41,8 @@ class Solution:
     """What a program gave.
 
     Attributes:
-        x: (n,); None where it could not be solved.
-        gave_way: words of the groups that had to, the softest first.
-        bound: whether a bound or an inequality is met with equality.
-        failure: the solver's exit code in words; "" where it solved.
+        x: (n,); None where it could not be solved. gave_way: words of the groups that had to, the softest first.
+        bound: whether a bound or an inequality is met with equality. failure: the solver's exit code in words; "" where it solved.
     """
 
     x: Array | None
@@ -62,14 +57,12 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     Where these contradict each other, groups give way in their order, the first one first: its inequalities are violated as little as the
     others allow. The bounds never do. The dual active-set method starts at the unconstrained minimum; most frames need no step from there.
 
-    Args:
-        A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high.
-        groups: the softest first.
+    A, b: objective (m, n) and (m,). low, high: bounds (n,), low <= high. groups: the softest first.
 
     References: Arnström, Bemporad & Axehill 2022, doi:10.1109/TAC.2022.3176430 (the solver, DAQP); for the order in which constraints give
     way Escande, Mansard & Wieber 2014, doi:10.1177/0278364914521306.
     """
-    if not _finite(A, b, groups):
+    if not all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low)))):
         return Solution(None, failure="the quadratic program was not solved: it has numbers that are not finite")
     H = A.T @ A
     mean = float(np.trace(H)) / len(H)
@@ -77,7 +70,7 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         return Solution(np.clip(np.zeros(len(H)), low, high))
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += REGULARISATION
-    groups = _given(groups)
+    groups = tuple(group for group in groups if len(group.A))
     rows, floor = _normalised(groups, len(H))
     upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
     firm = len(low)
@@ -86,25 +79,14 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
         if level:
             sense[firm : firm + len(groups[level - 1].A)] = SOFT
             firm += len(groups[level - 1].A)
-        x, _, code, info = _daqp()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
+        x, _, code, info = load_solver()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
         if code in SOLVED:
             gave_way = tuple(group.word for group in groups[:level] if _violated(group, x))
             return Solution(np.clip(x, low, high), gave_way, bool(np.any(info["lam"])))
         if code != INFEASIBLE:
             break
-    return Solution(None, failure=f"the quadratic program was not solved: {_named(code)}")
-
-
-def _finite(A: Array, b: Array, groups: tuple[Group, ...]) -> bool:
-    return all(all_finite(part) for part in (A, b, *(part for group in groups for part in (group.A, group.low))))
-
-
-def _given(groups: tuple[Group, ...]) -> tuple[Group, ...]:
-    return tuple(group for group in groups if len(group.A))
-
-
-def _named(code: int) -> str:
-    return "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
+    why = "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
+    return Solution(None, failure=f"the quadratic program was not solved: {why}")
 
 
 def _normalised(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
@@ -122,13 +104,9 @@ def _violated(group: Group, x: Array) -> bool:
     return bool((slack < -1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)).any())
 
 
-def load_solver() -> None:
-    """Import the solver now, not in the first frame."""
-    _daqp()
-
-
 @cache
-def _daqp() -> Any:
+def load_solver() -> Any:
+    """The function that solves programs; a law loads it before its first frame."""
     import daqp  # here: checking and listing scenarios need not pay for it
 
     return daqp.solve
@@ -150,9 +128,8 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
     |rates| <= speed; |rates - ordered| <= acceleration period. Bounds of position win over those of speed, these over those of
     acceleration, so that low <= high always.
 
-    Args:
-        margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s].
-        accelerate: whether accelerations count.
+    margin: distance from a limit at which a velocity comes to rest [rad, m]. damper_s: not under a period [s]. accelerate: whether
+    accelerations count.
 
     Reference: Faverjon & Tournassoud 1987, doi:10.1109/ROBOT.1987.1087982.
     """
@@ -213,10 +190,7 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
 
 
 def twist_limits(speed_mps: float | None, rate_radps: float | None, J: Array) -> Group:
-    """|v_i| <= speed_mps, |w_i| <= rate_radps for each component of the camera twist J @ rates: the box round the sphere of the limit.
-
-    None: no such limit.
-    """
+    """|v_i| <= speed_mps, |w_i| <= rate_radps (None: no limit) for each component of the camera twist J @ rates: a box."""
     rows, low = [np.zeros((0, J.shape[1]))], [np.zeros(0)]
     for limit, part in ((speed_mps, J[:3]), (rate_radps, J[3:])):
         if limit is not None:
@@ -231,9 +205,8 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     h_dot = n^T L (J rates + target) with n the border's inward normal, L the interaction matrix of the pixel in this lens, at the place
     where the marker will be when the command takes effect. A marker outside comes back at the rate.
 
-    Args:
-        margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s].
-        target: camera twist (6,) that would move the markers as the target's own motion does.
+    margin_px: distance of a marker's edge from the border [px]. rate: of the barrier [1/s]. target: camera twist (6,) that would move the
+    markers as the target's own motion does.
 
     Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019, doi:10.23919/ECC.2019.8796030 (barrier functions).
     """

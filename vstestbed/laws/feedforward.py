@@ -221,12 +221,7 @@ class Change:
 
 
 def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:
-    """The estimate of the target's motion after one more frame.
-
-    Args:
-        kind: the filter. trend: the estimate so far. change: None where the two frames have too few markers in common.
-        basis: the robot's motions (6, n). motion: the camera's motion as the robot measures it.
-    """
+    """The target's motion after one more frame, basis (6, n); change: None where the two frames have too few markers in common."""
     step = None
     if trend is not None and change is not None:
         step = change.solve.least_squares(change.L @ basis, change.e - change.L @ (motion.twist * motion.since_s))

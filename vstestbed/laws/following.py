@@ -26,8 +26,7 @@ class Followed:
     Attributes:
         seen: the last observation, with what was carried over, with which the next is compared; None before the first.
         t: time of the last observation that sufficed for the law [s]; NaN before the first.
-        marker_t: time of the last observation of each marker (N,) [s]; None before the first.
-        trend: the estimate of the target's motion.
+        marker_t: time of the last observation of each marker (N,) [s]; None before the first. trend: the estimate of the target's motion.
         integral: integral of the remaining motion (n,), for the feedforward `integral`.
     """
 
@@ -39,7 +38,6 @@ class Followed:
 
 
 NOTHING = Followed()
-"""The state before the first frame."""
 
 
 def inputs_of(kind: Feedforward) -> tuple[str, ...]:
@@ -61,13 +59,11 @@ def _way(kind: Feedforward, memory: Followed, seen: Observation, basis: Array) -
 def usable_pose(kind: Feedforward, memory: Followed, seen: Observation, goal: Goal, basis: Array, why: str) -> Observation | None:
     """The observation, for a law of poses; None where it is to rest.
 
-    Where something is lacking, the pose and the homography are those of the last frame, carried over by the measured motion of
-    the camera and the estimated one of the target, for CARRY_S at most. Without an estimator the law rests.
+    Where something is lacking, the pose and the homography are those of the last frame, carried over by the measured motion of the camera
+    and the estimated one of the target, for CARRY_S at most. Without an estimator the law rests.
 
-    Args:
-        kind: the feedforward. memory: its state at the last frame. seen: the observation of this frame.
-        goal: the goal view. basis: the robot's motions (6, n).
-        why: what the law lacks in this measurement; "" if nothing.
+    kind: the feedforward. memory: its state at the last frame. seen: the observation of this frame. goal: the goal view. basis: the robot's
+    motions (6, n). why: what the law lacks in this measurement; "" if nothing.
     """
     if not why:
         return seen
@@ -84,9 +80,7 @@ def usable_markers(
 
     The markers that are not seen are carried over as poses are (`usable_pose`), each for CARRY_S at most (`carried_markers`).
 
-    Args:
-        inputs: the fields of the observation that must be known of a marker. needed: the least number of markers.
-        The others as `usable_pose`.
+    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers. The others as `usable_pose`.
     """
     rows = usable_rows(seen, inputs, needed)
     why = rows if isinstance(rows, str) else ""

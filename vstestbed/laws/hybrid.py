@@ -35,8 +35,8 @@ class Hybrid(LawBase):
     The image of the mean moves on a straight line, so that the target stays in view for small rotations, and the law has
     no local minimum and no singularity in front of the target.
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible
-    (`following.py`). Its displacement between two frames is that of these six features, less the camera's own.
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible. Its displacement between two frames
+    is that of these six features, less the camera's own.
 
     Args:
         gain: lambda [1/s].
@@ -57,6 +57,7 @@ class Hybrid(LawBase):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
+    state_size = 0
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -123,11 +124,6 @@ class Hybrid(LawBase):
         T = observation.T_camera_target
         return None if T is None else _compared(T, goal)
 
-    @property
-    def state_size(self) -> int:
-        """No state."""
-        return 0
-
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`), by the pose: with exact pixels the homography gives the same."""
         e, L = self.equations(*_compared(views.T_camera_target, goal), goal.middle)
@@ -136,9 +132,7 @@ class Hybrid(LawBase):
 
     def equations(self, m: Array, R_goal_camera: Array, goal_middle: Array) -> tuple[Array, Array]:
         """The error (..., 6) and L (..., 6, 6).
-
-        Args:
-            m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at the goal (3,) [m].
+        m: the markers' mean over Z*, (..., 3). R_goal_camera: (..., 3, 3). goal_middle: the mean at the goal (3,) [m].
         """
         xy, goal_xy, ratio = m[..., :2] / m[..., 2:], goal_middle[:2] / goal_middle[2], m[..., 2:]
         at, depth = xy[..., None, :], ratio * goal_middle[2]

@@ -34,9 +34,6 @@ from vstestbed.laws.points import ALL, Rows, Visibility, check_goal
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 
-# Which motions a law leaves free for the robot's secondary task: the projection operators of the redundancy framework.
-
-
 STEEP = 6.0
 """Slope of the logistic function: that of the paper, 1 / (1 + exp(-12 x + 6)) for x from 0 to 1."""
 
@@ -120,7 +117,6 @@ class Shaped:
 
 
 BEGIN = Shaped()
-"""The state before the first command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,18 +179,16 @@ class IBVSMemory:
 class IBVS(LawBase):
     """u = -lambda pinv(L B) e with e = s - s*, camera twist v = B u.
 
-    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` it is filtered (`smoothing.py`).
+    With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` it is filtered. A goal view that moves
+    along a path adds its own velocity u*.
 
-    A goal view that moves along a path adds its own velocity u*.
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible.
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`).
-
-    Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in
-    eq. 16.11, which is wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the
-    matrix at the current view makes points diverge, the one at the goal drives the camera through the target, and their mean
-    does not move: these are properties of the law. Three markers have the same image from up to four poses, and with points
-    (`point`, `polar`, `spherical`) e is zero at each: the law may converge to another one than the goal. Four in one plane have
-    one.
+    Errata. Chapter 16 of Corke 2017 has polar and spherical features as here (eqs 16.9, 16.15), but theta = asin(r) in eq. 16.11, which is
+    wrong behind the camera's equator; see the docstrings of the features. With an exact half turn the matrix at the current view makes
+    points diverge, the one at the goal drives the camera through the target, and their mean does not move: these are properties of the law.
+    Three markers have the same image from up to four poses, and with points (`point`, `polar`, `spherical`) e is zero at each: the law may
+    converge to another one than the goal. Four in one plane have one.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(L B) e.
@@ -214,9 +208,9 @@ class IBVS(LawBase):
         projection: which motions are left to that task: `classical`, the null space, or `large`, which keeps only the norm of e, so that
             also features that determine all motions leave some free.
 
-    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004,
-    doi:10.1109/ROBOT.2004.1308092; moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start:
-    Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
+    References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; mean matrix: Malis 2004, doi:10.1109/ROBOT.2004.1308092;
+    moving target: Chaumette & Hutchinson 2007, doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007,
+    doi:10.1109/TRO.2006.889487.
     """
 
     kind: Literal["ibvs"] = "ibvs"
@@ -303,16 +297,14 @@ class IBVS(LawBase):
         return memory, self.limits.within(u)
 
     def _taken(self, sight: Observation | Goal | Views, rows: Rows) -> tuple[Array, Array]:
-        """The two inputs of the feature, of the selected markers."""
         what, distance = self.feature.inputs
         return getattr(sight, what)[rows], getattr(sight, distance)[rows]
 
     def equations(self, x: Array, distance: Array, goal_x: Array, goal_distance: Array) -> tuple[Array, Array]:
         """The error e (..., rows) and its interaction matrix L (..., rows, 6), or (rows, 6) for `desired`.
 
-        Args:
-            x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m].
-            goal_x, goal_distance: the same in the goal view, (N, 2) and (N,).
+        x, distance: the feature's inputs in views of N markers, e.g. xy (..., N, 2) and depth (..., N) [m]. goal_x, goal_distance: the same
+        in the goal view, (N, 2) and (N,).
         """
         feature, which = self.feature, self.interaction
         if which == "current":
@@ -324,10 +316,7 @@ class IBVS(LawBase):
 
 @lru_cache(maxsize=256)
 def _at_goal(feature: Feature, x: bytes, distance: bytes) -> tuple[Array, Array]:
-    """The feature s* and its interaction matrix L* in the goal view, its inputs given as bytes, which can be hashed.
-
-    Most goals are the same at every frame.
-    """
+    """The feature s* and its L* in the goal view, the same at most frames; its inputs as bytes, which can be hashed."""
     of_points = np.frombuffer(distance)
     at = np.frombuffer(x).reshape(len(of_points), -1)
     return feature.measure(at), feature.interaction(at, of_points)

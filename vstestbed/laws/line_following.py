@@ -38,19 +38,19 @@ class LineFollowing(LawBase):
     """L B u = -e_dot* at a given forward speed, with L the interaction matrix of the observed line (rho, theta) in the floor plane.
 
     The line in the image is the chord through the points where the painted line crosses the look distances, x_n and x_f ahead of the
-    vehicle's origin. On the floor it is y(x) = y(m) + (x - m) tan(phi), with m = (x_n + x_f) / 2, and the rows of y(m) and phi
-    follow from those of (rho, theta) by the chain rule. The law has two conditions, for straight lines and for bends:
+    vehicle's origin. On the floor it is y(x) = y(m) + (x - m) tan(phi), with m = (x_n + x_f) / 2, and the rows of y(m) and phi follow from
+    those of (rho, theta) by the chain rule. The law has two conditions, for straight lines and for bends:
 
         e = y(x_e) - y*,  x_e = x_n x_f / (x_n + x_f)       -lambda e  = J_y B u
         kappa = tan(phi) / (m + y* tan(phi))                -v kappa   = J_phi B u      (only for bases with lateral motion)
 
-    J_y is evaluated for the line moved sideways to its desired position: there a turn w changes y by -(m + y* tan(phi)) w. For the
-    observed line, far beside the vehicle, that lever, m + y tan(phi), would pass through zero.
+    J_y is evaluated for the line moved sideways to its desired position: there a turn w changes y by -(m + y* tan(phi)) w. For the observed
+    line, far beside the vehicle, that lever, m + y tan(phi), would pass through zero.
 
-    A painted arc of curvature k, tangent to the vehicle's path at its origin, crosses x at k x^2 / 2. Its chord is zero at x_e
-    for every k: so e vanishes, to second order, in every bend that is followed exactly. And while an arc is followed, phi is
-    constant, so that e changes as y(m) does: hence J_y is taken at m, and not at x_e, where that of a straight line would be.
-    Both together leave no error at constant curvature. With a small offset y0 and heading error psi (kinematics):
+    A painted arc of curvature k, tangent to the vehicle's path at its origin, crosses x at k x^2 / 2. Its chord is zero at x_e for every k:
+    so e vanishes, to second order, in every bend that is followed exactly. And while an arc is followed, phi is constant, so that e changes
+    as y(m) does: hence J_y is taken at m, and not at x_e, where that of a straight line would be. Both together leave no error at constant
+    curvature. With a small offset y0 and heading error psi (kinematics):
 
         car:   y0_dot = v psi,  psi_dot = -(lambda x_e + v) psi / m - lambda y0 / m          (near and far close together and
                lambda = 2 v / m: pure pursuit of the point at m, damping .707)
@@ -58,9 +58,9 @@ class LineFollowing(LawBase):
 
     Far from the line lambda |e| is limited to v tan(approach), which gives a straight approach at this angle.
 
-    Where the curvature jumps, the vehicle steers too early, because the camera looks ahead: a car's origin leaves the line by
-    about k m^2 / 9, which speaks for a camera under the car and against one at its front. Of two lines both count, in least
-    squares; one is enough. While none is visible for less than `coast_s`, the last command is repeated.
+    Where the curvature jumps, the vehicle steers too early, because the camera looks ahead: a car's origin leaves the line by about k m^2 /
+    9, which speaks for a camera under the car and against one at its front. Of two lines both count, in least squares; one is enough. While
+    none is visible for less than `coast_s`, the last command is repeated.
 
     Args:
         gain: lambda [1/s].
@@ -70,10 +70,9 @@ class LineFollowing(LawBase):
         solve: inversion of the matrix of the motions other than the forward one (`Solve`).
         limits: largest speed and rate of the commanded twist.
 
-    References: L of a line: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350. Following a curve on the ground by its
-    image's shape: Ma, Kosecka & Sastry 1999, IEEE Transactions on Robotics and Automation 15(3), p. 521; with the speed given and
-    the turn from the image: Cherubini, Chaumette & Oriolo 2011, doi:10.1017/S0263574711000221. Arc to a point ahead: Coulter 1992,
-    CMU-RI-TR-92-01.
+    References: L of a line: Espiau, Chaumette & Rives 1992, doi:10.1109/70.143350. Following a curve on the ground by its image's shape:
+    Ma, Kosecka & Sastry 1999, IEEE Transactions on Robotics and Automation 15(3), p. 521; with the speed given and the turn from the image:
+    Cherubini, Chaumette & Oriolo 2011, doi:10.1017/S0263574711000221. Arc to a point ahead: Coulter 1992, CMU-RI-TR-92-01.
     """
 
     kind: Literal["line_following"] = "line_following"

@@ -56,7 +56,7 @@ class Partitioned(LawBase):
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible (`following.py`):
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible:
     the features are those of the markers where they are predicted, and the estimated motion of the target is added to the twist.
 
     By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
@@ -111,6 +111,7 @@ class Partitioned(LawBase):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
+    state_size = 1  # the remaining rotation about the optical axis
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
@@ -140,9 +141,7 @@ class Partitioned(LawBase):
 
     def markers_needed(self, basis: Array) -> int:
         """Three span an area: enough while others are hidden for some frames, not enough for a target (`check`).
-
-        Raises:
-            ParameterError: the robot cannot move its camera in all six directions.
+        Raises ParameterError: the robot cannot move its camera in all six directions.
         """
         if basis.shape[1] != 6:
             words = f"partitioned moves a camera in all six directions, and this robot has {basis.shape[1]}; use ibvs"
@@ -173,9 +172,7 @@ class Partitioned(LawBase):
         self, before: Followed, known: Observation, rows: Rows, goal: Goal, basis: Array, why: str
     ) -> tuple[Followed, Observation, Array]:
         """The next state of the feedforward, the observation with its markers where they are predicted, and the feedforward twist (6,).
-
-        Args:
-            known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
+        known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
         """
         if isinstance(self.feedforward, NoFeedforward):
             return before, known, np.zeros(6)
@@ -186,11 +183,6 @@ class Partitioned(LawBase):
         # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
         p = transform(exp(-basis @ (predicted - solved)), points(known))
         return followed, moved_markers(known, p, np.ones(len(p), dtype=bool)), basis @ tau
-
-    @property
-    def state_size(self) -> int:
-        """The remaining rotation about the optical axis."""
-        return 1
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""
@@ -234,7 +226,6 @@ class Partitioned(LawBase):
 
     @property
     def _columns(self) -> tuple[list[int], list[int]]:
-        """Columns of the twist in `axes`, and the others."""
         given = sorted(COLUMN[axis] for axis in self.axes)
         return given, [i for i in range(6) if i not in given]
 

@@ -32,8 +32,8 @@ class PBVS(LawBase):
     frame to its place at the goal, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
 
-    With `feedforward` a moving target is tracked without lag (`feedforward.py`), for CARRY_S also while it is not visible
-    (`following.py`). Its displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
+    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible. Its displacement between two frames
+    is that of the poses, log(T_before T_now^-1), less the camera's own.
 
     Errata. Corke 2017, section 15.1, moves the camera by a fraction of the pose error at each step (SE(3) interpolation), which is
     `cdMc` in finite steps; here the law gives a velocity, and the robot's dynamics lie in between.
@@ -54,6 +54,7 @@ class PBVS(LawBase):
     solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()
     feedforward: Feedforward = NoFeedforward()
+    state_size = 0
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -82,11 +83,6 @@ class PBVS(LawBase):
         followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, _change(memory.seen, T), basis, why)
         command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
         return anti_windup(memory, followed, command), coasting(command, why)
-
-    @property
-    def state_size(self) -> int:
-        """No state."""
-        return 0
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `BatchLaw`)."""

@@ -25,16 +25,9 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimit
 #
 # Near the goal they are fitted together with the camera's motion. Far from it the fit takes errors of the motion for the light's, since the
 # columns of both look alike in small pictures that show different parts of a scene; there the two pictures get the same mean and contrast.
-
-
 Light = Literal["same", "gain_offset"]
 LEAST_SPREAD = 1e-3
 """Least standard deviation of a picture, by which one without any structure is divided [grey levels]."""
-
-
-def light_rows(goal: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b, of the goal's grey levels I* (n,)."""
-    return np.stack([goal, np.ones_like(goal)])
 
 
 def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDArray[np.float32] | None) -> NDArray[np.float32]:
@@ -152,8 +145,7 @@ class LevelPixels:
     """The pixels of one level of the pyramid that enter the error: all but a border, every `stride`-th in both directions.
 
     Attributes:
-        at: slices (rows, columns) of the level's picture.
-        x, y: their normalised coordinates (h, w).
+        at: slices (rows, columns) of the level's picture. x, y: their normalised coordinates (h, w).
         slope: du/dx, du/dy, dv/dx, dv/dy of the lens, in pixels of the level, numbers or (h, w).
     """
 
@@ -194,8 +186,7 @@ def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
 
     A point of the scene keeps its luminance, so that at a fixed pixel dI/dt = -(dI/dx x_dot + dI/dy y_dot).
 
-    Args:
-        gx, gy: gradient in normalised coordinates (n,). x, y: normalised coordinates. inverse_depth: 1/Z [1/m].
+    gx, gy: gradient in normalised coordinates (n,). x, y: normalised coordinates. inverse_depth: 1/Z [1/m].
 
     Reference: Collewet & Marchand 2011.
     """
@@ -242,23 +233,20 @@ class GoalLevel:
 
     @cached_property
     def of_light(self) -> Grey:
-        """Derivatives of the pixels by gain and offset of the light, (2, n)."""
-        return light_rows(self.grey[self.pixels.at].ravel())
+        """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b of the light, of the goal's grey levels I* (n,)."""
+        goal = self.grey[self.pixels.at].ravel()
+        return np.stack([goal, np.ones_like(goal)])
 
     @cached_property
     def least_change(self) -> float:
-        """RMS change of the picture [grey levels] by that motion of the size S of `MOTION` which changes it least.
-
-        The root of the least eigenvalue of S H S / n.
-        """
+        """RMS change [grey levels] by the motion of size S (`MOTION`) with the least: root of the least eigenvalue of S H S / n."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(MOTION, MOTION))[0], 0.0) / max(self.L.shape[1], 1)))
 
     def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:
         """The normal equations of a picture (h, w) of this level against the goal's.
 
-        Args:
-            grey: the picture. which: L of this picture, of the goal's, or the mean of both. robust: weights of the pixels.
-            inverse_depth: 1/Z of the pixels in this picture (h, w), 0 where it is not known; None: the goal's.
+        grey: the picture. which: L of this picture, of the goal's, or the mean of both. robust: weights of the pixels. inverse_depth: 1/Z
+        of the pixels in this picture (h, w), 0 where it is not known; None: the goal's.
         """
         near = self.inverse_depth if inverse_depth is None else inverse_depth
         e = (grey[self.pixels.at] - self.grey[self.pixels.at]).ravel()
@@ -479,7 +467,9 @@ class Photometric(LawBase):
             return memory, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
         robust = self.robust if memory.level == 0 else "none"
-        normal = level.normal(self._lit_as(level, grey, memory.level), self.interaction, robust, near)
+        if memory.level > 0 and self.light == "gain_offset":  # at the finest level the light is fitted with the motion
+            grey = relit(grey, level.grey)
+        normal = level.normal(grey, self.interaction, robust, near)
         step = self._solved(normal, basis, self.damping.at(observation.t - memory.t0))
         if step is None:
             return memory, Command.rest(basis, NO_PIXEL)
@@ -521,16 +511,8 @@ class Photometric(LawBase):
             grey = coarser(grey)
         return grey
 
-    def _lit_as(self, goal: GoalLevel, grey: Grey, level: int) -> Grey:
-        """The picture of a coarser level as if in the goal's light; at the finest one the light is fitted with the motion."""
-        return relit(grey, goal.grey) if level > 0 and self.light == "gain_offset" else grey
-
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
-        """The goal's picture, level by level.
-
-        Raises:
-            ParameterError: the goal has no picture.
-        """
+        """The goal's picture, level by level. Raises ParameterError: the goal has no picture."""
         if goal.image is None or not isinstance(goal.camera, Perspective):
             raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_images to the Controller")
         made, grey = [], luminance(goal.image.image, self.smooth_px)

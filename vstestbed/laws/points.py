@@ -18,9 +18,6 @@ from vstestbed.features.base import Feature
 from vstestbed.features.observation import Goal, Observation, Relative
 from vstestbed.laws.solve import least_squares
 
-# Selection of the markers that a law can use, and the reasons for which laws order rest.
-
-
 Rows = slice | NDArray[np.bool_]
 """Selection of markers along the first axis of an array."""
 TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight is unknown", "the pose cannot be estimated"
@@ -32,10 +29,8 @@ ALL = slice(None)
 def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) -> Rows | str:
     """The markers with all inputs known, or the reason for rest if there are fewer than needed.
 
-    Args:
-        observation: of this frame.
-        inputs: names of fields of the observation, the first of image coordinates (N, 2) or rays (N, 3), the others (N,).
-        needed: the least number of markers.
+    observation: of this frame. inputs: names of fields of the observation, the first of image coordinates (N, 2) or rays (N, 3), the others
+    (N,). needed: the least number of markers.
     """
     if len(observation.uv) >= needed and all(all_finite(getattr(observation, name)) for name in inputs):
         return ALL  # the usual frame: a slice gives views, where a mask would copy
@@ -56,11 +51,7 @@ def at_goal(feature: Feature, goal: Goal) -> tuple[Array, Array] | None:
 
 
 def check_goal(feature: Feature, goal: Goal) -> None:
-    """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has one.
-
-    Raises:
-        ParameterError: it names a field of the scenario.
-    """
+    """Refuse a goal view at which a feature cannot work, as its own `check_goal` says, where it has one."""
     check, inputs = getattr(feature, "check_goal", None), at_goal(feature, goal)
     if check is not None and inputs is not None:
         check(*inputs)
@@ -102,9 +93,8 @@ def carried_markers(
     carried over where it is not, with w = exp(-unseen_s / TRUST_S).
     Without a basis, all markers are carried over, also those that are seen, as the rest would not fit to them.
 
-    Args:
-        unseen_s: for how long each marker has not been seen (N,) [s]. longest_s: those that were unseen for longer are left out.
-        basis: the robot's motions (6, n), or None where too few markers are seen to correct the others by.
+    unseen_s: for how long each marker has not been seen (N,) [s]. longest_s: those that were unseen for longer are left out. basis: the
+    robot's motions (6, n), or None where too few markers are seen to correct the others by.
     """
     p = transform(way, points(last))
     known = np.isfinite(p[:, 0]) & seen.same(last)
@@ -189,8 +179,7 @@ class Visibility:
 
         called: what messages call a marker.
 
-        Raises:
-            ParameterError: a marker of the goal view is inside the margin, or the image has no border.
+        Raises ParameterError: a marker of the goal view is inside the margin, or the image has no border.
         """
         if self.margin_px == 0:
             return
@@ -223,11 +212,7 @@ class Visibility:
 
 
 def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: float, called: Callable[[int], str]) -> None:
-    """Refuse a goal with a marker inside a margin of the border, which would keep it from there.
-
-    Raises:
-        ParameterError: it names the field.
-    """
+    """Refuse a goal with a marker inside a margin of the border, which would keep it from there."""
     radius = goal.camera.half_size(goal.ray * goal.range[:, None], marker_radius_m).max(axis=1)
     nearest = np.where(goal.counted is None or goal.counted, goal.camera.borders(goal.uv)[0].min(axis=1) - radius, np.inf)
     marker = int(nearest.argmin())

@@ -21,9 +21,6 @@ from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 
-# What a learned policy sees and what its actions mean, the same where it is trained and where it drives.
-
-
 SPEED_MPS, RATE_RADPS = 1.0, 1.0
 """Velocities of an action of 1 where the law of the scenario has no limits."""
 
@@ -78,7 +75,6 @@ Act = Callable[[Mapping[str, Array]], Any]
 """From what a policy sees to an action (n,) in [-1, 1]; None where it has none."""
 NO_ACTION = "the policy gave no action"
 POLICY_FILE = re.compile(r"\.onnx$|\.py:\w+$")
-"""The end of a policy's name."""
 ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
@@ -91,10 +87,10 @@ class Policy(LawBase):
     - a class, or an object: each run has an instance or a deep copy of its own, whose `reset()`, where it has one, is called first;
       its `act(observation)`, or the instance itself, is called for each frame.
     The observation is a dict of float64 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
-    (`policy_io.observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
+    (`observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
     (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
 
-    An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`policy_io.ActionScale`).
+    An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`ActionScale`).
 
     Args:
         file: the policy. To load a scenario runs the code of it.
@@ -129,18 +125,15 @@ class Policy(LawBase):
 
     def init(self, goal: Goal) -> Act:
         """The policy itself: a copy of its own for each run, where it has a memory.
-
-        Raises:
-            ParameterError: its class or its `reset` raises, or it has no `act`.
+        Raises ParameterError: its class or its `reset` raises, or it has no `act`.
         """
         made: Any = _loaded(self.file, self.agent_pos)
         try:
             if inspect.isclass(made):
                 made = made()
-            elif _is_object(made) and not self.file.endswith(".onnx"):  # it may have a memory, whether it tells or not
+            elif not inspect.isroutine(made) and not self.file.endswith(".onnx"):  # it may have a memory, whether it tells or not
                 made = copy.deepcopy(made)
-            if hasattr(made, "reset"):
-                made.reset()
+            getattr(made, "reset", lambda: None)()
         except Exception as error:  # the code of others
             path = Path(self.file.rpartition(":")[0])
             words = f"{line_of(error, str(path), path)}: the policy cannot begin ({type(error).__name__}: {error})"
@@ -151,11 +144,7 @@ class Policy(LawBase):
         return act
 
     def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
-        """One frame: ask the policy.
-
-        Raises:
-            ParameterError: the action is not n numbers.
-        """
+        """One frame: ask the policy. Raises ParameterError: the action is not n numbers."""
         given = memory(observed(observation, goal))
         if given is None:
             return memory, Command.rest(basis, NO_ACTION)
@@ -165,7 +154,6 @@ class Policy(LawBase):
         return memory, self.limits.command(ActionScale.of(self.limits, basis).velocities(action), basis)
 
     def _checked(self, given: Any, n: int) -> Array:
-        """An action as n numbers."""
         try:
             action = np.asarray(given, dtype=float)
         except (TypeError, ValueError):
@@ -174,11 +162,6 @@ class Policy(LawBase):
             found = f"shape {np.shape(given)}" if isinstance(given, np.ndarray | list | tuple) else type(given).__name__
             raise ParameterError("law.file", f"{Path(self.file).name}: an action must be {n} numbers for this robot's motions, got {found}")
         return action
-
-
-def _is_object(made: Any) -> bool:
-    """Whether it is neither a function nor a method."""
-    return not inspect.isroutine(made)
 
 
 def _loaded(file: str, agent_pos: bool) -> Any:
@@ -191,7 +174,6 @@ def _loaded(file: str, agent_pos: bool) -> Any:
 
 
 def _from_module(path: Path, name: str) -> Any:
-    """The function, class or object of a name in a Python file."""
     try:
         found = getattr(load_file(path), name, None)
     except KeyboardInterrupt:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -37,41 +37,19 @@ from vstestbed.laws.base import Command, LawBase, TwistLimits
 # doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential Geometric Control Theory, pp. 181-191.
 
 
-@dataclass(frozen=True, slots=True)
-class PolarGains:
-    """Gains of the polar law [1/s].
-
-    Attributes:
-        rho, alpha, beta: of distance, bearing and heading at the goal; the textbook's by default.
-
-    Raises:
-        ParameterError: the closed loop would be unstable.
-    """
+class PolarGains(NamedTuple):
+    """Gains of the polar law of distance, bearing and heading at the goal [1/s]; the textbook's by default."""
 
     rho: float = 1.0
     alpha: float = 5.0
     beta: float = -2.0
 
-    def __post_init__(self) -> None:
-        """Refuse unstable gains."""
-        if not self.rho > 0:
-            raise ParameterError("rho", "must be > 0 [1/s]: otherwise the vehicle drives away from the goal", self.rho)
-        if not self.beta < 0:
-            raise ParameterError("beta", "must be < 0 [1/s]: otherwise it turns away from the goal's heading", self.beta)
-        if not self.alpha > self.rho:
-            raise ParameterError("alpha", f"must be > rho = {self.rho:g} [1/s]: otherwise it circles the goal", self.alpha)
-
 
 def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Array]:
     """Polar coordinates (rho, alpha, beta) of a place about the goal.
 
-    Args:
-        place: (x, y, heading) of the vehicle, shape (..., 3), [m, m, rad].
-        goal: (x, y, heading) of the goal, shape (..., 3) or (3,).
-        direction: 1 forward, -1 in reverse, shape (...).
-
-    Returns:
-        rho [m], alpha and beta [rad] in [-pi, pi), shape (...) each. At rho = 0 the bearing is set to 0.
+    place, goal: (x, y, heading) of the vehicle (..., 3) and of the goal, (..., 3) or (3,) [m, m, rad]. direction: 1 forward, -1 in
+    reverse (...). Returns rho [m], alpha and beta [rad] in [-pi, pi), (...) each. At rho = 0 the bearing is set to 0.
     """
     d = np.asarray(goal, dtype=float) - place
     reverse = np.where(np.asarray(direction) < 0, np.pi, 0.0)
@@ -93,15 +71,9 @@ def polar_law(
 
     The speed never changes its sign: a vehicle that misses the goal passes it and comes round again.
 
-    Args:
-        place, goal: (x, y, heading), shape (..., 3), [m, m, rad].
-        direction: 1 or -1, shape (...), kept from the start: see `direction_to`.
-        gains: gains of the law.
-        speed_limit: largest speed [m/s].
-        rest_m: distance from the goal under which both are 0 [m].
-
-    Returns:
-        v [m/s], w [rad/s], shape (...) each; the vehicle limits arcs that are tighter than its own.
+    place, goal, direction: as of `polar`; the direction is kept from the start (`direction_to`). speed_limit: largest speed [m/s].
+    rest_m: distance from the goal under which both are 0 [m]. Returns v [m/s], w [rad/s], (...) each; the vehicle limits arcs that are
+    tighter than its own.
     """
     rho, alpha, beta = polar(place, goal, direction)
     v = gains.rho * rho
@@ -125,7 +97,7 @@ class PoseMemory:
 class PoseController(LawBase):
     """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
 
-    The equations, their stability and their source are in `laws.polar_pose`. With `direction: auto` the vehicle drives forward or in
+    The equations and their stability are at the head of this file. With `direction: auto` the vehicle drives forward or in
     reverse, depending on which end faces the goal at the start. Nearer than `rest_m` it stands still for good; also within
     `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt.
 
@@ -156,10 +128,12 @@ class PoseController(LawBase):
 
     def __post_init__(self) -> None:
         """Refuse gains that make the loop unstable."""
-        try:
-            self.gains  # noqa: B018 - the constructor of PolarGains checks them
-        except ParameterError as error:
-            raise ParameterError(f"k_{error.field}", error.problem, error.found) from None
+        if not self.k_rho > 0:
+            raise ParameterError("k_rho", "must be > 0 [1/s]: otherwise the vehicle drives away from the goal", self.k_rho)
+        if not self.k_beta < 0:
+            raise ParameterError("k_beta", "must be < 0 [1/s]: otherwise it turns away from the goal's heading", self.k_beta)
+        if not self.k_alpha > self.k_rho:
+            raise ParameterError("k_alpha", f"must be > rho = {self.k_rho:g} [1/s]: otherwise it circles the goal", self.k_alpha)
 
     @property
     def gains(self) -> PolarGains:
@@ -179,18 +153,14 @@ class PoseController(LawBase):
         place, there = observation.place, goal.place
         if place is None or there is None:
             return memory, Command.rest(basis, NO_PLACE)
-        direction = memory.direction or self._direction(place, there)  # kept: a new choice near the goal could alternate
+        directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
+        direction = memory.direction or directions[self.direction]  # kept: a new choice near the goal could alternate
         arrived = memory.arrived or self._there(place, there, direction)
         memory = PoseMemory(direction, arrived)
         u = np.zeros(basis.shape[1])
         if not arrived:
             u[0], u[-1] = polar_law(place, there, np.array(direction), self.gains, self.speed_mps, self.rest_m)
         return memory, self.limits.command(u, basis)
-
-    def _direction(self, place: Array, there: Array) -> int:
-        if self.direction == "auto":
-            return int(direction_to(place, there))
-        return 1 if self.direction == "forward" else -1
 
     def _there(self, place: Array, there: Array, direction: int) -> bool:
         rho, alpha, _ = polar(place, there, np.array(direction))

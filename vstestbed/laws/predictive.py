@@ -27,11 +27,7 @@ from vstestbed.laws.points import Rows, check_margin, pixel_interaction, points,
 from vstestbed.laws.solve import least_squares
 from vstestbed.robots.own_model import OwnModel
 
-# Prediction over a horizon: where markers, joints and camera go under a plan of velocities, and how they change with the plan.
-
-
 STILL = np.zeros(6)
-"""The motion of a target that stands still."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +37,7 @@ class Predicted:
     Attributes:
         p: the markers in the camera frame (K, N, 3) [m]; p_begin: at the beginning (N, 3).
         D: change of the camera's pose, as a twist (v, w) in the camera's own frame, with the plan: (K, 6, B n).
-        q: positions (K, n). Q: their change with the plan (K, n, B n).
-        J: the Jacobian during each period (K, 6, n).
+        q: positions (K, n). Q: their change with the plan (K, n, B n). J: the Jacobian during each period (K, 6, n).
     """
 
     p: Array
@@ -96,8 +91,7 @@ def lagged(blocks: PlanBlocks, plan: Array, before: Array, lag: float) -> tuple[
 
     With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at the end of the period.
 
-    Args:
-        plan: (B, n). before: the velocity r at the beginning (n,). lag: time constant in periods.
+    plan: (B, n). before: the velocity r at the beginning (n,). lag: time constant in periods.
     """
     decay = math.exp(-1 / lag) if lag > 0 else 0.0
     carried = lag * (1 - decay)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -45,8 +45,6 @@ from vstestbed.robots.own_model import OwnModel
 #
 # A weighted one competes with the law's motion: where it is not fulfilled at the goal, the camera comes to rest beside it. A strict one has
 # only the motions that the law's features do not see.
-
-
 Weight = Annotated[float, Gt(0), Le(1e3)]
 Priority = Literal["weighted", "strict"]
 STEP = 1e-5
@@ -191,13 +189,6 @@ GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
 
 
-@dataclass(frozen=True, slots=True)
-class QPMemory:
-    """The memory of the law within."""
-
-    servo: Any
-
-
 @spec
 class QP(LawBase):
     """The velocities x of the robot's joints that come nearest to a law's motion u, subject to constraints.
@@ -304,31 +295,31 @@ class QP(LawBase):
             words = f"must be under {distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
             raise ParameterError("law.plane_m", words, self.plane_m)
 
-    def init(self, goal: Goal) -> QPMemory:
+    def init(self, goal: Goal) -> Any:
         """The memory of the law within."""
-        return QPMemory(self.law.init(goal))
+        return self.law.init(goal)
 
     def prepare(self) -> None:
         """The solvers of the program, and of `least_squares`."""
         super().prepare()
         load_solver()
 
-    def step(self, memory: QPMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[QPMemory, Command]:
+    def step(self, memory: Any, observation: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
         """One frame; rest where the law within rests, or where the program was not solved."""
         robot = observation.robot
         assert robot is not None
-        kept, wanted = self.law.step(memory.servo, observation, goal, basis)
+        kept, wanted = self.law.step(memory, observation, goal, basis)
         if wanted.rest_reason and not wanted.twist.any():
-            return QPMemory(kept), replace(wanted, free=())
+            return kept, replace(wanted, free=())
         solution, gave_way = self._solved(wanted, observation, goal, robot)
         if solution.x is None:
-            return QPMemory(kept), replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
+            return kept, replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
         mode = 2 + GIVE_WAY.index(gave_way[-1]) if gave_way else BOUND if solution.bound else FREE
         twist = robot.J @ solution.x
         scale = self.limits.scale(twist)
         rates, twist = solution.x * scale, twist * scale
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
-        return QPMemory(kept), Command(u, twist, wanted.rest_reason, scale * wanted.scale, rates=rates, mode=mode)
+        return kept, Command(u, twist, wanted.rest_reason, scale * wanted.scale, rates=rates, mode=mode)
 
     @property
     def state_size(self) -> int:

@@ -43,7 +43,7 @@ def least_squares(A: Array, b: Array) -> Array:
         return np.zeros(n)  # LAPACK refuses empty matrices
     wide = np.zeros((max(m, n), 1))
     wide[:m, 0] = b  # gelsy takes b of m rows and returns x of n rows in one array
-    _, x, *_ = _gelsy()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
+    _, x, *_ = load_lapack()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
     return x[:n, 0]
 
 
@@ -96,13 +96,9 @@ def _dot(a: Array, b: Array) -> NDArray[np.float64]:
     return np.einsum("mk,mk->k", a, b)
 
 
-def load_lapack() -> None:
-    """Import what `least_squares` needs of SciPy now: else the first frame of a law would take .2 s."""
-    _gelsy()
-
-
 @cache
-def _gelsy() -> Any:
+def load_lapack() -> Any:
+    """LAPACK's gelsy; a law loads it before its first frame, which would take .2 s longer else."""
     from scipy.linalg import get_lapack_funcs  # here: the import takes 0.2 s, which listing and checking scenarios need not pay
 
     return get_lapack_funcs("gelsy", dtype=np.float64)

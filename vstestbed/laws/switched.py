@@ -35,9 +35,6 @@ from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
 from vstestbed.laws.uncalibrated import Uncalibrated
 
-# The conditions under which a law of `switched` is left, and the quantities that they compare.
-
-
 INPUTS = {
     "position": ("T_camera_target",),
     "rotation": ("T_camera_target",),
@@ -105,10 +102,7 @@ def target_distance(observation: Observation) -> float:
 
 
 def quantity(name: str, observation: Observation, goal: Goal, start_m: float) -> float:
-    """One of the quantities, in the unit of its fields; NaN where it is unknown.
-
-    start_m: distance of the camera from the target at the start.
-    """
+    """A quantity in the unit of its fields, NaN where it is unknown; start_m: distance of the camera from the target at the start."""
     if name == "retreat":
         return target_distance(observation) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
     return _MEASURES[name](observation, goal)
@@ -363,7 +357,6 @@ class Switched(LawBase):
 
     @cached_property
     def _first_modes(self) -> tuple[int, ...]:
-        """Number of the first mode of each law."""
         counts = [len(part.law.modes) or 1 for part in self.laws]
         return tuple(sum(counts[:i]) for i in range(len(counts)))
 
@@ -380,14 +373,12 @@ class Switched(LawBase):
         return replace(memory, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=memory.last)
 
     def _barred(self, before: tuple[bool, ...], values: Mapping[str, float]) -> tuple[bool, ...]:
-        """Of each law, whether it is barred now."""
         return tuple(
             part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
             for part, was in zip(self.laws, before, strict=True)
         )
 
     def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:
-        """The number of the law that should work."""
         if self.prefer == "active" and not barred[active]:
             return active
         return next((i for i, out in enumerate(barred) if not out), active)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -19,8 +19,6 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase
 from vstestbed.laws.points import TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.robots.own_model import OwnModel
-
-# Estimates of an image Jacobian from measured motion: Broyden's correction, and recursive least squares with forgetting.
 
 
 @spec
@@ -37,11 +35,8 @@ class Broyden:
     rate: Annotated[float, Gt(0), Le(1)] = 0.5
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured.
-
-        Args:
-            J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x: displacement (m,), not 0. y: its motion in the
-                picture (N, 2). most: unused.
+        """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x:
+        displacement (m,), not 0. y: its motion in the picture (N, 2). most: unused.
         """
         return J + self.rate * _surprise(J, x, y)[..., None] * (x / (x @ x)), P
 
@@ -66,12 +61,7 @@ class RecursiveLeastSquares:
     forgetting: Annotated[float, Ge(0.1), Le(1)] = 0.8
 
     def corrected(self, J: Array, P: Array, x: Array, y: Array, most: float) -> tuple[Array, Array]:
-        """The next J and P of markers whose motion was measured.
-
-        Args:
-            J: image Jacobian of each marker (N, 2, m). P: inverse of the weighted sum of x x^T, (N, m, m). x: displacement (m,).
-                y: its motion in the picture (N, 2). most: bound of the eigenvalues of P.
-        """
+        """As `Broyden.corrected`; P: inverse of the weighted sum of x x^T, (N, m, m). most: bound of the eigenvalues of P."""
         Px = P @ x
         gain = Px / (self.forgetting + Px @ x)[:, None]
         J = J + _surprise(J, x, y)[..., None] * gain[:, None, :]
@@ -94,17 +84,16 @@ ESTIMATORS = OneOf("estimator", Broyden, RecursiveLeastSquares)
 Estimator = Annotated[Broyden | RecursiveLeastSquares, ESTIMATORS]
 
 
-class MotionSums:
-    """Sums of displacements and of the motion in the picture that they made, for J by least squares; a value, never changed.
+class MotionSums(NamedTuple):
+    """Sums of displacements and of the motion in the picture that they made, for J by least squares.
 
     Attributes:
         xx: sum of x x^T for each marker (N, m, m). yx: sum of y x^T, (N, 2, m). taken: x x^T of all frames, seen or not (m, m).
     """
 
-    __slots__ = ("taken", "xx", "yx")
-
-    def __init__(self, xx: Array, yx: Array, taken: Array):
-        self.xx, self.yx, self.taken = xx, yx, taken
+    xx: Array
+    yx: Array
+    taken: Array
 
     @classmethod
     def none(cls, markers: int, columns: int) -> MotionSums:
@@ -203,20 +192,14 @@ class Excitation:
     speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
 
     def begin(self, uv: Array, columns: int, known: Array) -> Excited:
-        """Before its first motion.
-
-        Args:
-            uv: markers (N, 2) [px]. columns: of the image Jacobian. known: motion of the markers per unit of each (m,) [px], 0: unknown.
-        """
+        """Before its first motion, for markers uv (N, 2) [px]; known: their motion per unit of each column (m,) [px], 0: unknown."""
         return Excited(
             uv, np.zeros(columns), MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2), known, uv, pixels=float(known[0])
         )
 
     def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
-
-        Args:
-            state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
+        state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
         """
         state = self._sampled(state, uv, moved, len(robot.names))
         state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, len(robot.names)))
@@ -227,10 +210,7 @@ class Excitation:
         return self._ordered(state, robot)
 
     def retreat(self, state: Excited, moved: Array, robot: OwnModel) -> tuple[Excited, Array]:
-        """A frame that shows too few markers: back to where the velocity's turn began and they were in sight, by the robot's sensors.
-
-        Args and result are those of `step`.
-        """
+        """A frame with too few markers: back to where the velocity's turn began, by the robot's sensors; otherwise as `step`."""
         uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)  # of a target that moves: what comes next
         return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
 
@@ -270,7 +250,6 @@ class Excitation:
         return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
-        """The velocities to order."""
         i, side = state.which, _side(state, robot)
         most = self.speed_share * float(robot.speed[i])
         speed = max(state.speed, min(FIRST, most))
@@ -473,7 +452,6 @@ class Uncalibrated(LawBase):
         return replace(memory, excited=self.excitation.begin(uv, columns, known), excitations=memory.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
-        """The estimate after an excitation."""
         J = excited.samples.jacobian()
         with np.errstate(invalid="ignore"):
             scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0]))))

@@ -19,8 +19,7 @@ class Views:
     """M views of the same N markers at one instant; every camera sees all of them.
 
     Attributes:
-        t: time [s].
-        p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
+        t: time [s]. p: the markers in the camera frame (M, N, 3) [m]. T_camera_target: poses (M, 4, 4).
         goal: the goal view of these markers. depth_from: the source of depth; `pnp` and `oracle` give the true depth.
         marker_radius_m: of every marker [m].
     """
@@ -92,10 +91,7 @@ class BatchLaw(Protocol):
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of M runs: the next memory (M, k), and the camera twists (M, 6), NaN where the law orders rest.
-
-        Args:
-            memory: the state (M, k); NaN before the first frame.
-            views: the current views. goal: the goal view of the same markers.
+        memory: the state (M, k); NaN before the first frame. views: the current views. goal: the goal view of the same markers.
         """
         ...
 

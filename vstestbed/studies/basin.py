@@ -191,11 +191,7 @@ def _gain_step(scenario: Scenario) -> float | None:
 
 
 def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
-    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start.
-
-    Raises:
-        ParameterError: both axes are the same, or `at` names one of them, an unknown coordinate, or a value that is not finite.
-    """
+    """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start."""
     if x.name == y.name:
         raise ParameterError("--y", "must be another coordinate than --x", y.name)
     others = [name for name in COORDINATES if name not in (x.name, y.name)]
@@ -225,9 +221,7 @@ def starts(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> Arr
 
 def laws(comparison: Comparison, field_of_view: str | None = None, force: bool = False) -> list[tuple[str, Scenario]]:
     """The laws to be mapped: label and ideal scenario of every scenario with every case and varied value.
-
-    Raises:
-        ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
+    Raises ParameterError, ScenarioError: a batch cannot simulate one of them; or two differ only in what an ideal camera does not have.
     """
     found: list[tuple[str, Scenario]] = []
     for c in (chosen := controllers(changed(comparison, tasks={}, seeds=None), force)):
@@ -244,11 +238,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.run`.
-
-    Raises:
-        ParameterError: invalid axes, or the law cannot run in a batch.
-    """
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.run`."""
     poses = starts(scenario, x, y, at or {})
     began = time.process_time()
     batch = fly(scenario, poses)
@@ -311,11 +301,7 @@ def table(basins: Sequence[Basin]) -> polars.DataFrame:
 
 
 def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
-    """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
-    """
+    """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
     from vstestbed.report.studies.maps import BasinMap, write_maps
 
     write_table(folder / "basin", table(basins))

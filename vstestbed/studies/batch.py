@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
 SIX = np.eye(6)
-"""The motions of the ideal camera."""
 LEAST_POSE = 3
 """Markers that leave finitely many poses."""
 
@@ -63,10 +62,8 @@ class OneByOne:
     def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
         """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
 
-        Args:
-            memory: numbers of the runs' memories (m, 1); NaN before the first frame.
-            views: of all markers (m, N, 3). seen: which of them the law is shown (m, N).
-            goal: the goal view.
+        memory: numbers of the runs' memories (m, 1); NaN before the first frame. views: of all markers (m, N, 3). seen: which of them the
+        law is shown (m, N). goal: the goal view.
         """
         memory, twist = memory.copy(), np.full((len(memory), 6), np.nan)
         uv = np.where(seen[..., None], self._camera.project(views.p), np.nan)
@@ -89,9 +86,9 @@ class OneByOne:
         return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
 
     def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
-        """What the law is shown of run i."""
         inputs = self._law.inputs
-        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in _of(views, i))
+        shown = views.xy[i], views.depth[i], views.ray[i], views.range[i]
+        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in shown)
         T = views.T_camera_target[i] if np.count_nonzero(seen) >= LEAST_POSE else None
         relative: Relative | None = relative_view(goal.xy, xy, goal.normal) if "relative" in inputs else None
         if self._law.depth.needs_pose and T is None:
@@ -99,11 +96,6 @@ class OneByOne:
         radius = views.radius_px[i] if "radius_px" in inputs else None
         robot = OwnModel.of_ideal_camera(self._camera.period, moved) if "robot" in inputs else None
         return Observation(views.t, uv, xy, depth, T, ray, reach, relative, radius_px=radius, robot=robot)
-
-
-def _of(views: Views, i: int) -> tuple[Array, Array, Array, Array]:
-    """Normalised coordinates, depths, rays and ranges of run i."""
-    return views.xy[i], views.depth[i], views.ray[i], views.range[i]
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
@@ -119,12 +111,9 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
 
     The camera starts where the scenario's robot holds it. Gains, depth, goal, stop block and the camera's rate stay.
 
-    Args:
-        scenario: of a robot that moves its camera with six degrees of freedom.
-        field_of_view: `limited` or `unlimited`; None: that of the scenario's oracle, else limited.
-
-    Raises:
-        ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the target moves.
+    scenario: of a robot that moves its camera with six degrees of freedom. field_of_view: `limited` or `unlimited`; None: that of the
+    scenario's oracle, else limited. Raises ParameterError: the law works on whole pictures, the robot has fewer degrees of freedom, or the
+    target moves.
     """
     if "image" in scenario.law.inputs:
         words = "works on whole pictures, and a batch draws none; sweep and compare --vary run it start by start"
@@ -136,12 +125,11 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)
-    if detector.rows is not None and field_of_view == "limited" and not _shows_markers(scenario):
-        words = (
-            f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their place:"
-        )
-        words = f"{words} the goal's view does not show them all; sweep and compare --vary run it start by start"
-        raise ParameterError("detector.kind", words)
+    picked = detector.rows is not None and field_of_view == "limited"
+    if picked and not camera.inside(camera.project(scenario.target.points_at(scenario.goal_view.T_camera_target))).all():
+        words = f"{detector.kind} finds points of its own in pictures, and a batch, which draws none, has the target's corners in their"
+        more = "the goal's view does not show them all; sweep and compare --vary run it start by start"
+        raise ParameterError("detector.kind", f"{words} place: {more}")
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
         scenario,
@@ -153,12 +141,6 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
         noise=Noise(),
         world=World(),
     )
-
-
-def _shows_markers(scenario: Scenario) -> bool:
-    """Whether the goal's view has all points of the target within the picture."""
-    camera, p = scenario.camera, scenario.target.points_at(scenario.goal_view.T_camera_target)
-    return bool(camera.inside(camera.project(p)).all())
 
 
 @dataclass(frozen=True)
@@ -198,10 +180,8 @@ class BatchSetup:
     def _check_target(self) -> None:
         s = self.scenario
         if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
-            words = (
-                "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
-            )
-            raise ParameterError("target", words)
+            words = "has a solid, and a batch does not know which markers it hides"
+            raise ParameterError("target", f"{words}; give an unlimited field of view, or a target without one")
 
     def _check_ideal(self) -> None:
         s = self.scenario
@@ -212,10 +192,9 @@ class BatchSetup:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
         if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
             words = (
-                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch;"
+                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
             )
-            words = f"{words} `basin.setup.ideal` makes it so"
-            raise ParameterError("scenario", words)
+            raise ParameterError("scenario", f"{words}; `basin.setup.ideal` makes it so")
 
     @cached_property
     def law(self) -> BatchLaw | OneByOne:
@@ -264,11 +243,7 @@ def started_at(scenario: Scenario, T_camera_target: Array) -> Scenario:
 
 
 def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> None:
-    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force.
-
-    Raises:
-        ParameterError: with the product of which the starts come.
-    """
+    """Refuse maps of more than MOST_STARTS starts in all (each n x n), unless by force."""
     maps = len(comparison.base) * math.prod(map(len, (comparison.cases | comparison.axes).values()))
     if maps * n * n > MOST_STARTS and not force:
         words = f"would make {maps:,} maps of {n} x {n} starts; more than {MOST_STARTS:,} starts in all need --force"
@@ -298,13 +273,12 @@ class Batch:
 
     Attributes:
         outcome: an `Outcome` of each run, shape (M,).
-        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,);
-            -1 for runs that did not converge.
+        steps: number of steps of each run, shape (M,). near: number of steps after which the error stayed below the threshold (M,); -1 for
+            runs that did not converge.
         T_camera_target: final pose, shape (M, 4, 4). farthest_m: largest distance to the target's origin (M,) [m].
         error_px: RMS error at the end over the visible markers (M,) [px].
         crossed: whether a run with lost target crossed the target's plane (M,); the others lost it out of the field of view.
-        unstable: how a run's loop is unstable, in words (M,); "" of the others.
-        run_steps: steps of all runs together.
+        unstable: how a run's loop is unstable, in words (M,); "" of the others. run_steps: steps of all runs together.
     """
 
     outcome: NDArray[np.object_]
@@ -340,16 +314,12 @@ class Instant:
 def fly(scenario: Scenario, start: Array) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.run`, `loop.judge.Judge`).
 
-    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers
-    that a run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the
-    pixels are exact; `constant` and `goal` depths are as in a single run.
+    T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
+    run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the pixels are exact;
+    `constant` and `goal` depths are as in a single run.
 
-    Args:
-        scenario: an ideal scenario, as from `ideal`; its own start is ignored.
-        start: start poses T_camera_target, shape (M, 4, 4).
-
-    Raises:
-        ParameterError: the law cannot run in a batch, or the scenario is not ideal.
+    scenario: an ideal scenario, as from `ideal`; its own start is ignored. start: start poses T_camera_target, shape (M, 4, 4). Raises
+    ParameterError: the law cannot run in a batch, or the scenario is not ideal.
     """
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes
@@ -419,7 +389,6 @@ class _LastHalf:
         self._kept: list[tuple[NDArray[np.int_], Array, Array]] = []
 
     def add(self, now: Instant) -> None:
-        """One more frame."""
         if now.step == 0:
             self._first = now.error
         if now.step >= self._from:

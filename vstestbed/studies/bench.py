@@ -38,17 +38,22 @@ from vstestbed.studies.comparison import compare
 from vstestbed.studies.run_folder import Films, run_into
 from vstestbed.tasks.stop import Stop
 
-# Speed of the ideal loop on one core: a single run with its recording, and a batch of a thousand runs.
-
-
 NEVER_S = 1e9
 """Hold time at the goal that no run completes, so that the duration ends it."""
 BATCH_STEPS = 60
 """Steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps."""
 
 
+class Result:
+    """What a benchmark has found."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON."""
+        return asdict(self)  # pyright: ignore[reportArgumentType] - each is a dataclass
+
+
 @dataclass(frozen=True)
-class IdealBench:
+class IdealBench(Result):
     """Medians over several repeats.
 
     Attributes:
@@ -70,10 +75,6 @@ class IdealBench:
     batch_high: float
     cores: float
 
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
         return "\n".join(
@@ -87,14 +88,7 @@ class IdealBench:
 
 
 def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> IdealBench:
-    """Measure both loops in turn, `repeats` times.
-
-    Args:
-        repeats: counted measurements. steps: of the single run, which stays at its goal to the end. runs: runs in the batch.
-
-    Raises:
-        ParameterError: there is nothing to measure.
-    """
+    """Measure both loops in turn, `repeats` times; steps: of the single run, which stays at its goal to the end; runs: in the batch."""
     if min(repeats, steps, runs) < 1:
         raise ParameterError("repeats, steps and runs", "must be 1 or more", (repeats, steps, runs))
     scenario, start = endless(steps), _starts(runs)
@@ -172,7 +166,7 @@ def _one_core() -> Iterator[None]:
 
 # Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and images and nothing else.
 @dataclass(frozen=True)
-class Bench:
+class Bench(Result):
     """Medians over several runs, each measured beside its own floor.
 
     Attributes:
@@ -194,10 +188,6 @@ class Bench:
     floor_ms: dict[str, float]
     setup_s: float
     renderer: str
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)
 
     def as_text(self) -> str:
         """The measurement as a table for the terminal."""
@@ -241,8 +231,7 @@ def _pair(scenario: Scenario) -> tuple[Recording, BaselineCost]:
     return recording, _floor(recording)
 
 
-def loop_and_floor(scenario: Scenario) -> tuple[float, float]:
-    """Wall time [s] of a run's loop, and of its floor."""
+def _loop_and_floor(scenario: Scenario) -> tuple[float, float]:
     recording, floor = _pair(scenario)
     return recording.loop_s, floor.total_s
 
@@ -256,7 +245,6 @@ def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
 
 
 def _floor_ms(floors: list[BaselineCost], frames: int) -> dict[str, float]:
-    """Median wall time of a frame of bare physics and bare rendering."""
     physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
     return {"physics": physics, "render": render, "whole": physics + render}
 
@@ -317,26 +305,10 @@ class BesideFloor:
         return 1e3 * statistics.median(self.seconds), 1e3 * statistics.median(self.floor_seconds)
 
 
-@spec
-class Saved:
-    """What `bench --all --json` prints.
-
-    Args:
-        machine: processor, cores, versions. timings: of each benchmark, by its name.
-    """
-
-    machine: dict[str, str]
-    timings: dict[str, BesideFloor]
-
-
-def read_saved(path: Path) -> Saved:
-    """What an earlier `bench --all --json` printed into a file.
-
-    Raises:
-        ScenarioError: the file is not there, or holds something else.
-    """
+def read_saved(path: Path) -> Suite:
+    """What an earlier `bench --all --json` printed into a file. Raises ScenarioError: the file is not there, or holds something else."""
     plain, marks = plain_mapping(text_of(path), str(path), "`vstestbed bench --all --json` prints one")
-    return build(Saved, plain, marks, str(path))
+    return build(Suite, plain, marks, str(path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,7 +366,6 @@ SHORT_S = 4.0
 IDEAL_STEPS = 2000
 IDEAL: dict[str, object] = {"detector": {"kind": "oracle"}, "law.depth": "oracle"}
 RUNS, JOBS = 16, 2
-"""Runs of the comparison, and processes that share them."""
 PROMPT = "import mujoco, cv2, numpy"
 """What any program with physics and pictures must import."""
 FIRST = """
@@ -410,13 +381,12 @@ Pair = Callable[[], tuple[float, float]]
 """Does something and then its floor; returns the wall time of both [s]."""
 
 
-@dataclass(frozen=True)
-class Suite:
-    """Benchmarks that were measured on one machine, by their names.
+@spec
+class Suite(Result):
+    """Benchmarks that were measured on one machine, by their names; what `bench --all --json` prints.
 
-    Attributes:
-        machine: processor, cores, versions.
-        timings: wall times of each benchmark and its floor.
+    Args:
+        machine: processor, cores, versions. timings: wall times of each benchmark and its floor.
     """
 
     machine: dict[str, str]
@@ -425,11 +395,8 @@ class Suite:
     @classmethod
     def of(cls, timings: dict[str, BesideFloor]) -> Suite:
         """What was measured on this machine."""
-        return cls({"processor": platform.processor() or platform.machine(), "system": platform.platform()} | versions(), timings)
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)
+        machine = {"processor": platform.processor() or platform.machine(), "system": platform.platform()} | versions()
+        return cls(machine=machine, timings=timings)
 
     def as_text(self) -> str:
         """A table for the terminal."""
@@ -449,7 +416,7 @@ def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
 def benchmarks() -> dict[str, tuple[str, Pair]]:
     """Every benchmark: what its floor is, and how both are measured."""
     arm = _short("arm_ibvs")
-    robots = {name: ("same physics steps, same raw pictures", partial(loop_and_floor, _short(name))) for name in ROBOTS}
+    robots = {name: ("same physics steps, same raw pictures", partial(_loop_and_floor, _short(name))) for name in ROBOTS}
     return robots | {
         "ideal loop": ("equations of the law alone", _ideal),
         "run folder": ("the run in memory", partial(_folder, load("ibvs_book", IDEAL))),
@@ -483,7 +450,7 @@ def _ideal() -> tuple[float, float]:
 
 def _folder(scenario: Scenario) -> tuple[float, float]:
     """A run with its folder, without films and report; and without a folder."""
-    with _folder_of_its_own() as folder, _timed() as whole:
+    with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
         uninterrupted(run_into(folder, scenario, "none", report=False))
     with _timed() as alone:
         uninterrupted(run(scenario))
@@ -491,24 +458,22 @@ def _folder(scenario: Scenario) -> tuple[float, float]:
 
 
 def _filmed(scenario: Scenario, films: Films) -> tuple[float, float]:
-    """A run with its films, and without."""
     taken = []
     for which in (films, "none"):
-        with _folder_of_its_own() as folder, _timed() as one:
+        with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as one:
             uninterrupted(run_into(folder, scenario, which, report=False))
         taken += one
     return taken[0], taken[1]
 
 
 def _report(scenario: Scenario) -> tuple[float, float]:
-    """The report of a run, and the run."""
     from vstestbed.report import write_report  # imported for this benchmark alone
 
-    with _folder_of_its_own() as folder:
+    with TemporaryDirectory(prefix="vstestbed_bench_") as folder:
         with _timed() as alone:
             uninterrupted(run_into(folder, scenario, "none", report=False))
         with _timed() as report:
-            write_report(folder)
+            write_report(Path(folder))
     return report[0], alone[0]
 
 
@@ -518,8 +483,8 @@ def _comparison() -> tuple[float, float]:
     with _timed() as alone:
         for seed in range(RUNS):
             uninterrupted(run(replace(load(name, settings), seed=seed)))
-    with _folder_of_its_own() as folder, _timed() as whole:
-        compare([name], set=settings, seeds=RUNS, jobs=JOBS, out=folder / "comparison", film=False)
+    with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
+        compare([name], set=settings, seeds=RUNS, jobs=JOBS, out=Path(folder) / "comparison", film=False)
     return whole[0], alone[0] / JOBS
 
 
@@ -531,12 +496,6 @@ def _first_frame() -> tuple[float, float]:
             subprocess.run([sys.executable, "-c", code], check=True)
         taken += one
     return taken[0], taken[1]
-
-
-@contextmanager
-def _folder_of_its_own() -> Iterator[Path]:
-    with TemporaryDirectory(prefix="vstestbed_bench_") as made:
-        yield Path(made)
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.report.studies.maps import ConvergenceMap, write_page
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison.plan import Comparison, Job, controllers, jobs, must_be_few
+from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4
@@ -51,9 +51,7 @@ Ended = Sequence[tuple[Job, RunEnding]]
 
 def run_one(scenario: Scenario) -> RunEnding:
     """Run a scenario in memory; an exception in a plugin gives the outcome `crashed`, as in a comparison.
-
-    Raises:
-        EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
+    Raises EnvironmentLackError: this machine has no OpenGL, so that every other run would fail as well.
     """
     try:
         recording = uninterrupted(run(scenario))
@@ -120,14 +118,10 @@ class Study:
     @cached_property
     def runs(self) -> Sequence[Job]:
         """Every run."""
-        return jobs(controllers(self.comparison, self.force), self.comparison.seeds)
+        return Jobs(controllers(self.comparison, self.force), self.comparison.seeds)
 
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
-        """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each.
-
-        Raises:
-            EnvironmentLackError: see `run_one`; or no worker can start.
-        """
+        """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each."""
         runs, again = self.runs, list[Work]()
         with closing(pool_of("local", workers(processes, len(runs)), folder)) as pool:
             for chunk, request, future in completed(pool, self._work(on_done), again):
@@ -194,7 +188,6 @@ def _endings(future: Future[list[RunEnding]], request: MapRequest, pool: Pool, r
 
 
 def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:
-    """The map of one law from the runs of each cell (x, y)."""
     share, away = np.empty((len(ys), len(xs))), np.full((len(ys), len(xs)), np.nan)
     others = np.full((len(ys), len(xs)), "", dtype=object)  # object: the words differ in length
     for (i, y), (j, x) in itertools.product(enumerate(ys), enumerate(xs)):
@@ -208,11 +201,7 @@ def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str
 
 
 def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
-    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
-    """
+    """Write `convergence.csv`, `.parquet`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
     write_table(folder / "convergence", study.table(ended))
     axes = [(path, [_short(value) for value in values]) for path, values in study.comparison.axes.items()]
     seeds = study.comparison.seeds or 0

@@ -30,9 +30,6 @@ from vstestbed.sim.linear import LinearArm, linear_arm
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
-# Identification of the actuators' lag: the shares b_j of a one-frame command that each joint executes in the frames after it.
-
-
 EXCITED, SETTLING, ROUNDS = 10, 4, 4
 """Periods for which a joint is excited; how many of them pass before its motion is used (transient); iterations of the frequency."""
 LEAST_W = 0.05
@@ -44,8 +41,7 @@ class Lag:
     """Response of one joint to a sinusoidal velocity command.
 
     Attributes:
-        joint: name of the joint. shares: (b_0, b_1) [1].
-        swing_s: period of the excitation, that of the loop at its gain limit [s].
+        joint: name of the joint. shares: (b_0, b_1) [1]. swing_s: period of the excitation, that of the loop at its gain limit [s].
         lag_s: phase lag of the motion at that period, as a time [s]. gain: amplitude ratio of motion to command [1].
     """
 
@@ -65,9 +61,7 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
     the loop with these b becomes unstable, found by ROUNDS iterations; w is at most 0.9 pi, since at pi b_0 and b_1 cannot be
     distinguished.
 
-    Args:
-        scenario: of an arm; its start is the configuration about which the joints move.
-        delay_frames: d. off: amplitude of each joint [rad].
+    scenario: of an arm; its start is the configuration about which the joints move. delay_frames: d. off: amplitude of each joint [rad].
     """
     # neither images nor true poses are needed: the encoders are the measurement
     parts = (scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics)
@@ -102,14 +96,9 @@ def _shares(plant: Plant, joint: int, period: float, w: float, speed: float) -> 
     q[frames] = plant.reading().q[joint]
     plant.apply(np.zeros(len(plant.reading().q)))
     plant.advance(5 * plant.steps_per_frame)  # the next joint begins with the arm at rest
-    b = _fit(np.diff(q) / period, command, first)
+    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(frames - first)])  # the third takes up a constant drift
+    b = np.linalg.lstsq(A, (np.diff(q) / period)[first:], rcond=None)[0]
     return float(b[0]), float(b[1])
-
-
-def _fit(velocity: Array, command: Array, first: int) -> Array:
-    """(b_0, b_1) from measured and commanded velocities (m,), from the frame `first` on; the third column takes up a constant drift."""
-    A = np.column_stack([command[first:], command[first - 1 : -1], np.ones(len(command) - first)])
-    return np.asarray(np.linalg.lstsq(A, velocity[first:], rcond=None)[0][:2], dtype=float)
 
 
 # Linear model of the visual servo loop of an arm: gain limit with its servos, its coupled inertia and its elastic joints.
@@ -233,18 +222,13 @@ class Limit:
     g_linear: float | None = None
 
     @property
-    def joint(self) -> str | None:
-        """The joint with the lowest predicted gain limit."""
-        return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares)).joint if self.lags else None
-
-    @property
-    def lag_of_first(self) -> float:
-        """Lag of that joint at the frequency of the limit [s]; 0 for a robot without joints."""
-        return next((lag.lag_s for lag in self.lags if lag.joint == self.joint), 0.0)
+    def first(self) -> Lag | None:
+        """The lag of the joint with the lowest predicted gain limit; None for a robot without joints."""
+        return min(self.lags, key=lambda lag: gain_limit(self.delay_frames, lag.shares), default=None)
 
     def row(self) -> dict[str, float | int | str | None]:
         """The limit as a row of the table."""
-        first = next((lag for lag in self.lags if lag.joint == self.joint), None)
+        first = self.first
         linear = {} if self.g_linear is None else {"g_linear": self.g_linear, "measured_to_linear": self.g / self.g_linear}
         return {
             "delay_frames": self.delay_frames,
@@ -255,7 +239,7 @@ class Limit:
             "measured_to_theory": self.g / self.g_theory,
             "g_with_lag": self.g_lag,
             "measured_to_lag": None if self.g_lag is None else self.g / self.g_lag,
-            "joint": self.joint,
+            "joint": None if first is None else first.joint,
             "joint_lag_s": None if first is None else first.lag_s,
             "joint_gain": None if first is None else first.gain,
             "runs": self.runs,
@@ -269,8 +253,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
     The goal configuration of an arm comes from a run of its own with ideal actuators.
 
-    Raises:
-        ParameterError: robot or law are not supported, or the run does not reach its goal.
+    Raises ParameterError: robot or law are not supported, or the run does not reach its goal.
     """
     scenario = scenario.resolved
     law, names = scenario.law, _fields_of(scenario.law)
@@ -296,11 +279,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
 
 def _fields_of(law: Law[Any]) -> set[str]:
-    """The names of a law's fields.
-
-    Raises:
-        ParameterError: it works on whole pictures, or has no single gain.
-    """
+    """The names of a law's fields. Raises ParameterError: it works on whole pictures, or has no single gain."""
     if "image" in law.inputs:
         words = "works on whole pictures, and the loop is measured by the oracle's markers; use a law of markers"
         raise ParameterError("law.kind", f"{law.kind} {words}: ibvs, pbvs, hybrid or predictive")
@@ -326,11 +305,7 @@ def _off(robot: Robot) -> float:
 
 
 def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
-    """Growth of the oscillation over the second half of a run; above 1 the loop is unstable.
-
-    Args:
-        at_start: a scenario from `displaced`. gain: gain of the law [1/s]. delay_frames: d.
-    """
+    """Growth of the oscillation over the second half of a run from `displaced`, at a gain [1/s]; above 1 the loop is unstable."""
     swing, period = max(swing_frames(delay_frames), 4), at_start.camera.period
     frames = SWINGS * swing + 40
     scenario = replace(
@@ -353,11 +328,7 @@ def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
 
 
 def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
-    """The gain limit at one delay, by bisection.
-
-    Raises:
-        ParameterError: the loop is unstable at the lowest gain of the bracket, or stable at the highest.
-    """
+    """The gain limit at one delay, by bisection."""
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
     g_linear, robot = _linear(at_goal, delay_frames), at_goal.robot
@@ -416,11 +387,7 @@ def _linear(at_goal: Scenario, delay_frames: float) -> float | None:
 
 
 def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
-    """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it.
-
-    Raises:
-        ParameterError: one is negative or above MOST_FRAMES.
-    """
+    """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it."""
     if bad := [d for d in frames if not 0 <= d <= MOST_FRAMES]:
         raise ParameterError("--frames", f"must be whole numbers from 0 to {MOST_FRAMES}", bad[0])
     latency, period = scenario.camera.latency_s, scenario.camera.period
@@ -432,11 +399,7 @@ def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
 
 
 def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[Limit], None] = lambda limit: None) -> list[Limit]:
-    """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found.
-
-    Raises:
-        ParameterError: as `prepared`, `find_limit` and `delays_of`.
-    """
+    """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found."""
     delays = delays_of(scenario, frames)
     at_goal, limits = prepared(scenario), []
     for d in delays:
@@ -451,11 +414,7 @@ BEYOND = 1.3
 
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:
-    """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
-    """
+    """Write `delay.csv`, `.parquet`, `.json` (with every joint's lag), `.png`, `.pdf` and `report.html`; returns the page's path."""
     rows = [limit.row() for limit in limits]
     write_table(folder / "delay", pl.DataFrame(rows, infer_schema_length=None))
     lags = [row | {"lags": [asdict(lag) for lag in limit.lags]} for row, limit in zip(rows, limits, strict=True)]
@@ -465,7 +424,7 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
 
 def branches(limit: Limit) -> Branches:
     """Root locus of one delay, with the measured lag of the joint that becomes unstable first, if the robot has joints."""
-    first = next((lag.shares for lag in limit.lags if lag.joint == limit.joint), NO_LAG)
+    first = NO_LAG if limit.first is None else limit.first.shares
     end = limit.g_lag or limit.g_theory
     gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]

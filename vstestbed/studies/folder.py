@@ -22,11 +22,8 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
     It is removed again if an error leaves it empty.
 
-    Args:
-        kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds something already.
-
-    Raises:
-        OutputError: it holds something already, another process writes into it, or it cannot be made.
+    kind: the command, such as `basin`. out: the folder. remedy: what would work where it holds something already. Raises OutputError: it
+    holds something already, another process writes into it, or it cannot be made.
     """
     folder = new_folder(Path("runs") / kind, out, remedy)
     with only_writer(folder):
@@ -40,14 +37,7 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
 @contextmanager
 def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
-    """Hold the folder of a study that goes on.
-
-    Args:
-        kind: the command, such as `compare`. out: the folder. plan: name of the plan in it.
-
-    Raises:
-        ParameterError: no folder is given. RunFolderError: it has no such plan. OutputError: another process writes into it.
-    """
+    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of the plan in it."""
     if out is None:
         raise ParameterError("--resume", f"needs the folder that `vstestbed {kind}` has made: --out DIR")
     plan_in(out, kind, plan)
@@ -56,11 +46,7 @@ def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
 
 
 def plan_in(folder: Path, kind: str, plan: str) -> Path:
-    """The file of a study's plan; arguments as of `resumed_folder`.
-
-    Raises:
-        RunFolderError: there is none.
-    """
+    """The file of a study's plan; arguments as of `resumed_folder`. Raises RunFolderError: there is none."""
     if not (folder / plan).is_file():
         found = f"has no {plan}, so that no `vstestbed {kind}` was here" if folder.is_dir() else "no such folder"
         raise RunFolderError(folder, found, f"`vstestbed {kind} --out DIR` makes one")
@@ -69,9 +55,7 @@ def plan_in(folder: Path, kind: str, plan: str) -> Path:
 
 def write_plan(path: Path, plan: Any, names: str) -> None:
     """Write the plan of a study, with which the study is repeated, as YAML; scenarios that are files are copied into its folder.
-
-    Args:
-        path: of the plan. plan: a spec. names: its field with the name of a scenario, or with several.
+    path: of the plan. plan: a spec. names: its field with the name of a scenario, or with several.
     """
     plain = to_mapping(plan)
     given = plain[names]

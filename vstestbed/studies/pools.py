@@ -39,16 +39,9 @@ class Request(Protocol[Done_co]):
         ...
 
 
-def perform(request: Request[Done_co], place: str | None = None) -> Done_co:
-    """Do what a request asks for: a function, as pools need it."""
-    return request.perform(place)
-
-
 def begin(place: str) -> None:
     """Initialise a worker process: leave signals for the whole group to its parent, and exit when the parent is gone.
-
-    Args:
-        place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
+    place: folder of its temporary files; by TMPDIR alone, Python takes another one where the disk is full, and runs are done in vain.
     """
     tempfile.tempdir = place
     for number in STOPS:
@@ -63,11 +56,6 @@ def begin(place: str) -> None:
             os._exit(1)  # not sys.exit, which in a thread ends only the thread
 
     threading.Thread(target=follow, daemon=True).start()
-
-
-def process_id() -> int:
-    """Process id of the worker, with which the pool can kill it."""
-    return os.getpid()
 
 
 ONE_CORE = {"LP_NUM_THREADS": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -110,7 +98,6 @@ class Pool(Protocol):
 
     def close(self) -> None:
         """Stop all workers at once."""
-        ...
 
 
 class WorkerLostError(Exception):
@@ -120,10 +107,8 @@ class WorkerLostError(Exception):
 def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of, Asked]]) -> Iterator[tuple[Of, Asked, Future[Any]]]:
     """Do requests; each is given back with its future as it is done, in any order, those with a result before those with an error.
 
-    Args:
-        pool: is kept full, but never gets more than it has room for.
-        work: requests, each with what it is of; made when they are asked for, one of them ahead, while the workers are busy.
-        again: work that the caller adds while this goes on, which comes first.
+    pool: is kept full, but never gets more than it has room for. work: requests, each with what it is of; made when they are asked for, one
+    of them ahead, while the workers are busy. again: work that the caller adds while this goes on, which comes first.
     """
     rest, going, ended = iter(work), dict[Future[Any], tuple[Of, Asked]](), list[tuple[Of, Asked, Future[Any]]]()
     following = next(rest, None)
@@ -157,10 +142,7 @@ def _environment(defaults: dict[str, str], overrides: dict[str, str]) -> Iterato
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """A process that is started meanwhile receives no Ctrl-C, which the terminal sends to all, before `begin` ignores it.
-
-    Its imports take a second or more, and would end with a traceback.
-    """
+    """A process that is started meanwhile receives no Ctrl-C before `begin` ignores it: its imports would end with a traceback."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows, where console processes cannot hold it back
         yield
         return
@@ -189,19 +171,24 @@ class _Slot:
         self.broken = False
         # the process starts with the first submission, so that it inherits these variables, and what is held back
         with _environment(ONE_CORE | KEEP_MEMORY, {"TMPDIR": self._place}), _signals_held_back():
-            self.pid = self.executor.submit(process_id)
+            self.pid = self.executor.submit(os.getpid)
 
     def run(self, request: Request[Done]) -> Future[Done]:
         """Start a run, in a new process if the last one has died."""
         try:
             if not self.broken:
-                return self.executor.submit(perform, request)
+                return self.executor.submit(request.perform)
         except BrokenProcessPool:  # killed while it was idle
             pass
         self.kill()
         self.executor.shutdown(wait=False, cancel_futures=True)
         self.start()
-        return self.executor.submit(perform, request)
+        return self.executor.submit(request.perform)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the process has ever answered: one that never did cannot start at all."""
+        return self.pid.done() and self.pid.exception() is None
 
     def kill(self) -> None:
         """Kill the process, also one that is still starting: its run would otherwise go on, and hold this process at its end."""
@@ -257,7 +244,7 @@ class LocalPool:
         error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
             slot.broken = True
-            error = WorkerLostError("its worker process died") if _answered(slot) else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
+            error = WorkerLostError("its worker process died") if slot.answered else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
         self._free.append(slot)
         if error is not None:
             outer.set_exception(error)
@@ -298,11 +285,6 @@ class LocalPool:
 NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call it under `if __name__ == '__main__':`"
 
 
-def _answered(slot: _Slot) -> bool:
-    """Whether a slot's process has ever answered: one that never did cannot start at all."""
-    return slot.pid.done() and slot.pid.exception() is None
-
-
 SCHEDULER_GONE = "the dask scheduler is gone", "start it again, then go on with --resume"
 
 
@@ -312,8 +294,7 @@ class DaskPool:
     Args:
         address: HOST:PORT of the scheduler.
 
-    Raises:
-        EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
+    Raises EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
     """
 
     def __init__(self, address: str):
@@ -338,11 +319,7 @@ class DaskPool:
 
     @contextmanager
     def _scheduler_there(self) -> Iterator[None]:
-        """Turn errors of a client whose scheduler does not answer any more into one with a remedy.
-
-        Raises:
-            EnvironmentLackError: the scheduler has ended, or no network leads to it.
-        """
+        """Turn errors of a client whose scheduler does not answer any more into one with a remedy."""
         try:
             yield
         except OSError as error:
@@ -407,12 +384,12 @@ class DaskPool:
 
 
 def _execute_on_dask(request: Request[Done], key: str) -> Done:
-    """`perform`, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
+    """What the request asks for, with an event that counts the attempt; dask itself removes the folder of a worker that was killed."""
     from distributed import get_worker
 
     worker = get_worker()
     worker.log_event(key, "begun")
-    return perform(request, worker.local_directory)
+    return request.perform(worker.local_directory)
 
 
 def must_not_be_worker(function: str) -> None:
@@ -431,11 +408,7 @@ def workers(requested: int | None, runs: int) -> int:
 
 
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:
-    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's.
-
-    Raises:
-        ParameterError: another value. EnvironmentLackError: see DaskPool.
-    """
+    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's."""
     must_be_known(executor)
     return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
 

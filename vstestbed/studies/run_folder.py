@@ -45,11 +45,7 @@ REMEDY = "give a new folder; an older run is never written over"
 
 
 def new_folder(scenario: Scenario, out: Path | None) -> Path:
-    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number.
-
-    Raises:
-        OutputError: `out` holds something already, or cannot be made.
-    """
+    """Make the folder of a new run: `out`, or `runs/<scenario>/<number>` with the next free number."""
     return files.new_folder(Path("runs") / files.file_word(scenario.name), out, REMEDY)
 
 
@@ -66,17 +62,14 @@ def run_into(
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
     Args:
-        folder: an empty folder, which is made if it is not there.
-        films: which films to make.
-        watch: further watchers, such as a progress bar.
-        stage: called with a description of what is being done after the run.
+        folder: an empty folder, which is made if it is not there. films: which films to make.
+        watch: further watchers, such as a progress bar. stage: called with a description of what is being done after the run.
         report: whether to write the report, which can also be written later.
         tile_px: (width, height) of the film from outside; by default that of its quality.
         fine: films with shadows, smooth edges and a picture of every frame, in place of drafts.
 
-    Raises:
-        EnvironmentLackError: no OpenGL, no codec, no space.
-        OutputError: the folder cannot be written, holds a run already, or another process writes into it.
+    Raises EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written, holds a run already, or another
+    process writes into it.
     """
     folder = make_folder(Path(folder))
     with files.only_writer(folder):
@@ -94,7 +87,6 @@ def run_into(
 def _run_into(
     folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None, fine: bool
 ) -> Recording:
-    """`run_into` without the report."""
     with _all_or_nothing(folder):
         before = files_before(scenario)  # first: what its seed draws may be refused
         scenario = scenario.resolved
@@ -117,17 +109,13 @@ def _run_into(
 
 
 # What is in a run's folder, and how it is written: a single run, a worker of a study and a crash have their files from here.
-
-
 Files = dict[str, bytes]
 """Content of a run's folder by file name, in the order in which they are written."""
 
 
 def files_before(scenario: Scenario) -> Files:
     """What is there before the run: the scenario as given and as it runs, the files that `model.xml` refers to, and it.
-
-    Raises:
-        ParameterError: what the seed draws is refused.
+    Raises ParameterError: what the seed draws is refused.
     """
     runs = scenario.resolved
     scene = scene_files(runs.robot, runs.camera, runs.target_in_run, runs.world, runs.physics, runs.sights)
@@ -165,11 +153,7 @@ def files_in(folder: Path) -> Files:
 
 
 def put(folder: Path, files: Files) -> None:
-    """Write files into a run's folder, each whole.
-
-    Raises:
-        EnvironmentLackError, OutputError: see `core.files.writing`.
-    """
+    """Write files into a run's folder, each whole. Raises EnvironmentLackError, OutputError: see `core.files.writing`."""
     for name, content in files.items():
         make_folder((folder / name).parent)
         write_whole(folder / name, content)
@@ -178,12 +162,8 @@ def put(folder: Path, files: Files) -> None:
 def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, Any]:
     """Write a run's folder under a temporary name, flush it to the disk, and only then rename it. Returns the summary.
 
-    Args:
-        place: the folder. files: its content. shared: where the only copy of each mesh or texture of a study's runs stands.
-        attempts: at the run, for its summary.
-
-    Raises:
-        EnvironmentLackError: no space left. OutputError: cannot be written.
+    place: the folder. files: its content. shared: where the only copy of each mesh or texture of a study's runs stands. attempts: at the
+    run, for its summary. Raises EnvironmentLackError: no space left. OutputError: cannot be written.
     """
     summary = json.loads(files[SUMMARY]) | {"attempts": attempts}
     with writing(place):

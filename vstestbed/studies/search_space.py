@@ -77,7 +77,6 @@ class Range:
         return found if inside else None
 
     def __str__(self) -> str:
-        """As on the command line."""
         return f"{self.low:.12g}:{self.high:.12g}{':log' if self.log else ''}"
 
 
@@ -112,7 +111,6 @@ class Choice:
         return next((value for value, one in zip(self.values, at_values, strict=True) if one == scenario), None)
 
     def __str__(self) -> str:
-        """As on the command line."""
         return ",".join(self.words)
 
 
@@ -120,14 +118,7 @@ Parameter = Range | Choice
 
 
 def parameter(path: str, given: object) -> Parameter:
-    """The range or the choice that is given for a field.
-
-    Args:
-        path: dotted path. given: `"0.2:2"`, `"10:80:log"`, or a sequence of values; a sequence of one such text is that range.
-
-    Raises:
-        ParameterError: it is neither.
-    """
+    """The range `"0.2:2"` or `"10:80:log"` (also as the only item of a sequence) or the choice of several values, for a dotted path."""
     if not isinstance(given, str):
         values = tuple(given) if isinstance(given, Sequence) else (given,)
         if len(values) > 1:
@@ -182,11 +173,8 @@ class SearchSpace:
 def checked(plan: Comparison, parameters: Sequence[Parameter]) -> SearchSpace:
     """The space of a search; each end of each range and each choice is loaded, so that bad input is found before anything runs.
 
-    Args:
-        plan: the scenario with its settings, and the ends and choices as axes.
-
-    Raises:
-        ScenarioError, ParameterError: a value that a field does not take, in the words of a scenario's mistakes.
+    plan: the scenario with its settings, and the ends and choices as axes. Raises ScenarioError, ParameterError: a value that a field does
+    not take, in the words of a scenario's mistakes.
     """
     found, now = [], dict[str, object]()
     scenario = controllers(changed(plan, axes={}, seeds=None))[0].scenario
@@ -273,11 +261,7 @@ class Trial:
         return sum(known) / len(known) if known else math.nan
 
     def rank(self, higher: bool) -> tuple[float, float]:
-        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number.
-
-        Args:
-            higher: whether more of the metric is better.
-        """
+        """Less is better: first the failed runs, then the mean of the metric. A failure outweighs any number."""
         mean = -self.mean if higher else self.mean
         return (math.inf if self.refused else self.failed, mean if math.isfinite(mean) else math.inf)
 
@@ -300,11 +284,7 @@ def write_record(folder: Path, settings: Sequence[Mapping[str, object]]) -> None
 
 
 def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
-    """The settings of the trials so far; none where there is no record.
-
-    Raises:
-        RunFolderError: it is damaged.
-    """
+    """The settings of the trials so far; none where there is no record. Raises RunFolderError: it is damaged."""
     path, works = folder / RECORD, "start again in a new folder"
     if not path.exists():
         return []
@@ -327,11 +307,7 @@ GUIDED, ATTEMPTS = 10, 200
 
 
 def must_be_installed() -> Any:
-    """Import optuna, and keep its log to itself.
-
-    Raises:
-        EnvironmentLackError: it is not installed.
-    """
+    """Import optuna, and keep its log to itself. Raises EnvironmentLackError: it is not installed."""
     try:
         import optuna
     except ImportError:
@@ -345,9 +321,8 @@ def next_settings(space: SearchSpace, trials: Sequence[Trial], higher: bool, run
 
     They depend on the finished trials and the seed alone, and not on how often a search was interrupted, or by how many workers it runs.
 
-    Args:
-        space: what is varied. trials: the finished ones. higher: whether more of the metric is better. runs: of a trial.
-        size: how many. seed: of the search.
+    space: what is varied. trials: the finished ones. higher: whether more of the metric is better. runs: of a trial. size: how many. seed:
+    of the search.
     """
     settings: list[dict[str, object]] = []
     if not trials and space.now is not None:
@@ -403,7 +378,6 @@ def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
 
 
 def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:
-    """Settings drawn evenly from the space."""
     values: dict[str, object] = {}
     for p in space.parameters:
         if isinstance(p, Choice):

@@ -29,7 +29,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import plain_mapping
 from vstestbed.studies.comparison.folder import summary_of
-from vstestbed.studies.comparison.plan import Comparison, Job, changed, chosen, controllers, jobs
+from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
 from vstestbed.studies.comparison.runs import Campaign
 from vstestbed.studies.folder import RESUMABLE, plan_in, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
@@ -51,9 +51,6 @@ from vstestbed.studies.search_space import (
 from vstestbed.tasks.metrics import FIGURES, own_titles
 
 __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", "planned", "report_again", "tune"]
-
-# Plan of a search for good settings: its file `tuning.yaml`, and the comparison that its trials are.
-
 
 PLAN = "tuning.yaml"
 SEEDS = 10
@@ -109,11 +106,7 @@ class Tuning:
         return self.shown.higher if self.maximise is None else self.maximise
 
     def comparison(self) -> Comparison:
-        """The scenario with its settings; `axes` has the ends of the ranges and the choices.
-
-        Raises:
-            ScenarioError, ParameterError: bad input.
-        """
+        """The scenario with its settings; `axes` has the ends of the ranges and the choices."""
         axes = {p.path: p.ends for p in self.parameters}
         found = chosen([self.scenario], self.set, axes, self.seeds, self.plugins)
         if len(found.base) != 1 or found.cases or found.tasks or set(found.axes) != set(axes):
@@ -138,11 +131,7 @@ class Tuning:
 
 
 def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
-    """The plan of a folder; `plugins`: besides its own.
-
-    Raises:
-        RunFolderError: it has none. ScenarioError, PluginError: the plan is damaged, or a plugin is not there.
-    """
+    """The plan of a folder; `plugins`: besides its own."""
     path = plan_in(folder, "tune", PLAN)
     plain, marks = plain_mapping(text_of(path), str(path), "a search needs scenario and vary")
     load_named(plain, marks, str(path), plugins)
@@ -152,11 +141,7 @@ def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
 
 
 def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, int | None]:
-    """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn.
-
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
-    """
+    """The comparison of a plan, its space, and the number of random starts of each trial: as asked for, else SEEDS where any are drawn."""
     comparison = plan.comparison()
     space = checked(comparison, plan.parameters)
     bare = changed(comparison, axes={}, seeds=seeds)
@@ -184,28 +169,16 @@ class Listener(Protocol):
 
     def run_done(self, job: Job, summary: dict[str, Any]) -> None:
         """A run is done."""
-        ...
 
     def were_done(self, runs: int) -> None:
         """So many runs were done before the search was interrupted."""
-        ...
 
     def say(self, words: str) -> None:
         """What is being done."""
-        ...
 
 
-class NoListener:
+class NoListener(Listener):
     """A listener that does nothing."""
-
-    def run_done(self, job: Job, summary: dict[str, Any]) -> None:
-        """See `Listener`."""
-
-    def were_done(self, runs: int) -> None:
-        """See `Listener`."""
-
-    def say(self, words: str) -> None:
-        """See `Listener`."""
 
 
 @dataclass
@@ -248,10 +221,8 @@ class Search:
         return best_of(self.trials, self.plan.higher)
 
     def carry_out(self) -> tuple[Trial, Trial] | None:
-        """Do all trials, and the check; returns the best one and the scenario as it is on the fresh starts, None without any.
-
-        Raises:
-            ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Campaign.run`.
+        """Do all trials, and the check; returns the best one and the scenario as it is on the fresh starts, None without any. Raises
+        ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Campaign.run`.
         """
         with ExitStack() as stack:
             self._stack = stack
@@ -283,7 +254,6 @@ class Search:
             self._check_metric()
 
     def _tried(self, settings: Mapping[int, dict[str, object]]) -> list[Trial]:
-        """The trials with these settings, done at once."""
         refused = {number: words for number, values in settings.items() if (words := self._refusal(number, values))}
         if not self.trials and len(refused) == len(settings):
             raise ParameterError("--vary", f"gives settings that the scenario does not take: {next(iter(refused.values()))}")
@@ -311,7 +281,7 @@ class Search:
     def _run(self, settings: Mapping[str, dict[str, object]], first: int, seeds: int) -> dict[str, list[dict[str, Any]]]:
         """The summaries of runs from the seeds `first` to `seeds` - 1, by name of the setting; those that are missing are done."""
         comparison = self._comparison(settings, seeds if self.plan.seeds else None)
-        wanted = [job for job in jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
+        wanted = [job for job in Jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
         campaign = Campaign(self.folder, wanted)
         self.listener.were_done(campaign.done)
         if self.stored_alone and campaign.done < len(wanted):
@@ -338,9 +308,6 @@ class Search:
         name, metric = str(best.number), self.plan.shown
         found = self._run({name: best.values, AS_IT_IS: {}}, self.runs, self.runs + self.fresh)
         return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
-
-
-# The result.
 
 
 BEST, TABLE = "best.yaml", "trials"
@@ -463,11 +430,7 @@ class TuningResult:
         return found
 
     def write(self) -> Path:
-        """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path.
-
-        Raises:
-            OutputError, EnvironmentLackError: a file cannot be written.
-        """
+        """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path."""
         write_table(self.folder / TABLE, self.table)
         if self.best is not None:
             dump(self.scenario, self.folder / BEST)
@@ -543,15 +506,14 @@ def tune(
         resume: go on with the search in `out`, of which `trials` alone may be changed.
         set: values by dotted path for all trials. plugins: files or modules that add kinds. listener: is told of each run.
 
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
-        OutputError: `out` is taken, or another process writes into it. RunFolderError: `out` holds no search.
-        EnvironmentLackError: no optuna, no OpenGL where a run needs it, no space, no cluster.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs. OutputError: `out` is taken, or another process writes into
+    it. RunFolderError: `out` holds no search. EnvironmentLackError: no optuna, no OpenGL where a run needs it, no space, no cluster.
     """
     must_not_be_worker("tune")
     plan = None
     if not resume:
-        plan = planned(scenario, vary or {}, metric, maximise, trials or 30, seeds, batch, check, seed, set or {}, plugins)
+        numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
+        plan = planned(scenario, vary or {}, set or {}, plugins, metric=metric, maximise=maximise, **numbers)
     with begun(plan, None if out is None else Path(out), trials, plugins) as search:
         search.jobs, search.executor = jobs, executor
         search.listener = listener or search.listener
@@ -561,25 +523,18 @@ def tune(
 def planned(
     scenario: str | Path | None,
     vary: Mapping[str, str | Sequence[object]],
-    metric: str,
-    maximise: bool | None,
-    trials: int,
-    seeds: int | None,
-    batch: int,
-    check: int,
-    seed: int,
     settings: Mapping[str, object],
     plugins: Sequence[str],
+    **others: Any,
 ) -> Tuning:
-    """The plan of a search; arguments and errors as of `tune`."""
+    """The plan of a search; arguments and errors as of `tune`, the others by the names of `Tuning`."""
     if scenario is None:
         raise ParameterError("SCENARIO", "is missing: name the scenario that is to be tuned")
     loaded, here = load_plugins(plugins), Path.cwd()  # first: a metric may be one of theirs
     varied = {path: _plain(parameter(path, given)) for path, given in vary.items()}
     own = {path: block_of(value) for path, value in settings.items()}
     own, varied = absolute_files(own, here), absolute_files(varied, here)
-    numbers = {"trials": trials, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
-    return Tuning(scenario=str(scenario), plugins=loaded, set=own, vary=varied, metric=metric, maximise=maximise, **numbers)
+    return Tuning(scenario=str(scenario), plugins=loaded, set=own, vary=varied, **others)
 
 
 def _plain(one: Parameter) -> object:
@@ -591,12 +546,8 @@ def _plain(one: Parameter) -> object:
 def begun(plan: Tuning | None, out: Path | None, trials: int | None = None, plugins: Sequence[str] = ()) -> Iterator[Search]:
     """Check a plan, make its folder, and hold it until the block ends; without a plan, go on with the search of a folder.
 
-    Args:
-        plan: of a new search. out: its folder, or that of the search that goes on. trials: new number of trials of that one.
-        plugins: for that one, besides its own.
-
-    Raises:
-        ParameterError: as of `tune`. RunFolderError: the folder holds no search.
+    plan: of a new search. out: its folder, or that of the search that goes on. trials: new number of trials of that one. plugins: for that
+    one, besides its own. Raises ParameterError: as of `tune`. RunFolderError: the folder holds no search.
     """
     must_be_installed()
     if plan is not None:
@@ -626,11 +577,7 @@ def finished(search: Search) -> TuningResult:
 
 
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
-    """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers.
-
-    Raises:
-        RunFolderError: a run is missing, or a file is damaged.
-    """
+    """Write the results of a finished search again from its runs; `plugins`: besides those that it remembers."""
     with begun(None, folder, plugins=plugins) as search:
         search.stored_alone = True
         return finished(search).folder / "report.html"

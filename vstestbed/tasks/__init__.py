@@ -21,7 +21,7 @@ FIELDS = {
 }
 """The kind of a goal block without `kind`, recognised by one of its fields."""
 KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack
-GOALS = OneOf("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=TaskBase))
+GOALS = OneOf("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=Task))
 
 __all__ = [
     "GOALS",

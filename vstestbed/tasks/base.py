@@ -6,10 +6,11 @@ A goal block of a scenario is a `Task`: parameters and behaviour in one frozen o
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -35,9 +36,6 @@ from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-# Checks of goal views: markers within the picture and not hidden, a flying robot level.
-
-
 PLANE_INPUTS = {"xy", "depth", "relative"}
 """Fields of an observation that exist only for points in front of the camera."""
 LEVEL_DEG = 1.0
@@ -47,12 +45,8 @@ LEVEL_DEG = 1.0
 def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
     """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
 
-    Args:
-        setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,);
-            None: all.
-
-    Raises:
-        ParameterError: it names the field, the markers, what hides them, and what would work.
+    setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,); None: all.
+    Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
     p = target.seen_from(inverse(T_camera_target))
@@ -101,7 +95,6 @@ def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArr
 
 
 def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
-    """Where a marker behind the camera is, and the remedy."""
     if isinstance(camera, Perspective):
         return "behind the camera", "a wider camera"
     return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
@@ -119,17 +112,12 @@ def _markers(target: Target, which: NDArray[np.bool_]) -> str:
 
 
 def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
-    """The error for a goal view in which markers (N,) are not visible."""
     words = f"is a view in which {_markers(target, bad)} {where}; move the goal back, or use {remedy} or a smaller target"
     return ParameterError(field, words)
 
 
 def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
-    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
+    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest."""
     if robot.base != "floating":
         return
     # z of the base, in the world's axes: its last component is the cosine of the tilt.
@@ -186,19 +174,11 @@ class GoalPicture:
 
     @property
     def source(self) -> Path | None:
-        """The file; None where the simulated camera takes the picture.
-
-        Raises:
-            ParameterError: it is not there.
-        """
+        """The file; None where the simulated camera takes the picture. Raises ParameterError: it is not there."""
         return None if self.file is None else place_of_file(self.file)
 
     def read(self, camera: Camera) -> Image:
-        """The file's picture (H, W, 3) RGB.
-
-        Raises:
-            ParameterError: it cannot be read, or is of another size than the camera's pictures.
-        """
+        """The file's picture (H, W, 3) RGB. Raises ParameterError: it cannot be read, or is of another size than the camera's pictures."""
         assert self.source is not None
         image = read_rgb(self.source)
         height, width = image.shape[:2]
@@ -227,118 +207,43 @@ class Reference(NamedTuple):
     view: int = 0
 
 
-class Task(Protocol):
-    """The task of a scenario, its `goal` block. `TaskBase` has defaults for all but `kind` and `goal_poses`."""
+class Task:
+    """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`: one view, on any base."""
 
-    asks: ClassVar[str]
+    asks: ClassVar[str] = "view"
     """The word by which a law declares that it supports such tasks (`Law.tasks`)."""
-    bases: ClassVar[frozenset[Base]]
+    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
     """The bases of robots that can execute it."""
-    continuing: ClassVar[bool]
+    continuing: ClassVar[bool] = False
     """Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration."""
-    lands: ClassVar[bool]
+    lands: ClassVar[bool] = False
     """Whether it ends on the ground."""
-    by_clock: ClassVar[bool]
+    by_clock: ClassVar[bool] = False
     """Whether the reference moves with time, so that `goal_poses` are points on a trajectory."""
-    needs_pose: ClassVar[bool]
+    needs_pose: ClassVar[bool] = False
     """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
+    needs_still: ClassVar[bool] = False
+    """Whether the target must stand still."""
+    view_fields: ClassVar[tuple[str, ...]] = ()
+    """The scenario's field of each goal view, for error messages; `goal` where there is none."""
 
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
+    kind: Any
+    """The word in a scenario, a field of each task."""
+    settle_s: Any = 0.0
+    """Settling time, after which the tolerance counts [s]."""
 
     @property
     def tolerance_m(self) -> float | None:
         """Of a continuing task, the largest permitted error once settled [m]; None for others."""
-        ...
+        return None
 
-    @property
-    def settle_s(self) -> float:
-        """Settling time, after which the tolerance counts [s]."""
-        ...
-
-    def check(self, setup: Setup) -> None:
-        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
-        ...
-
-    def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Refuse goal views that cannot be seen. ParameterError names the field and what would work."""
-        ...
-
+    @abstractmethod
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """T_camera_target (4, 4) at each goal view in turn, for a camera at this mount T_base_camera (4, 4)."""
         ...
 
-    def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
-        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
-        ...
-
-    def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The goals for the law: one view, or several in turn."""
-        ...
-
-    @property
-    def pictures(self) -> tuple[GoalPicture, ...]:
-        """What is said of the picture at each goal view; () where nothing can be."""
-        ...
-
-    def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """The initial state of the reference."""
-        ...
-
-    def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The next state, and the goal for the law at this frame."""
-        ...
-
-    def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
-        ...
-
-    def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """The monitor, which measures the task's error and decides when it is completed or failed."""
-        ...
-
-    def metrics(self, log: Log) -> dict[str, float | None]:
-        """Summary figures of this task alone."""
-        ...
-
-    def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error by which the task was judged, from the log of a run."""
-        ...
-
-    def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """Straight distance from the start of a run to its goal [m]."""
-        ...
-
-
-class TaskBase:
-    """Defaults: one view, for robots on any base, reached when the error is small."""
-
-    asks: ClassVar[str] = "view"
-    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
-    continuing: ClassVar[bool] = False
-    lands: ClassVar[bool] = False
-    by_clock: ClassVar[bool] = False
-    needs_pose: ClassVar[bool] = False
-    needs_still: ClassVar[bool] = False
-    """Whether the target must stand still."""
-
-    kind: Any  # the word in a scenario: a field of each task
-    settle_s: Any = 0.0
-
-    @property
-    def tolerance_m(self) -> float | None:
-        """None: the task has a goal to reach."""
-        return None
-
-    if TYPE_CHECKING:  # each task has its own; not at run time, where the contract misses it
-
-        def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:  # noqa: D102 - the protocol says it
-            ...
-
     def check(self, setup: Setup) -> None:
-        """The law supports the task, the robot's base can execute it, and the target has markers."""
+        """Refuse unsuitable robots, laws and targets. ParameterError names the field and what would work."""
         self._check_law(setup.law)
         self._check_base(setup.robot)
         if setup.target.painted_route is not None:
@@ -365,16 +270,11 @@ class TaskBase:
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """None: the simulated camera takes them."""
-        return ()
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The scenario's field of each goal view, for error messages; `goal` where there is none."""
+        """What is said of the picture at each goal view; () where nothing is: the simulated camera takes it."""
         return ()
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Every goal view must show its markers, and a flying robot must be level there."""
+        """Refuse goal views that do not show their markers, or at which a flying robot is not level. Raises ParameterError."""
         poses = self.goal_poses(setup.target, setup.camera.mount.T)
         fields = self.view_fields or ("goal",) * len(poses)
         for field, pose, view in zip(fields, poses, views, strict=True):
@@ -382,52 +282,53 @@ class TaskBase:
             check_level(setup.robot, setup.camera, setup.target, pose, field)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
-        """The pose of the view."""
+        """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
         return poses[view] if np.isfinite(poses[view]).all() else None
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The views from the goal poses."""
+        """The goals for the law: the views from the goal poses."""
         n = len(self.goal_poses(setup.target, setup.camera.mount.T))
         # i=i binds the number now: a plain closure would give every view the last pose.
         return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """At the first view."""
+        """The initial state of the reference: at the first view."""
         return Reference(views)
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
-        """The current view."""
+        """The next state, and the goal for the law at this frame: the current view."""
         return memory, memory.views[memory.view]
 
     def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
-        """The same view."""
+        """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
         return memory, None
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """Reached when `stop.converged` holds."""
+        """What measures the task's error and decides when it is completed or failed; by default reached when `stop.converged` holds."""
         return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
-        """None."""
+        """Summary figures of this task alone."""
         return {}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The error that `stop.converged` tests."""
+        """The error by which the task was judged, from the log of a run; by default the one that `stop.converged` tests."""
         return by_convergence(log, stop.converged)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """The first frame's position error."""
+        """Straight distance from the start of a run to its goal [m]: the first frame's position error."""
         return float(log["position_error_m"][0])
+
+
+TaskBase = Task
+"""The name by which tasks of one's own derive from it."""
 
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
 
-    Args:
-        setup: the experiment's parts.
-        pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a place of the base, a
-            wrong calibration of the mount displaces the believed goal view.
-        number: of the view, among several in turn.
+    setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a
+    place of the base, a wrong calibration of the mount displaces the believed goal view. number: of the view, among several in turn.
     """
     target, points, scale = setup.target, setup.target.points, setup.depth_scale
     if setup.goal_shown:

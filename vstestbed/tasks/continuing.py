@@ -12,14 +12,11 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import PositiveLength, Time
 from vstestbed.robots.base import Supervisor
-from vstestbed.tasks.base import Log, TaskBase
+from vstestbed.tasks.base import Log, Task
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
-
-# Minimum-speed monitor of continuing tasks: line following, car following.
-
 
 WINDOW_S = 2.0
 """Window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)."""
@@ -41,9 +38,6 @@ class MinSpeed:
 
 class SpeedMonitor:
     """Tests mean speeds over WINDOW_S, and keeps the first violation.
-
-    Args:
-        speeds: the minimum speeds. from_s: start of the test [s]; the time before fills the first window.
 
     Attributes:
         slow: time [s] and reason of the first violation; None without one.
@@ -85,7 +79,7 @@ class Odometer(Protocol):
         ...
 
 
-class Continuing(TaskBase):
+class Continuing(Task):
     """Defaults of continuing tasks; `band_m` and `settle_s` are fields of each."""
 
     continuing: ClassVar[bool] = True

@@ -24,9 +24,6 @@ from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Se
 from vstestbed.tasks.monitor import Setup
 from vstestbed.vision.floor_pose import LEVEL
 
-# Car following: keep a distance to the vehicle ahead.
-
-
 ONE_PLACE_M = 1e-6
 """Points within this of one another in the floor plan are at one place [m]."""
 
@@ -219,11 +216,7 @@ class GoalLine(Continuing):
 
 
 def _lines(target: Target) -> GroundLines:
-    """The target as lines on the floor.
-
-    Raises:
-        ParameterError: it is another kind of target.
-    """
+    """The target as lines on the floor. Raises ParameterError: it is another kind of target."""
     if not isinstance(target, GroundLines):  # the one task that needs more of its target than markers: a route
         raise ParameterError("goal", "of kind line needs a line on the floor; use target: {kind: lines}")
     return target

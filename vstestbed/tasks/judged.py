@@ -12,7 +12,6 @@ from vstestbed.core.geometry import Array
 from vstestbed.tasks.stop import Converged, Stop
 
 By = Literal["pixels", "level pixels", "grey levels", "estimate", "truth"]
-"""Who measured the error."""
 MEASURED_BY: dict[By, str] = {
     "pixels": "measured pixels",
     "level pixels": "measured pixels after derotation",
@@ -33,8 +32,7 @@ class JudgedError(NamedTuple):
 
     Attributes:
         value: at the end of the run, in `unit`; NaN where it is unknown.
-        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it.
-        by: who measured it.
+        unit: px, grey levels, m, rad, or m/s (the speed of a touch-down). limit: the task is reached under it. by: who measured it.
     """
 
     value: float
@@ -52,12 +50,8 @@ def by_convergence(log: Mapping[str, Array], converged: Converged) -> JudgedErro
     """The error that `stop.converged` tests at the end of a run; of several, the one that is largest compared with its limit."""
     found: list[JudgedError] = []
     if converged.error_px is not None:
-        level = "level_error_px" in log
-        found.append(
-            JudgedError(
-                _last(log, "level_error_px" if level else "error_px"), "px", converged.error_px, "level pixels" if level else "pixels"
-            )
-        )
+        column, by = ("level_error_px", "level pixels") if "level_error_px" in log else ("error_px", "pixels")
+        found.append(JudgedError(_last(log, column), "px", converged.error_px, by))
     if converged.error_grey is not None:
         found.append(JudgedError(_last(log, "error_grey"), "grey levels", converged.error_grey, "grey levels"))
     if converged.position_m is not None:

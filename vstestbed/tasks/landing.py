@@ -15,7 +15,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.base import Base, Supervisor
 from vstestbed.targets import Target
-from vstestbed.tasks.base import Log, TaskBase, view_from
+from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end, largest
 from vstestbed.tasks.monitor import GoalMonitor, Setup
@@ -34,7 +34,7 @@ class Descent(NamedTuple):
 
 
 @spec
-class GoalLanding(TaskBase):
+class GoalLanding(Task):
     """Land on the target's origin: from the view `above` the reference descends while the craft is over the pad.
 
     Args:
@@ -56,6 +56,7 @@ class GoalLanding(TaskBase):
     asks: ClassVar[str] = "landing"
     bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
     lands: ClassVar[bool] = True
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.above",)
 
     def check(self, setup: Setup) -> None:
         """The target must have a pad."""
@@ -74,11 +75,6 @@ class GoalLanding(TaskBase):
         below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])  # the base in the target's frame, whose z points down
         T[:3, 3] = (setup.robot.standing_m + below_m) * T[:3, 2]
         return T
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """Field of that view."""
-        return ("goal.above",)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
         """At full height."""

@@ -17,9 +17,6 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.monitor import Setup
 
-# A metric of how much of the start's error is left, for protocols that judge a run by it.
-
-
 ERRORS = ("position_error_m", "rotation_error_rad")
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-6
@@ -58,7 +55,6 @@ class _StartShares:
         self._turned, self._pictures, self._reached = 0.0, 0, 0
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         errors = np.column_stack([log[name] for name in ERRORS])
         if not self._pictures:
             self._start = errors[0]
@@ -72,7 +68,6 @@ class _StartShares:
         self._pictures, self._quaternion, self._last = self._pictures + len(errors), q[-1:], errors[-1]
 
     def figures(self) -> dict[str, object]:
-        """See `Part`."""
         known = bool((self._start > LEAST).all())
         if not known:  # also where the goal is no single pose
             return {**dict.fromkeys(StartShares.titles)}
@@ -106,34 +101,15 @@ FIGURES = (
     "judged_error",
 )
 """The names of every run's figures."""
-MODE_FIGURES = ("law_switches", "law_shortest_stay_s")
-"""Those of a law with modes besides."""
-LINK_FIGURES = ("pictures_lost", "pictures_refused", "commands_lost")
-"""Those of a run with wrong time stamps, pictures out of order or a link that loses."""
-GREY_FIGURES = ("final_error_grey",)
-"""That of a law that works on grey levels."""
-SWING_FIGURES = ("swung_s", "swing_frames")
-"""Those of a run whose command swung."""
-SOME_FIGURES = (*MODE_FIGURES, *LINK_FIGURES, *GREY_FIGURES, *SWING_FIGURES)
-"""Those that only some runs have."""
-TAKEN = frozenset(
-    (
-        *FIGURES,
-        *SOME_FIGURES,
-        *("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts"),
-        *(
-            "wall_time_s",
-            "real_time_factor",
-            "time_ms",
-            "versions",
-            "worst_task_error_m",
-            "judged_unit",
-            "judged_limit",
-            "judged_by",
-            "law_mode_share",
-        ),
-    )
+SOME_FIGURES = (
+    *("law_switches", "law_shortest_stay_s"),  # of a law with modes
+    *("pictures_lost", "pictures_refused", "commands_lost"),  # of wrong time stamps, pictures out of order or a link that loses
+    "final_error_grey",  # of a law that works on grey levels
+    *("swung_s", "swing_frames"),  # of a run whose command swung
 )
+_COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "versions", "time_ms")
+_OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
+TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))
 """Names that a summary or a comparison's table has already."""
 Figures = dict[str, object]
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -144,7 +120,6 @@ class Part(Protocol):
 
     def add(self, log: Log) -> None:
         """Take the next block of rows, of one row at least."""
-        ...
 
     def figures(self) -> Figures:
         """The metrics of the blocks so far."""
@@ -198,7 +173,6 @@ class _ErrorIntegrals:
         self._sums = np.zeros(3)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
         rows = np.vstack([self._last, np.column_stack([t, e])[np.isfinite(e)]])
         if len(rows):
@@ -206,7 +180,6 @@ class _ErrorIntegrals:
             self._sums = self._sums + [np.trapezoid(y, t) for y in (e, e * e, t * e)]
 
     def figures(self) -> Figures:
-        """See `Part`."""
         names = ErrorIntegrals.titles
         return dict(zip(names, self._sums.tolist(), strict=True)) if len(self._last) else {**dict.fromkeys(names)}
 
@@ -235,13 +208,11 @@ class _CommandVariation:
         self._sums = np.zeros(2)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         rows = np.vstack([self._last, np.column_stack([log[f"cmd_{name}"] for name in TWIST])])
         steps = np.diff(rows, axis=0).reshape(-1, 2, 3)
         self._last, self._sums = rows[-1:], self._sums + np.linalg.norm(steps, axis=2).sum(axis=0)
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return dict(zip(CommandVariation.titles, self._sums.tolist(), strict=True))
 
 
@@ -275,7 +246,6 @@ class _ErrorGrowth:
         self._frames = np.zeros(3, dtype=int)
 
     def add(self, log: Log) -> None:
-        """See `Part`."""
         errors = np.column_stack([log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")])
         rows = np.vstack([self._last, errors])
         largest = np.maximum(self._largest, np.fmax.accumulate(np.nan_to_num(rows, nan=-np.inf), axis=0))
@@ -283,7 +253,6 @@ class _ErrorGrowth:
         self._last, self._largest = rows[-1], largest[-1]
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return dict(zip(ErrorGrowth.titles, self._frames.tolist(), strict=True))
 
 
@@ -296,11 +265,7 @@ def own_titles() -> dict[str, tuple[str, str]]:
 
 
 def check_metrics(metrics: Sequence[MetricContract]) -> None:
-    """Refuse metrics two of which have a figure of one name, or one that every run has.
-
-    Raises:
-        ParameterError: it names the metric, and the figure.
-    """
+    """Refuse metrics two of which have a figure of one name, or one that every run has."""
     owner: dict[str, str] = dict.fromkeys(TAKEN, "every run")
     for i, metric in enumerate(metrics):
         for name in metric.titles:
@@ -311,11 +276,7 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
 
 
 def figures_of(metric: MetricContract, part: Part) -> Figures:
-    """The figures of a metric of one run.
-
-    Raises:
-        ParameterError: they are not those of its `titles`, or not numbers.
-    """
+    """The figures of a metric of one run. Raises ParameterError: they are not those of its `titles`, or not numbers."""
     found, names = part.figures(), list(metric.titles)
     if not isinstance(found, dict) or set(found) != set(names):
         raise ParameterError(f"metrics: {metric.kind}", f"figures() must give {', '.join(names)}, as its `titles` say", str(found))

@@ -22,8 +22,6 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Detector
 
-# The parts of an experiment that a task has to do with.
-
 
 # eq=False: compared by identity, since the comparison of its arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
@@ -149,11 +147,6 @@ REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
 
 
-def converged_words(goal: Converged) -> str:
-    """Why a run has converged."""
-    return f"{goal.summary} for {goal.hold_s:g} s"
-
-
 def at_rest_words(
     goal: Converged, error_px: float, estimate: tuple[float, float] = (math.nan, math.nan), error_grey: float = math.nan
 ) -> str:
@@ -192,7 +185,7 @@ class GoalMonitor(TaskMonitor):
         goal = self.setup.stop.converged
         self._near = self.near(frame)
         if self._held.lasting(self._near, frame.t) >= goal.hold_s:
-            return Outcome.converged, converged_words(goal)
+            return Outcome.converged, f"{goal.summary} for {goal.hold_s:g} s"
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:

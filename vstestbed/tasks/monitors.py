@@ -18,9 +18,6 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import Setup
 
-# Rules by which published protocols end and judge a run: monitors, by the truth. No law is told of them.
-
-
 Pictures = Annotated[int, Ge(1), Le(1_000_000)]
 Share = Annotated[float, Gt(0), Le(1)]
 Away = tuple[float, float]
@@ -133,7 +130,6 @@ class _Settles:
         self._pictures = 0
 
     def update(self, frame: Frame) -> Verdict | None:
-        """Converged, a rest elsewhere, diverged, or too many pictures."""
         rule, away = self._rule, away_from_goal(frame)
         start = self._start = self._start or away
         self._pictures += 1
@@ -198,7 +194,6 @@ class _AfterPictures:
         self._rule, self._early, self._pictures = rule, _Early(rule.early), 0
 
     def update(self, frame: Frame) -> Verdict | None:
-        """Converged or not, after the last picture."""
         rule, (distance, angle) = self._rule, away_from_goal(frame)
         self._pictures += 1
         limit = rule.share * float(np.linalg.norm(frame.goal.T_camera_target[:3, 3]))
@@ -262,7 +257,6 @@ class _KeepOut:
         self._low, self._high = box
 
     def update(self, frame: Frame) -> Verdict | None:
-        """Collided, inside."""
         xyz = frame.truth.T_world_camera[:3, 3]
         if not ((xyz >= self._low) & (xyz <= self._high)).all():
             return None
@@ -280,11 +274,7 @@ class OwnMonitor:
         self._kind, self._monitor = rule.kind, rule.monitor(setup)
 
     def update(self, frame: Frame) -> Verdict | None:
-        """The rule's verdict.
-
-        Raises:
-            ParameterError: it is neither None nor an outcome with its reason.
-        """
+        """The rule's verdict. Raises ParameterError: it is neither None nor an outcome with its reason."""
         verdict = self._monitor.update(frame)
         match verdict:
             case None | (Outcome(), str()):

@@ -20,7 +20,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Base
 from vstestbed.targets import Target
-from vstestbed.tasks.base import GoalPicture, Log, TaskBase, view_from
+from vstestbed.tasks.base import GoalPicture, Log, Task, view_from
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.frame import ImageError
 from vstestbed.tasks.judged import JudgedError, by_convergence
@@ -91,7 +91,7 @@ class GoalPath(Continuing):
         return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))
 
     @property
-    def view_fields(self) -> tuple[str, ...]:
+    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Field of each view."""
         return tuple(f"goal.way.{i}.T_camera_target" for i in range(len(self.way)))
 
@@ -202,7 +202,7 @@ class Passage(NamedTuple):
 
 
 @spec
-class GoalViews(TaskBase):
+class GoalViews(Task):
     """Via points: views in turn, each passed when its error falls under `threshold_px`; the last is the goal.
 
     Without `speed_mps` the goal jumps from view to view, and the command with it: the law begins anew. With it the goal moves,
@@ -256,7 +256,7 @@ class GoalViews(TaskBase):
         return tuple(picture for view in self.views for picture in view.pictures)
 
     @property
-    def view_fields(self) -> tuple[str, ...]:
+    def view_fields(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Field of each view."""
         return tuple(view.view_fields[0].replace("goal.", f"goal.views.{i}.") for i, view in enumerate(self.views))
 

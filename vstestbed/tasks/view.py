@@ -16,15 +16,13 @@ from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
 from vstestbed.targets import Name, Target
-from vstestbed.tasks.base import GoalPicture, TaskBase
+from vstestbed.tasks.base import GoalPicture, Task
 from vstestbed.tasks.continuing import Continuing, Settle, Tolerance
 from vstestbed.tasks.monitor import Setup
 
-# A view: see the target from a given pose, or as a vehicle's camera sees it from a given place.
-
 
 @spec
-class GoalView(TaskBase):
+class GoalView(Task):
     """The goal as a view: the pose T_camera_target from which the target is to be seen.
 
     Args:
@@ -38,6 +36,7 @@ class GoalView(TaskBase):
     T_camera_target: Pose
     markers: Annotated[tuple[Annotated[int, Ge(0), Lt(24)] | Name, ...], Len(1, 24)] | None = None
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
@@ -47,11 +46,6 @@ class GoalView(TaskBase):
     def pictures(self) -> tuple[GoalPicture, ...]:
         """The picture taken at the pose."""
         return (self.picture,)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The pose."""
-        return ("goal.T_camera_target",)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The view with the markers that count."""
@@ -84,7 +78,7 @@ class GoalView(TaskBase):
 
 
 @spec
-class GoalViewFrom(TaskBase):
+class GoalViewFrom(Task):
     """The goal as a view: what a vehicle's camera sees of the target from a place on the floor.
 
     Args:
@@ -95,6 +89,7 @@ class GoalViewFrom(TaskBase):
     kind: Literal["view_from"] = "view_from"
     view_from: GroundPose
     picture: Annotated[GoalPicture, Shorthand("file")] = GoalPicture()
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.view_from",)
     bases: ClassVar[frozenset[Base]] = frozenset({"planar"})
     needs_still: ClassVar[bool] = True
 
@@ -111,11 +106,6 @@ class GoalViewFrom(TaskBase):
         """The picture taken from the place."""
         return (self.picture,)
 
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """Field of the place."""
-        return ("goal.view_from",)
-
     def check_counted(self, setup: Setup, field: str) -> None:
         """Nothing: all markers count."""
 
@@ -125,7 +115,7 @@ VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view",
 
 # Docking at a place: a vehicle drives to a pose on the floor, by landmarks.
 @spec
-class GoalPlace(TaskBase):
+class GoalPlace(Task):
     """The goal as a place of a vehicle in the world, reached by landmarks.
 
     Args:
@@ -177,15 +167,11 @@ class GoalTrack(Continuing):
     T_camera_target: Pose
     band_m: Tolerance = 0.05
     settle_s: Settle = 5.0
+    view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
-
-    @property
-    def view_fields(self) -> tuple[str, ...]:
-        """The pose."""
-        return ("goal.T_camera_target",)
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from its goal pose."""

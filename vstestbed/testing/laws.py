@@ -25,9 +25,6 @@ from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
 from vstestbed.timing.plan import Timing
 
-# What every image feature must do.
-
-
 STEP = 1e-6
 """Motion of the camera for a difference quotient [m, rad], which then has 9 digits."""
 VIEWS = 20
@@ -35,16 +32,7 @@ RADIUS_M = 0.35
 
 
 def check_feature(feature: Feature, seed: int = 0) -> None:
-    """L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken.
-
-    The markers lie on a circle: four, or as many as the feature needs.
-
-    Args:
-        feature: with the parameters to test. seed: of the views that are tried.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
-    """
+    """On a circle of markers L is the derivative of the error over motions of the camera; shapes are right; leading axes are taken."""
     assert FEATURES.contract is not None
     FEATURES.contract.check(type(feature))
     rng, many = np.random.default_rng(seed), []
@@ -107,11 +95,7 @@ QUICK: dict[str, tuple[str, dict[str, object]]] = {
 
 
 def quick(task: str) -> Scenario:
-    """The closed loop for a kind of task.
-
-    Raises:
-        ParameterError: there is none of this kind.
-    """
+    """The closed loop for a kind of task. Raises ParameterError: there is none of this kind."""
     if task not in QUICK:
         raise ParameterError("tasks", f"has no closed loop to be tested in; valid: {', '.join(QUICK)}", task)
     name, changes = QUICK[task]
@@ -129,7 +113,6 @@ class _Frames:
         self.kept: list[Frame] = []
 
     def frame(self, frame: Frame) -> None:
-        """Keep one."""
         self.kept.append(frame)
 
 
@@ -138,12 +121,8 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
 
     Of the observation it may read the time, the pixels, and the fields that its `inputs` name.
 
-    Args:
-        law: with the parameters to test.
-        scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of `law.tasks`.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
+    law: with the parameters to test. scenario: the closed loop to test it in, its own law is replaced; None: a quick one for the first of
+    `law.tasks`.
     """
     LAW_CONTRACT.check(type(law))
     loop = scenario or quick(law.tasks[0])
@@ -240,7 +219,6 @@ def _must_refuse(build: Any, words: str) -> None:
 
 
 def _basis(loop: Scenario) -> Array:
-    """The robot's motions at its start."""
     return loop.robot.motion_basis(Mount.of(loop.believed_camera.mount.T), loop.robot.start_joints())
 
 

@@ -26,11 +26,7 @@ SHORT_S = 0.3
 
 
 def check_noise(perturbation: PerturbationBase) -> None:
-    """A perturbation changes something, returns what it is given in shape and type, and depends on its seed alone.
-
-    Raises:
-        AssertionError, ParameterError: it says what was expected and what was found.
-    """
+    """A perturbation changes something, returns what it is given in shape and type, and depends on its seed alone."""
     kind = perturbation.kind
     assert PERTURBATIONS.contract is not None
     PERTURBATIONS.contract.check(type(perturbation))
@@ -92,14 +88,7 @@ def check_effect(effect: Effect, scenario: Scenario | None = None) -> None:
 
 
 def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> None:
-    """A metric's figures are numbers under names of their own, whatever the blocks in which it gets the log.
-
-    Args:
-        metric: with the parameters to test. scenario: whose run it measures; None: a quick one.
-
-    Raises:
-        AssertionError, ParameterError: it says what was expected and what was found.
-    """
+    """A metric's figures are numbers under names of their own in a scenario's run, whatever the blocks in which it gets the log."""
     kind = metric.kind
     assert METRICS.contract is not None
     METRICS.contract.check(type(metric))
@@ -137,12 +126,7 @@ def _close(a: object, b: object) -> bool:
 
 def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> None:
     """A monitor leaves the run as it is until its verdict, and gives the same verdict each time.
-
-    Args:
-        monitor: with the parameters to test. ends: a run that it must end; None: the quick one, which it may leave alone.
-
-    Raises:
-        AssertionError, ParameterError: it says what was expected and what was found.
+    monitor: with the parameters to test. ends: a run that it must end; None: the quick one, which it may leave alone.
     """
     kind = monitor.kind
     assert MONITORS.contract is not None

@@ -25,9 +25,6 @@ from vstestbed.targets.markers import Disc
 from vstestbed.vision import Blobs, Detector, TruthView
 from vstestbed.vision.local_features import extracted, matched, mutual_matches
 
-# What every detector must do.
-
-
 SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "disc": ("ibvs_book", {}),
     "tag": ("arm_tags", {}),
@@ -43,13 +40,8 @@ MARGIN_PX = 10.0
 def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
     """A detector finds all markers of a rendered picture, at their places; none in an empty one; and its memory is passed.
 
-    Args:
-        detector: with the parameters to test.
-        scenario: whose start shows all markers; None: a bundled one with a marker that it sees.
-        within_px: largest distance from the true image of a marker's centre [px].
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
+    detector: with the parameters to test. scenario: whose start shows all markers; None: a bundled one with a marker that it sees.
+    within_px: largest distance from the true image of a marker's centre [px].
     """
     if detector.changing:
         _check_own_points(detector, scenario or load("camera_keypoints"), within_px)
@@ -97,7 +89,6 @@ def _check_own_points(detector: Detector[Any], scenario: Scenario, within_px: fl
 
 
 def _scene(detector: Detector[Any]) -> Scenario:
-    """The bundled scenario whose start shows markers that the detector sees."""
     if detector.needs_sheet:
         return load("arm_patch")
     marker = detector.markers[0] if detector.markers else "disc"
@@ -129,14 +120,7 @@ AT_M = 0.6
 
 
 def check_camera(camera: Camera, seed: int = 0) -> None:
-    """`ray` is the inverse of `project`, both take leading axes, and markers are rendered and detected where `project` says.
-
-    Args:
-        camera: with the parameters to test. seed: of the directions tried.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
-    """
+    """`ray` is the inverse of `project`, both take leading axes, and markers are rendered and detected where `project` says."""
     kind = getattr(camera, "kind", type(camera).__name__)
     assert isinstance(camera, Camera), f"{kind}: a lens must derive from vstestbed.camera.Camera, or Radial"
     uv = _check_pixels(camera, kind)
@@ -202,13 +186,8 @@ SHEETS = 120
 def check_keypoints(features: Any, within_px: float = 2.0, least: int = 20) -> None:
     """Features match two pictures of coloured sheets, the second turned by 8 degrees and smaller; an empty picture gives no matches.
 
-    Args:
-        features: with the parameters to test; it has `extract(image)` or `match(goal_image, image)`.
-        within_px: largest median distance of the matches from their true places [px].
-        least: fewest matches that must be within three times that distance.
-
-    Raises:
-        AssertionError: it says what was expected and what was found. ParameterError: arrays of wrong shapes.
+    features: with the parameters to test; it has `extract(image)` or `match(goal_image, image)`. within_px: largest median distance of the
+    matches from their true places [px]. least: fewest matches that must be within three times that distance.
     """
     turn = np.radians(TURN_DEG)
     A = SIZE * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

@@ -18,16 +18,7 @@ HUGE = 1e4
 
 
 def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 0) -> None:
-    """A robot's motions agree with its own kinematics, its allocation stays within limits, its start is where it says.
-
-    Args:
-        robot: with the parameters to test.
-        T_flange_camera: the camera's mount, shape (4, 4); a general one by default.
-        seed: of the twists tried.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
-    """
+    """A robot's motions agree with its kinematics, for any mount (4, 4); its allocation stays within limits, its start is where it says."""
     Contract(Robot, base=RobotBase).check(type(robot))
     rng = np.random.default_rng(seed)
     mount = Mount.of(_general_mount() if T_flange_camera is None else T_flange_camera)
@@ -134,6 +125,5 @@ def _check_allocation(robot: Robot, mount: Mount, rng: np.random.Generator) -> N
 
 
 def _reading(robot: Robot) -> Reading:
-    """What it reads at rest at its start."""
     q = robot.start_joints()
     return Reading(q, np.zeros_like(q))

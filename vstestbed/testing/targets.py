@@ -21,15 +21,11 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.targets.motion import MotionBase
-from vstestbed.tasks import Task, TaskBase
+from vstestbed.tasks import Task
 
 
 def check_target(target: Target) -> None:
-    """A target has its markers where it says, is seen where it is, and stands so in the compiled scene.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
-    """
+    """A target has its markers where it says, is seen where it is, and stands so in the compiled scene."""
     Contract(Target, base=Target).check(type(target))
     points, places = target.points, target.places
     assert points.ndim == 2 and points.shape[1] == 3, f"points must have shape (N, 3), got {points.shape}"
@@ -69,9 +65,6 @@ def check_motion(motion: MotionBase) -> None:
     """The path is rigid, continuous, a function of time alone once its seed is given, and starts in one place whatever the seed.
 
     `draws` says whether another seed gives another path: a motion that draws without saying so is refused more than one seed.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
     """
     assert isinstance(motion, MotionBase), f"{type(motion).__name__}: a motion must derive from vstestbed.MotionBase"
     rest = Pose(xyz=(1, 2, 3), rpy_deg=(10, -20, 30)).T
@@ -135,16 +128,9 @@ SHORT_FRAMES = 3
 
 
 def check_task(scenario: Scenario) -> None:
-    """A task ends as it should: reached in its scenario, not reached when there is no time; its columns are in the log.
-
-    Args:
-        scenario: with the task as its goal, which its robot and law reach.
-
-    Raises:
-        AssertionError: it says what was expected and what was found.
-    """
+    """A task ends as it should: reached in its scenario, not reached when there is no time; its columns are in the log."""
     task = scenario.goal
-    Contract(Task, base=TaskBase).check(type(task))
+    Contract(Task, base=Task).check(type(task))
     poses, views = scenario.goal_poses, scenario.goal_views
     assert len(poses) == len(views), f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
     numbers = [view.view for view in views]

@@ -15,7 +15,7 @@ from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import write_json
 from vstestbed.report.comparison import baseline
 from vstestbed.report.comparison.baseline import FILE, BaselineChanges, read_changes
-from vstestbed.studies.comparison import Comparison, controllers, jobs
+from vstestbed.studies.comparison import Comparison, Jobs, controllers
 from vstestbed.studies.comparison.folder import Baseline
 
 GUIDE = Path(__file__).resolve().parents[3] / "docs/guides/comparing.md"
@@ -93,7 +93,7 @@ def test_what_has_no_counterpart_is_said(tmp_path: Path) -> None:
 
 def test_a_baseline_of_something_else_is_refused_before_anything_runs(quick: Path, tmp_path: Path) -> None:
     plan = Comparison(base=(str(quick),), axes={"law.gain": (5, 6)}, seeds=2)
-    planned = jobs(controllers(plan), plan.seeds)
+    planned = Jobs(controllers(plan), plan.seeds)
     place = tmp_path / "old.parquet"
     table(gains=(5,)).write_parquet(place)
     Baseline.read(place).must_match(plan, planned)

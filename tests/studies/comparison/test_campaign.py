@@ -22,9 +22,10 @@ import vstestbed as vs
 from tests.shortcuts import Here, run_here
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 from vstestbed.report.comparison.statistics import paired_difference
-from vstestbed.studies.comparison import Campaign, Comparison, Job, compare, controllers, jobs
+from vstestbed.scenario.dump import given_text
+from vstestbed.studies.comparison import Campaign, Comparison, Job, Jobs, compare, controllers
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.runs import RunRequest, execute, request_of
+from vstestbed.studies.comparison.runs import RunRequest
 from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
 from vstestbed.studies.run_folder import files_of_failure
 
@@ -174,8 +175,8 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 
 @pytest.mark.study
 def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
-    campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
-    request = request_of("runs/a", vs.load(quick), False)
+    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
     with closing(LocalPool(1, tmp_path)) as pool:
         slot = pool._free[0]
         before = slot.pid.result()
@@ -197,7 +198,7 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
 @pytest.mark.study
 @pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
 def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
-    campaign = Campaign(tmp_path, jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     with closing(LocalPool(1, tmp_path)) as pool:
         pid = pool._slots[0].pid.result()
         os.kill(pid, signal.SIGKILL)
@@ -216,7 +217,7 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
         gone(first)
         assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {first, second, os.getpid()}
         for _ in range(2):  # one for each worker: they end in the middle of a run
-            pool.submit(request_of("runs/a", vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4}), False))
+            pool.submit(RunRequest("runs/a", given_text(vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4})), False))
     gone(second)
 
 
@@ -379,7 +380,7 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path
     whole, cut, seeds = tmp_path / "whole", tmp_path / "cut", 12
     table = compare([quick], seeds=seeds, out=whole, film=False, report=False)
     shutil.copytree(whole, cut)
-    every = jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
+    every = Jobs(controllers(Comparison(base=(str(quick),), seeds=seeds)), seeds)
     monkeypatch.setattr("vstestbed.studies.comparison.folder.GROUP", 10_000)
     assert table.equals(table_of(whole, every)) and table.equals(pl.read_parquet(whole / "comparison.parquet"))
     for place in ("0/0", "0/3", "8/11"):
@@ -394,23 +395,23 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path
 
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
-    request = request_of("runs/a", vs.load(quick), False)
+    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
     files = files_of_failure(request.text, "no more")
     assert json.loads(files["summary.json"])["outcome"] == "crashed"
     assert set(files) == {"scenario.yaml", "summary.json"}
 
 
 def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    request = request_of("runs/a", vs.load(quick), False)
+    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
     quick.unlink()
     assert isinstance(request, RunRequest)
-    assert json.loads(execute(request)["summary.json"])["outcome"] == "converged"
+    assert json.loads(request.perform()["summary.json"])["outcome"] == "converged"
 
 
 def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_path: Path):
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
-    campaign = Campaign(tmp_path, jobs(controllers(comparison), 2))
+    campaign = Campaign(tmp_path, Jobs(controllers(comparison), 2))
     told: list[Any] = []
     campaign.run(Here(), lambda job, summary: told.append((job.seed, summary["outcome"])))
     table = table_of(tmp_path, campaign.jobs)

@@ -12,7 +12,7 @@ from vstestbed.cli.compare import vary_of
 from vstestbed.cli.tools import settings_of
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.named_files import bundled_comparisons
-from vstestbed.studies.comparison import Comparison, chosen, controllers, jobs
+from vstestbed.studies.comparison import Comparison, Jobs, chosen, controllers
 from vstestbed.studies.comparison.folder import command_of
 from vstestbed.studies.comparison.plan import read_comparison
 
@@ -35,14 +35,14 @@ def test_every_combination_from_every_seed_seed_by_seed(quick: Path):
     assert found[3].scenario.camera.latency_s == 0.1
     inner_first = controllers(of(quick, law__gain=(0.75,), law=("ibvs", "pbvs")))  # the block is set first all the same
     assert [(c.scenario.law.kind, c.scenario.law.gain.value) for c in inner_first] == [("ibvs", 0.75), ("pbvs", 0.75)]
-    made = jobs(controllers(of(quick, seeds=3, law__gain=(1.0, 2.0))), 3)
+    made = Jobs(controllers(of(quick, seeds=3, law__gain=(1.0, 2.0))), 3)
     assert [(j.seed, j.controller.values["law.gain"]) for j in made] == [(0, 1.0), (0, 2.0), (1, 1.0), (1, 2.0), (2, 1.0), (2, 2.0)]
     assert made[-1].folder == "runs/quick/law.gain=2.0/2"
-    assert [j.folder for j in jobs(controllers(of(quick)), None)] == ["runs/quick/as_it_is/nominal"]
+    assert [j.folder for j in Jobs(controllers(of(quick)), None)] == ["runs/quick/as_it_is/nominal"]
 
 
 def test_one_seed_gives_every_controller_the_same_start_and_other_seeds_others(quick: Path):
-    made = jobs(controllers(of("arm_ibvs", "arm_pbvs", "arm_hybrid", seeds=3)), 3)
+    made = Jobs(controllers(of("arm_ibvs", "arm_pbvs", "arm_hybrid", seeds=3)), 3)
     starts = np.array([j.scenario().resolved.robot.configuration() for j in made]).reshape(3, 3, 6)
     np.testing.assert_array_equal(starts, np.broadcast_to(starts[:, :1], starts.shape))
     assert np.abs(np.diff(starts[:, 0], axis=0)).max() > 0.01
@@ -56,7 +56,7 @@ def test_seeds_that_draw_nothing_are_refused_with_the_reason():
     with pytest.raises(ParameterError, match="every seed would"):
         controllers(Comparison(base=("polar_book",), seeds=2, set=unseen))
     noisy = Comparison(base=("polar_book",), seeds=2, set={"robot.start.random": None, "noise.pixel_sigma_px": 0.1})
-    first, second = (j.scenario() for j in jobs(controllers(noisy), 2))
+    first, second = (j.scenario() for j in Jobs(controllers(noisy), 2))
     assert (first.seed, second.seed) == (0, 1)
     np.testing.assert_array_equal(first.robot.configuration(), second.robot.configuration())
 
@@ -64,7 +64,7 @@ def test_seeds_that_draw_nothing_are_refused_with_the_reason():
 @pytest.mark.parametrize("name", ["quadrotor_hover", "quadrotor_gust", "car_pbvs", "arm_track_random"])
 def test_sensor_noise_turbulence_and_random_walks_are_draws(name: str):
     made = controllers(Comparison(base=(name,), seeds=2, set={"robot.start.random": None}))
-    assert [j.scenario().seed for j in jobs(made, 2)] == [0, 1]
+    assert [j.scenario().seed for j in Jobs(made, 2)] == [0, 1]
 
 
 def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):

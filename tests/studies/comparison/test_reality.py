@@ -14,7 +14,7 @@ from vstestbed.laws.base import TwistLimits
 from vstestbed.robots.arm import LIMIT_MARGIN
 from vstestbed.robots.puma560 import JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.comparison import chosen, controllers, jobs
+from vstestbed.studies.comparison import Jobs, chosen, controllers
 
 LIMITS = np.degrees(JOINT_LIMITS)
 MARGIN = math.degrees(LIMIT_MARGIN)
@@ -60,7 +60,7 @@ def test_the_arm_at_full_stretch_stops_the_advance_that_takes_an_ideal_camera_th
 def test_the_partitioned_law_turns_joint_4_into_its_stop():
     whole = chosen(["realism"], {}, {}, None)
     cases = {"world": {"dynamics": whole.cases["world"]["dynamics"]}, "law": {"partitioned": whole.cases["law"]["partitioned"]}}
-    made = jobs(controllers(replace(whole, cases=cases)), 8)
+    made = Jobs(controllers(replace(whole, cases=cases)), 8)
     r = vs.run(made[7].scenario())
     assert r.outcome is vs.Outcome.joint_limit
     assert q_deg(r)[-1, 3] == pytest.approx(LIMITS[3, 0] + MARGIN, abs=0.3)
@@ -70,7 +70,7 @@ def test_the_partitioned_law_turns_joint_4_into_its_stop():
 def test_the_partitioned_law_turns_joint_4_into_its_stop_from_two_random_starts(seed: int, end: float):
     whole = chosen(["canonical_arm"], ORACLE, {}, None)
     kept = {"law": {"partitioned": whole.cases["law"]["partitioned"]}}
-    r = vs.run(jobs(controllers(replace(whole, cases=kept, tasks={"random": whole.tasks["random"]})), None)[seed].scenario())
+    r = vs.run(Jobs(controllers(replace(whole, cases=kept, tasks={"random": whole.tasks["random"]})), None)[seed].scenario())
     assert r.outcome is vs.Outcome.joint_limit
     assert q_deg(r)[-1, 3] == pytest.approx(end, abs=0.3)
 
@@ -97,7 +97,7 @@ def reached(world: str, **more: object) -> Array:
     """When `points_mean` reaches its goal in a world of `realism` [s], seeds 0 to 3."""
     whole = chosen(["realism"], {}, {}, None)
     cases = {"world": {world: whole.cases["world"][world] | more}, "law": {"points_mean": whole.cases["law"]["points_mean"]}}
-    runs = [vs.run(job.scenario()) for job in jobs(controllers(replace(whole, cases=cases)), 4)]
+    runs = [vs.run(job.scenario()) for job in Jobs(controllers(replace(whole, cases=cases)), 4)]
     return np.array([r.summary()["time_to_converge_s"] for r in runs], dtype=float)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.studies.comparison import Comparison, chosen, controllers, jobs
+from vstestbed.studies.comparison import Comparison, Jobs, chosen, controllers
 from vstestbed.studies.comparison.plan import MOST_RUNS, StartTable, Variants, must_be_few
 
 TENTHS = tuple(i / 10 for i in range(1, 11))
@@ -39,7 +39,7 @@ def test_the_limit_itself_is_allowed():
 
 def test_beyond_the_limit_runs_are_made_one_by_one(quick: Path):
     comparison = Comparison(base=(str(quick),), seeds=10**9, axes={"law.gain": (3, 6)})
-    made = jobs(controllers(comparison, force=True), comparison.seeds)
+    made = Jobs(controllers(comparison, force=True), comparison.seeds)
     assert len(made) == 2 * 10**9
     assert [job.folder for job in itertools.islice(made, 3)] == [
         "runs/quick/law.gain=3/0/0",  # a thousand in each folder
@@ -51,7 +51,7 @@ def test_beyond_the_limit_runs_are_made_one_by_one(quick: Path):
 
 def test_tasks_of_different_lengths_come_seed_by_seed(quick: Path):
     comparison = Comparison(base=(str(quick),), tasks={"a": StartTable(seeds=1), "b": StartTable(seeds=3)}, axes={"law.gain": (3, 6)})
-    made = jobs(controllers(comparison), None)
+    made = Jobs(controllers(comparison), None)
     assert len(made) == 8
     assert [(job.controller.values["task"], job.seed) for job in made] == [("a", 0), ("b", 0)] * 2 + [("b", 1)] * 2 + [("b", 2)] * 2
     assert made[-1].folder == "runs/quick/law.gain=6,task=b/2"

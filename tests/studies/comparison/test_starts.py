@@ -18,7 +18,7 @@ from tests.shortcuts import draw_one_figure, run_here
 from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
 from vstestbed.core.named_files import bundled_comparisons
-from vstestbed.studies.comparison import Campaign, Comparison, Variant, chosen, compare, controllers, jobs
+from vstestbed.studies.comparison import Campaign, Comparison, Jobs, Variant, chosen, compare, controllers
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import StartTable, merged
 from vstestbed.studies.pools import LocalPool
@@ -63,7 +63,7 @@ class TestPlan:
         found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law] for law in ("points", "pose")}}))
         assert len(found) == 2 * 5
         assert found[1].values == {"law": "points", "task": "along the axis"} and found[1].amounts[0] == "-0.5 m"
-        made = jobs(found, None)
+        made = Jobs(found, None)
         assert len(made) == 2 * (10 + 7 + 5 + 8 + 20)
         assert made[0].folder == "runs/ibvs_book/law=points,task=about_the_axis/0"
         assert len({job.folder for job in made}) == len(made)
@@ -151,7 +151,7 @@ class TestFile:
     def test_a_start_has_one_number(self, tmp_path: Path):
         """In its folder, in the table's `seed`, and as the label by which a report names it, unless there are amounts."""
         found = self.written(tmp_path, '{"camera_from_goal": [{"xyz": [0, 0, -1]}, {"xyz": [0, 0, -2]}]}')
-        for job in jobs(controllers(found), None):
+        for job in Jobs(controllers(found), None):
             assert job.seed is not None
             assert job.controller.amounts[job.seed] == str(job.seed) == Path(job.folder).name
 
@@ -161,7 +161,7 @@ class TestFile:
         away = np.array([rigid_error(p.T, np.eye(4)) for p in table.displacements])
         assert table.runs == 500 and away.mean(axis=0) == pytest.approx([0.464, np.radians(74.1)], rel=1e-3)
         assert table.numbers(None) == table.numbers(900) == tuple(range(500)) and table.numbers(4) == (62, 187, 312, 437)
-        some = jobs(controllers(chosen(["canonical"], {}, {}, None, limit=2)), None)
+        some = Jobs(controllers(chosen(["canonical"], {}, {}, None, limit=2)), None)
         first = [job for job in some if job.controller.values["law"] == "points"]
         assert [job.seed for job in first if job.controller.values["task"] == "about the axis"] == [2, 7]
         assert [job.seed for job in first if job.controller.values["task"] == "random"] == [0, 1]
@@ -259,7 +259,7 @@ PEER_PATHS = {10: 1.705, 16: 2.128}
 
 def test_canonical_polar_paths_near_the_centre_are_the_peers():
     (found,) = (c for name, c in tasks_of("canonical", "polar", "random").items() if name == "random")
-    made = jobs([found], None)
+    made = Jobs([found], None)
     for seed, path_m in PEER_PATHS.items():
         assert vs.run(made[seed].scenario()).summary()["path_length_m"] == pytest.approx(path_m, abs=1e-3)
 
@@ -319,7 +319,7 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
     task = StartTable(camera_from_goal=(Pose(xyz=(0, 0, 0.01)), Pose(xyz=(0, 0, 5))), amounts=(0.01, 5), unit="m")
     settings = {"detector": {"kind": "oracle"}, "stop.duration_s": 5, "stop.converged.error_px": 3}
     made = controllers(Comparison(base=("arm_jaco",), set=settings, tasks={"ahead": task}))
-    campaign = Campaign(tmp_path, jobs(made, None))
+    campaign = Campaign(tmp_path, Jobs(made, None))
     with closing(LocalPool(1, tmp_path)) as pool:
         campaign.run(pool)
     table = table_of(tmp_path, campaign.jobs)
@@ -336,7 +336,7 @@ def test_the_ideal_camera_of_realism_starts_where_the_arm_does():
     whole = chosen(["realism"], {}, {}, None)
     worlds = {world: whole.cases["world"][world] for world in ("ideal", "noise")}
     found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}, "world": worlds}))
-    free, arm = (jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))
+    free, arm = (Jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))
     for one, other in zip(free, arm, strict=True):
         a, b = one.scenario().resolved, other.scenario().resolved
         assert a.robot.flange_pose(a.robot.configuration()) == pytest.approx(b.robot.flange_pose(b.robot.configuration()), abs=1e-12)

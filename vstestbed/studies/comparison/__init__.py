@@ -17,13 +17,13 @@ from vstestbed.core.shares import at_once
 from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
 from vstestbed.studies.comparison.folder import GROUP, PLAN, Baseline, ComparisonTable, finish, table_of
-from vstestbed.studies.comparison.plan import Comparison, Job, Variant, Variants, chosen, controllers, jobs, read_comparison
+from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
 from vstestbed.studies.comparison.runs import Campaign, OnDone
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
-__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "ComparisonTable", "Job", "Variant"]
-__all__ += ["chosen", "compare", "controllers", "jobs", "must_be_known"]
+__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "ComparisonTable", "Job", "Jobs", "Variant"]
+__all__ += ["chosen", "compare", "controllers", "must_be_known"]
 
 
 def compare(
@@ -58,11 +58,9 @@ def compare(
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
 
-    Raises:
-        ScenarioError, ParameterError: bad input, found before anything runs.
-        RunFolderError: the baseline is no comparison, or has none of these runs.
-        OutputError: `out` is taken, or another process writes into it.
-        EnvironmentLackError: no OpenGL where a run needs it, no space, no cluster.
+    Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
+    of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
+    space, no cluster.
     """
     must_not_be_worker("compare")
     must_be_known(executor)
@@ -85,9 +83,7 @@ def carry_out(
     baseline: Baseline | None = None,
 ) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
-
-    Raises:
-        EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
+    Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
     """
     with ExitStack() as stack:
         pool = None
@@ -99,7 +95,7 @@ def carry_out(
                 clear(campaign.folder)  # of a process that was killed while it wrote the report
         finally:  # also an interrupted comparison has its table
             table = table_of(campaign.folder, campaign.jobs)
-            _write_table(campaign.folder, table)
+            write_table(campaign.folder / "comparison", table, GROUP)
         if lost := len(campaign.jobs) - len(table):
             words = f"{lost} of {len(campaign.jobs)} runs are not there any more, though each was stored when it was done"
             advice = "see what else writes there, then do them again with --resume"
@@ -141,27 +137,18 @@ def prepared(
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
-            _check_before(comparison, found, baseline)
+            _check_workers_find(found)
+            if baseline is not None:
+                baseline.must_match(comparison, Jobs(found, comparison.seeds))
             folder = stack.enter_context(study_folder("compare", out, RESUMABLE))
             write_plan(folder / PLAN, comparison, "base")
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-        yield Campaign(folder, jobs(found, comparison.seeds), filmed), comparison
-
-
-def _check_before(comparison: Comparison, found: Variants, baseline: Baseline | None) -> None:
-    """Refuse what no worker finds, and a baseline that has none of the runs."""
-    _check_workers_find(found)
-    if baseline is not None:
-        baseline.must_match(comparison, jobs(found, comparison.seeds))
+        yield Campaign(folder, Jobs(found, comparison.seeds), filmed), comparison
 
 
 def _check_workers_find(found: Variants) -> None:
-    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers.
-
-    Raises:
-        ParameterError: it names the class, and how it gets into a file.
-    """
+    """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers."""
     typed_in = not hasattr(sys.modules["__main__"], "__file__")
     if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
         for variant in found:
@@ -169,11 +156,7 @@ def _check_workers_find(found: Variants) -> None:
 
 
 def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: Sequence[str]) -> tuple[Comparison, Variants]:
-    """The comparison of a folder with its controllers.
-
-    Raises:
-        ParameterError: the command line requests another comparison than the folder's.
-    """
+    """The comparison of a folder with its controllers."""
     comparison = read_comparison(folder / PLAN, plugins)
     found = controllers(comparison, force)
     if requested is not None and not _same(requested, controllers(requested, force), comparison, found):
@@ -193,31 +176,18 @@ def _essence(c: Variant) -> tuple[object, ...]:
     return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
 
 
-def _write_table(folder: Path, table: pl.DataFrame) -> None:
-    """Write `comparison.parquet`, in row groups of GROUP runs, and `comparison.csv`."""
-    write_table(folder / "comparison", table, GROUP)
-
-
 def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
-    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers.
-
-    Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
-    """
+    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers."""
     comparison, table, _ = stored(folder, plugins)
-    _write_table(folder, table)
+    write_table(folder / "comparison", table, GROUP)
     finish(folder, comparison, table, lambda words: None)
     return folder / "report.html"
 
 
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
-    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`.
-
-    Raises:
-        RunFolderError: no run is finished, or a file of one is damaged. ScenarioError, PluginError: see `read_comparison`.
-    """
+    """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
     comparison = read_comparison(folder / PLAN, plugins)
-    every = jobs(controllers(comparison, force=True), comparison.seeds)
+    every = Jobs(controllers(comparison, force=True), comparison.seeds)
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)
     if table.is_empty():

@@ -34,28 +34,16 @@ DEEPEST = 5
 
 
 def summary_of(folder: Path, job: Job) -> dict[str, Any]:
-    """The summary of a stored run.
-
-    Raises:
-        RunFolderError: the run is missing, or its summary is damaged.
-    """
+    """The summary of a stored run. Raises RunFolderError: the run is missing, or its summary is damaged."""
     return read_summary(folder / job.folder, f"`vstestbed compare --resume --out {folder}` does the run again")
 
 
-def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[Job]:
-    """The jobs that are done, in the order of the plan; the time that it takes depends on how many are done, not on how many there are.
+def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterator[tuple[Job, dict[str, Any]]]:
+    """The jobs that are done, with their summaries, in the order of the plan, in a time that depends on how many are done.
 
-    Args:
-        folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again.
-
-    Raises:
-        RunFolderError: a summary cannot be read, and `damaged` is False.
+    folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again. Raises
+    RunFolderError: a summary cannot be read, and `damaged` is False.
     """
-    yield from (job for job, _ in _summaries(folder, jobs, damaged))
-
-
-def _summaries(folder: Path, jobs: Iterable[Job], damaged: bool) -> Iterator[tuple[Job, dict[str, Any]]]:
-    """As `finished`, with the summaries."""
     there = set(_with_summary(str(folder), "runs", DEEPEST)) if (folder / "runs").is_dir() else set[str]()
     for job in jobs:
         if not there:
@@ -78,12 +66,9 @@ def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:
 
 
 def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.DataFrame:
-    """One row per finished run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts.
-
-    `damaged`: see `finished`.
-    """
+    """A row per `finished` run, in the order of the plan: scenario, varied values, seed, folder, the summary's names, attempts."""
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
-    found, parts = _summaries(folder, jobs, damaged), list[pl.DataFrame]()
+    found, parts = finished(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
         names = _names(rows)
         filled = [dict(zip(names, map(row.get, names), strict=True)) for row in rows]
@@ -101,9 +86,11 @@ def _names(rows: list[dict[str, Any]]) -> list[str]:
 
 
 def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:
-    # a table column holds numbers or text: blocks and lists go in as JSON
-    values = {path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()}
-    first = {"scenario": job.controller.scenario.name} | values | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
+    first = (
+        {"scenario": job.controller.scenario.name}
+        | _as_text(job.controller.values)
+        | {"seed": summary.pop("seed", job.seed), "folder": job.folder}
+    )
     if job.controller.amounts and job.seed is not None:
         first |= {AMOUNT: job.controller.amounts[job.seed]}
     return first | _flat(summary, "")
@@ -153,12 +140,8 @@ FILMS = ("overview.mp4", "camera.mp4")
 def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
     """Make film and report of the finished runs; nothing if there is none.
 
-    Args:
-        folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done.
-        call: does shares of the work at the same time, in other processes.
-
-    Raises:
-        OutputError, EnvironmentLackError: a file cannot be written.
+    folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done. call: does shares of the work
+    at the same time, in other processes. Raises OutputError, EnvironmentLackError: a file cannot be written.
     """
     from vstestbed.report.comparison.page import write_comparison_report
 
@@ -212,8 +195,6 @@ def command_of(comparison: Comparison) -> str:
 
 
 # An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
-
-
 TABLES = ("comparison.parquet", "comparison.csv")
 NEEDED = ("scenario", "seed", "outcome", "success")
 MOST_NAMED = 6
@@ -236,11 +217,7 @@ class Baseline:
 
     @classmethod
     def read(cls, place: str | Path) -> Baseline:
-        """The table of a comparison's folder, or of its file.
-
-        Raises:
-            RunFolderError: there is none, it cannot be read, or it is not the table of a comparison.
-        """
+        """The table of a comparison's folder, or of its file."""
         place = Path(place)
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
         if file.is_dir() or not file.exists():
@@ -251,26 +228,19 @@ class Baseline:
         return cls(place, file, table)
 
     def must_match(self, comparison: Comparison, jobs: Iterable[Job]) -> None:
-        """Refuse a comparison none of whose runs is in this one: before anything runs.
-
-        Raises:
-            RunFolderError: it names the controllers that are in the baseline.
-        """
+        """Refuse a comparison none of whose runs is in this one: before anything runs."""
         varied = comparison.varied
         there = set(_rows_by_key(self.table, varied))
-        values = ({"scenario": job.controller.scenario.name, **job.controller.values, "seed": _seed_of(job)} for job in jobs)
-        if not any(_key(_as_text(row), varied) in there for row in values):
+        planned = ((job.controller, job.controller.scenario, job.seed) for job in jobs)
+        rows = ({"scenario": s.name, **c.values, "seed": s.seed if seed is None else seed} for c, s, seed in planned)
+        if not any(_key(_as_text(row), varied) in there for row in rows):
             names = list(dict.fromkeys(map(_words, _controllers(self.table))))
             more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
             words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {_seeds(self.table)}"
             raise RunFolderError(self.place, words, "compare the same scenarios with the same --vary and --seeds")
 
     def changes(self, comparison: Comparison, table: pl.DataFrame, folder: Path) -> BaselineChanges:
-        """What changed in the runs that both have.
-
-        Args:
-            comparison: the new one. table: of its runs. folder: its folder.
-        """
+        """What changed in the runs that both have. comparison: the new one. table: of its runs. folder: its folder."""
         results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
         before = _rows_by_key(self.table, comparison.varied)
         left, only_now, found = dict(before), list[str](), []
@@ -336,12 +306,8 @@ def _norm(value: object) -> object:
 
 
 def _as_text(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A planned run's values as in a table: blocks and lists as JSON."""
+    """A planned run's values as in a table, whose columns hold numbers or text: blocks and lists as JSON."""
     return {name: value if isinstance(value, int | float | str) else json.dumps(value) for name, value in row.items()}
-
-
-def _seed_of(job: Job) -> int:
-    return job.controller.scenario.seed if job.seed is None else job.seed
 
 
 def _named(table: pl.DataFrame) -> list[str]:
@@ -350,7 +316,6 @@ def _named(table: pl.DataFrame) -> list[str]:
 
 
 def _controllers(table: pl.DataFrame) -> list[dict[str, Any]]:
-    """The controller of each run."""
     return table.select(_named(table)).to_dicts()
 
 

@@ -28,8 +28,6 @@ from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, own_titles
 
-# Start tables: starts that form a task, such as rotations of 20 to 180 deg about the optical axis.
-
 
 class StartLists(NamedTuple):
     """The lists of a start table, one entry a run: values by dotted path, and displacements of the camera or of the target."""
@@ -40,7 +38,6 @@ class StartLists(NamedTuple):
 
 
 MUST_BE = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
-"""What a file of starts holds."""
 
 
 @spec
@@ -109,10 +106,6 @@ class StartTable:
         """Those of the camera or of the target."""
         return self.lists.camera_from_goal or self.lists.target_from_goal
 
-    def setting(self, i: int) -> dict[str, object]:
-        """The settings of run i by dotted path."""
-        return {path: values[i] for path, values in self.lists.each.items()}
-
     def numbers(self, limit: int | None) -> tuple[int, ...]:
         """The numbers of the runs that are made, from 0: all, or `limit` of them, spread evenly; of random starts the first ones."""
         if limit is None or limit >= self.runs:
@@ -127,11 +120,7 @@ class StartTable:
 
 
 def _read_lists(file: str) -> StartLists:
-    """The lists of a table's file.
-
-    Raises:
-        ParameterError: it is not there, is no JSON, or holds something else.
-    """
+    """The lists of a table's file. Raises ParameterError: it is not there, is no JSON, or holds something else."""
     path = place_of_file(file)
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
@@ -246,9 +235,7 @@ def _same(a: object, b: object) -> bool:
 
 def read_comparison(path: Path, plugins: Sequence[str] = ()) -> Comparison:
     """Read a comparison's YAML file; scenario files in `base` are searched beside it first. `plugins`: besides its own.
-
-    Raises:
-        ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
+    Raises ScenarioError: all mistakes in it, at once. PluginError: a plugin is not there or cannot be imported.
     """
     plain, marks = plain_mapping(text_of(path), str(path), "a comparison needs base")
     load_named(plain, marks, str(path), plugins)
@@ -276,8 +263,7 @@ def chosen(
 
     Scenarios after a comparison's name take the place of its own.
 
-    Raises:
-        ScenarioError, ParameterError, PluginError: invalid input.
+    Raises ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
     path = _comparison_among(names)
@@ -297,11 +283,7 @@ def chosen(
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:
-    """Refuse a setting that whatever is applied after it writes over, in every run.
-
-    Raises:
-        ScenarioError: it names the place in the file that does so.
-    """
+    """Refuse a setting that whatever is applied after it writes over, in every run."""
     for blocks in _after_set(read):
         over = [(key, own) for key, block in blocks for own in block if path == own or path.startswith(f"{own}.")]
         if over and len({key for key, _ in over}) == len(blocks):
@@ -323,22 +305,11 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
 def _comparison_among(names: list[str]) -> Path | None:
     """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
     path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
-    return path if path is not None and _is_comparison(path) else None
-
-
-def _is_comparison(path: Path) -> bool:
-    """Whether a file is a comparison: it has the key `base` at its top level.
-
-    Raises:
-        ScenarioError: it is no mapping, so neither a comparison nor a scenario.
-    """
     needs = "a comparison needs base, a scenario robot, target, law and goal"
-    return is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0]
+    return path if path and is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0] else None
 
 
 # The controllers and runs of a comparison: counted before any is made, and made when their turn comes.
-
-
 STARTS_KEPT = 100
 """Scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes."""
 
@@ -355,7 +326,6 @@ class Lazy(Sequence[T]):
     @overload
     def __getitem__(self, i: slice) -> list[T]: ...
     def __getitem__(self, i: int | slice) -> T | list[T]:
-        """Item i, or a list of the items of a slice."""
         places = range(len(self))[i]
         return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
@@ -364,8 +334,7 @@ class Starts(Lazy[Scenario]):
     """The scenarios of a task's runs, each made when it is asked for.
 
     Args:
-        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can.
-        runs: how many there are.
+        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can. runs: how many there are.
     """
 
     def __init__(self, make: Callable[[int], tuple[Scenario, str]], runs: int):
@@ -448,9 +417,7 @@ class Job:
 
     def scenario(self) -> Scenario:
         """The scenario with its start and its noise drawn from the seed.
-
-        Raises:
-            UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
+        Raises UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
         """
         found = self.controller
         if found.starts is not None and self.seed is not None:
@@ -517,12 +484,8 @@ def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str,
 def controllers(comparison: Comparison, force: bool = False) -> Variants:
     """All controllers, the first MOST_RUNS of them loaded and checked: bad input is found before anything runs.
 
-    Args:
-        comparison: the plan. force: allow more than MOST_RUNS runs.
-
-    Raises:
-        ScenarioError: a scenario is invalid, or becomes so with a value of an axis.
-        ParameterError: too many runs, or more than one seed for a scenario in which a seed draws nothing.
+    comparison: the plan. force: allow more than MOST_RUNS runs. Raises ScenarioError: a scenario is invalid, or becomes so with a value of
+    an axis. ParameterError: too many runs, or more than one seed for a scenario in which a seed draws nothing.
     """
     must_be_few(comparison, force)
     for i, name in enumerate(comparison.base):
@@ -538,11 +501,7 @@ def controllers(comparison: Comparison, force: bool = False) -> Variants:
 
 
 def must_be_few(comparison: Comparison, force: bool = False) -> None:
-    """Refuse more than MOST_RUNS runs, unless by force.
-
-    Raises:
-        ParameterError: with the product of which the runs come.
-    """
+    """Refuse more than MOST_RUNS runs, unless by force. Raises ParameterError: with the product of which the runs come."""
     c = comparison
     counts = [(len(c.base), "scenarios"), *((len(those), f"of {name}") for name, those in (c.cases | c.axes).items())]
     counts.append(
@@ -587,8 +546,8 @@ def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Pla
 
 
 def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
-    """The settings of run i of a task with lists."""
-    return {path: Placed(value, marks_under(("tasks", name, "each", path, i), c.places)) for path, value in task.setting(i).items()}
+    each = task.lists.each.items()
+    return {path: Placed(values[i], marks_under(("tasks", name, "each", path, i), c.places)) for path, values in each}
 
 
 def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
@@ -605,7 +564,11 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
 
 
 class Jobs(Lazy[Job]):
-    """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them."""
+    """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them.
+
+    Args:
+        found: the controllers. seeds: of those without a task; None: the nominal start.
+    """
 
     def __init__(self, found: Sequence[Variant], seeds: int | None):
         self._found = found
@@ -638,8 +601,3 @@ class Jobs(Lazy[Job]):
     def item(self, i: int) -> Job:
         """Run i."""
         return next(itertools.islice(self, i, None))
-
-
-def jobs(found: Sequence[Variant], seeds: int | None) -> Jobs:
-    """All runs of controllers; `seeds` for those without a task, None for the nominal start."""
-    return Jobs(found, seeds)

@@ -21,9 +21,6 @@ from vstestbed.studies.comparison.plan import Job
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
-# One run in a worker process, whose folder is returned as bytes. Independent of the number of workers and of their machines.
-
-
 TILE_PX = (480, 270)
 """Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
 
@@ -42,38 +39,29 @@ class RunRequest:
     filmed: bool
 
     def perform(self, place: str | None = None) -> Files:
-        """The folder of the run (`execute`)."""
-        return execute(self, place)
+        """Run the scenario and return its folder, which is made in `place` (None: where TMPDIR says).
 
-
-def execute(request: RunRequest, place: str | None = None) -> Files:
-    """Run a scenario and return its folder. An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback,
-    a start at which an arm falls `unreachable`.
-
-    Args:
-        request: the run. place: where its folder is made; None: where TMPDIR says.
-
-    Raises:
-        EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
+        An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a start at which an arm falls
+        `unreachable`. Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
         PluginError: a plugin of the scenario is not there on this machine.
-    """
-    scenario = parse(request.text, GIVEN)
-    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
-    with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
-        folder = Path(made) / "run"
-        folder.mkdir()
-        try:
-            recording = run_into(folder, scenario, "both" if request.filmed else "none", report=False, tile_px=TILE_PX)
-            # a picture of every failure for the report's gallery; films are made of the first seed only
-            if not recording.outcome.success and len(recording.rows):
-                picture_of_the_end(recording.scenario, recording.rows, folder)
-        except EnvironmentLackError:  # no fault of the run: the comparison stops
-            raise
-        except UnreachableError as error:  # its motors cannot hold it there
-            return files_of_failure(request.text, error.problem, outcome=Outcome.unreachable)
-        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
-            return files_of_failure(request.text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
-        return files_in(folder)
+        """
+        scenario = parse(self.text, GIVEN)
+        # the run's folder is local: the worker may be on a machine without access to the comparison's folder
+        with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
+            folder = Path(made) / "run"
+            folder.mkdir()
+            try:
+                recording = run_into(folder, scenario, "both" if self.filmed else "none", report=False, tile_px=TILE_PX)
+                # a picture of every failure for the report's gallery; films are made of the first seed only
+                if not recording.outcome.success and len(recording.rows):
+                    picture_of_the_end(recording.scenario, recording.rows, folder)
+            except EnvironmentLackError:  # no fault of the run: the comparison stops
+                raise
+            except UnreachableError as error:  # its motors cannot hold it there
+                return files_of_failure(self.text, error.problem, outcome=Outcome.unreachable)
+            except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
+                return files_of_failure(self.text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
+            return files_in(folder)
 
 
 def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
@@ -82,11 +70,6 @@ def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
     from vstestbed.report.video.quality import FINE
 
     film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
-
-
-def request_of(folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
-    """The request for a run of a scenario."""
-    return RunRequest(folder, given_text(scenario), filmed)
 
 
 OnDone = Callable[[Job, dict[str, Any]], None]
@@ -98,8 +81,7 @@ class Campaign:
     """The runs of a comparison.
 
     Args:
-        folder: the comparison's folder. jobs: all runs.
-        filmed: the seeds whose runs are filmed; empty for a comparison without films.
+        folder: the comparison's folder. jobs: all runs. filmed: the seeds whose runs are filmed; empty for a comparison without films.
     """
 
     folder: Path
@@ -114,14 +96,10 @@ class Campaign:
     @cached_property
     def _done(self) -> set[str]:
         """The folders of the jobs with a stored result: read once, then kept up to date."""
-        return {job.folder for job in finished(self.folder, self.jobs)}
+        return {job.folder for job, _ in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
-        """Do the missing runs.
-
-        Raises:
-            EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept.
-        """
+        """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
         again = list[tuple[Job, RunRequest]]()
         for job, request, future in completed(pool, self._requests(on_done), again):
             try:
@@ -148,7 +126,7 @@ class Campaign:
             except VstestbedError as error:
                 self._store(job, _without_start(job, error), 1, on_done)
             else:
-                yield job, request_of(job.folder, scenario, job.seed in self.filmed)
+                yield job, RunRequest(job.folder, given_text(scenario), job.seed in self.filmed)
 
 
 def _without_start(job: Job, error: VstestbedError) -> Files:
