@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, EffectBase, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
@@ -241,7 +240,7 @@ class OnBase(Actor):
         self._model, self._data, self._airframe = model, data, airframe
         self._body, dof = model.body("robot/base").id, int(model.joint("robot/root").dofadr[0])
         # Views of MuJoCo's own memory, taken once: each takes as long as ten operations on floats.
-        self.force: Array = np.zeros(model.nv)
+        self.force = np.zeros(model.nv)
         self._velocity, self._applied = data.qvel[dof : dof + 6], self.force[dof : dof + 6]
         self._place, self._turn, self._wind = data.xpos[self._body], data.xmat[self._body], model.opt.wind
         self._activations, self._acting = data.act, body.at.act.tolist()

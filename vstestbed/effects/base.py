@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from annotated_types import Len
@@ -131,7 +131,7 @@ class Actor:
     """
 
     with_controller: ClassVar[bool] = False
-    force: Array | None = None
+    force: Any = None
 
     def start(self) -> None:
         """The robot is at its start, in equilibrium."""

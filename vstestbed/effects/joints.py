@@ -199,7 +199,6 @@ def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
         setattr(body.alt, field, getattr(source.alt, field))
 
 
-# Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
 @dataclass(frozen=True, eq=False)
 class ElasticJoints(EffectBase):
     """`Gears` of an arm of n joints in plain numbers.
@@ -346,7 +345,7 @@ class MotorTorques(Actor):
         import mujoco
 
         model, at = body.model, body.at
-        self.force: Array = np.zeros(model.nv)
+        self.force = np.zeros(model.nv)
         self._data, self._motors, self._qpos, self._qvel = body.data, motors, at.motor_qpos, at.motor_qvel
         self._actuators = np.array([model.actuator(f"robot/{name}").id for name in body.actuators])
         self._ctrl = model.actuator_ctrladr[self._actuators]

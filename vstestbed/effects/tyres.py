@@ -1,4 +1,4 @@
-"""Tyres with slip: a transient brush model for the wheels of a vehicle, in numpy; `effects/tyres.py` applies it.
+"""Tyres with slip: a transient brush model for the wheels of a vehicle, in plain numbers; `TyreForces` applies it.
 
 A tyre's contact patch is deflected by u = (along, across) [m] against the wheel. With the patch's sliding velocity V_s, the speed
 V of the wheel over the floor and the relaxation length sigma
@@ -46,7 +46,7 @@ Pair = tuple[float, float]
 
 @spec
 class Tyres(EffectBase):
-    """Tyres that slip: a brush with relaxation length (`effects/tyres.py`). Without them a tyre has friction alone.
+    """Tyres that slip: a brush with relaxation length. Without them a tyre has friction alone.
 
     In the robot's file the wheels are the bodies `<wheel>_wheel` of `wheels.WHEELS` with geoms `<wheel>_contact`, which slide on joints
     `<wheel>_spring`.
@@ -114,7 +114,6 @@ class Tyres(EffectBase):
         return 2 * DAMPING * math.sqrt(self.stiffness / (self.relaxation_m * GRAVITY))
 
 
-# Forces of slipping tyres (`effects/tyres.py`) on a vehicle's wheels, at each physics step.
 class TyreForces(Actor):
     """Applies the forces where the wheels touch the floor. Their contacts carry the load alone, without friction.
 

@@ -162,7 +162,7 @@ class Rollout:
     no markers, `both` has all.
 
     Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
-    none (`laws.policy_io.ActionScale`); clipped. It has the scenario's latency and the robot's limits.
+    none (`laws.policy.ActionScale`); clipped. It has the scenario's latency and the robot's limits.
 
     An episode ends with the run's outcome: truncated by a time-out, terminated by any other. Two of the ends can be switched off for
     learners, who rest and lose the target often: `local_minimum` (and `stuck` of the monitor `settles`), and `target_lost`.

@@ -101,7 +101,7 @@ class Opening:
     Attributes:
         exposure_s: exposure time, with a rolling shutter of each row [s]. half: from the middle to the end of it all.
         most: number of images, at most. step_s: of the physics [s].
-        exact: the exposure need not be whole pairs of steps: the images' weights make up for it (`row_weights.of_exposure`).
+        exact: the exposure need not be whole pairs of steps: the images' weights make up for it (`of_exposure`).
     """
 
     exposure_s: float

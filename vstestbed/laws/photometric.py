@@ -383,7 +383,7 @@ class Photometric(LawBase):
     """u = -lambda (H + mu diag(H))^-1 (L_I B)^T W (I - I*), H = (L_I B)^T W L_I B, camera twist v = B u.
 
     I and I* are the luminance of the current picture and of the goal's, pixel by pixel: nothing is detected, matched or tracked. L_I
-    follows from the gradient of the picture (`luminance.rows`). Grey levels are linear in the camera's motion over few pixels only, so
+    follows from the gradient of the picture (`rows`). Grey levels are linear in the camera's motion over few pixels only, so
     that the basin of attraction is small; `levels` widens it. What changes the picture other than by motion (a lamp, a shadow, a hand
     before the camera) is an error to this law; `robust` leaves out what fits least.
 

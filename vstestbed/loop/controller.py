@@ -284,7 +284,7 @@ class Controller:
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
         Returns the cycle with its order: `stopped` with `reason`, or a velocity, as `setpoint` and as `twist`. It is due
-        `timing.command_latency_s` later, and with `timing.interpolation` is led to by whoever sends it (`robots.setpoints.Blend`).
+        `timing.command_latency_s` later, and with `timing.interpolation` is led to by whoever sends it (`timing.setpoints.Blend`).
         `notes` tell of pictures that came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is
         returned again, with the order now in force. So does one that is older than the last, where `timing` has `out_of_order` or
         `camera_clock`.

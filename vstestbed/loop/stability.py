@@ -13,7 +13,7 @@ A gain far too high has no clean period: limits of law and robot shorten the com
 Such a loop is known by its gain, near or over the limit of theory, and by commands that stay large, turn round often and lead nowhere,
 while the error does not fall.
 
-Reference: the limit of the gain and the period at it are those of `loop.theory`.
+Reference: the limit of the gain and the period at it are those of this file.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
 sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
-The body is in models/car.xml, which `parameters` changes (`car_body.CarParameters`), and its imperfections (`worn_vehicle`).
+The body is in models/car.xml, which `parameters` changes (`CarParameters`), and its imperfections (`vehicle.WornVehicle`).
 """
 
 from __future__ import annotations
@@ -551,7 +551,7 @@ class Car(WornVehicle):
         return mount.to_camera @ (PLANE @ self.odometry(before, now, duration))
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `bicycle.within_limits` has it.
+        """Speed [m/s] and steering angle [rad] for a camera twist (6,), as `within_limits` has it.
 
         Only (v, w) of the base's twist can be realised; the rest is dropped, also from `Allocation.twist`. `scale` is the realised
         share of the speed ("speed") or of the yaw rate, where the arc is too tight ("joint_limit": the steering is at its stop), or 0

@@ -100,9 +100,9 @@ class Scenario:
         detector: how markers are found in a picture.
         law: the control law.
         goal: what is to be reached or kept.
-        derotation: how image features of a tilted craft are rotated into its level frame (`vision.pose.derotate`).
+        derotation: how image features of a tilted craft are rotated into its level frame (`vision.derotate`).
         level_trim_s: time constant with which the picture corrects the IMU's roll and pitch for derotation [s]; 0: not at all
-            (`vision.pose.derotate.trimmed`).
+            (`vision.derotate.trimmed`).
         metrics: figures of the summary besides those of every run.
         monitors: rules of when a run ends besides those of every run.
         stop: when a run ends.

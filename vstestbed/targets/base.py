@@ -201,7 +201,7 @@ class Target:
 
     @property
     def T_world_start(self) -> Array:
-        """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the flange (`sim.scene.start_pose`)."""
+        """Its pose in the world at the start (4, 4); in the gripper, the pose relative to the flange (`sim.base`)."""
         return self.motion.start(self.pose.T)
 
     def points_at(self, T_camera_target: Array) -> Array:

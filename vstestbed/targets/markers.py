@@ -210,7 +210,7 @@ class Stripe(Marker):
 
     @property
     def solid(self) -> Solid:
-        """None: paint follows the line (`sim.scene.paint`), and no other target has stripes."""
+        """None: paint follows the line (`sim.scene.compose`), and no other target has stripes."""
         raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
 
     @property

@@ -273,7 +273,7 @@ class Held(MotionBase):
     on_gripper: ClassVar[bool] = True
 
     def start(self, pose: Array) -> Array:
-        """The pose in the flange's frame; its place in the world depends on the robot (`sim.scene.start_pose`)."""
+        """The pose in the flange's frame; its place in the world depends on the robot (`sim.base`)."""
         return pose
 
 

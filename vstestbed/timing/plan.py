@@ -78,7 +78,7 @@ class Timing:
         command_hz: rate at which setpoints reach the actuators [Hz], a whole number of physics steps apart; null: with the law's
             command, or with `interpolation` at each physics step; e.g. `500`.
         interpolation: between two commands: `hold` the last one; go to the new one within a camera period in a straight line (`ramp`), or
-            with limited jerk (`smooth`), both late by half a period (`robots.setpoints.Blend`).
+            with limited jerk (`smooth`), both late by half a period (`timing.setpoints.Blend`).
     """
 
     exposure_s: Time = 0.0

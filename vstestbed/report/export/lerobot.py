@@ -131,7 +131,7 @@ def _state(scenario: Scenario, log: dict[str, Array]) -> dict[str, Array]:
 
 
 def _pixels(uv: Array) -> Array:
-    """Pixels as a policy sees them (`policy_io.observed`): 0 for a marker that is not seen."""
+    """Pixels as a policy sees them (`laws.policy.observed`): 0 for a marker that is not seen."""
     return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX)
 
 

@@ -123,7 +123,7 @@ class Stage:
         self.place_plates(t)
         self.data.qpos[self.at.qpos] = q
         if self.at.motor_qpos is not self.at.qpos:
-            self.data.qpos[self.at.motor_qpos] = q  # gears unwound; `equilibrium.settle` winds them up
+            self.data.qpos[self.at.motor_qpos] = q  # gears unwound; `sim.plant.settle` winds them up
         if self._free is not None and T_world_camera is not None:
             T = T_world_camera @ self.mount_inverse
             self.data.mocap_pos[self._free] = T[:3, 3]
