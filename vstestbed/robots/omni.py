@@ -15,7 +15,7 @@ and with kappa = 1 the equations of the textbooks: vx -+ vy -+ (half base + half
 
 Reference: Muir & Neuman 1987, "Kinematic modeling for feedback control of an omnidirectional wheeled mobile robot", ICRA, pp.
 1772-1778; Taheri, Qiao & Ghaeminezhad 2015, doi:10.5120/19804-1586. Any roller angle: Lynch & Park 2017, Modern Robotics, 13.2.
-Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` changes (`omni_body.OmniParameters`).
+Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` changes (`OmniParameters`).
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def unit_of(coordinate: str) -> str:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A start that `loop.session.run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
+    """A start that `run` (`full`) ended otherwise than the batch: at x, y on the map, or frontal and turned by on_axis_deg."""
 
     x: float | None
     y: float | None
@@ -137,7 +137,7 @@ class Basin:
         label: name of the law. scenario: the ideal scenario that was run.
         x, y: the axes. fixed: the other coordinates of every start [m or deg].
         batch: result of each start, x fastest. processor_s: processor time [s].
-        checked: number of starts that were also run singly, in `loop.session.run`; disagreements: those that ended otherwise.
+        checked: number of starts that were also run singly, in `run`; disagreements: those that ended otherwise.
     """
 
     label: str
@@ -238,7 +238,7 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
 
 
 def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `loop.session.run`."""
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `run`."""
     poses = starts(scenario, x, y, at or {})
     began = time.process_time()
     batch = fly(scenario, poses)

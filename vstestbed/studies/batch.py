@@ -252,7 +252,7 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 
 # Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs.
 #
-# A single run with robot dynamics, images and delays is in `loop.session.run`. `_frame` repeats the rules of its `Judge`, vectorised; the tests
+# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its `Judge`, vectorised; the tests
 # and `basin --check` compare the outcomes of the two.
 AT_ONCE = 2000
 """Runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time."""
@@ -312,7 +312,7 @@ class Instant:
 
 
 def fly(scenario: Scenario, start: Array) -> Batch:
-    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`loop.session.run`, `loop.judge.Judge`).
+    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`run`, `loop.judge.Judge`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
     run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the pixels are exact;

@@ -489,7 +489,7 @@ def interquartile_mean(
     the percentile interval, expanded for small n: at the level Phi(-sqrt(n / f) t(alpha / 2, f)) with f = n - number of strata. It
     holds the true mean in 95 to 96 % of 3000 samples at n = 20 (normal, exponential, lognormal, Student's t with 2 degrees of freedom,
     two humps), in 97 % at 10, in 88 to 94 % at 5, and in 94 to 96 % at 50 and 200. Strata of two runs make it too short (78 %), those of
-    four do not (95 %). Over MOST_RUNS runs it is normal, with the standard error of the trimmed mean by Winsorised variances within the strata.
+    four do not (95 %). Over MOST_RUNS it is normal, with the standard error of the trimmed mean by Winsorised variances within the strata.
 
     Infinity (of one sign) is a run that is worse than any with a number. Of up to k of them the mean is finite; an end of the interval is
     infinite where the resamples beyond it have more.
@@ -499,7 +499,7 @@ def interquartile_mean(
         confidence: of the interval, in 0..1. seed: of the resampling. resamples: how many.
 
     Returns:
-        The mean; low and high are NaN with fewer than FEWEST_RUNS runs, or where no stratum has two.
+        The mean; low and high are NaN with fewer than FEWEST_RUNS, or where no stratum has two.
 
     Raises:
         ParameterError: confidence is not between 0 and 1.
