@@ -171,7 +171,6 @@ def render(
 
 
 def _film_file(out: Path | None, default: Path, ending: str) -> Path:
-    """The film's file, which has the ending by which players know it."""
     if out is not None and out.suffix.lower() != ending:
         raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if ending == '.gif' else '.gif with'} --gif", str(out))
     return out or default.with_name(default.name + ending)
@@ -238,9 +237,8 @@ app.add_typer(benchmarks)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit.
-
-    0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline, 130 interrupted.
+    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline,
+    130 interrupted.
     """
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):

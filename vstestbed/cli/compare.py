@@ -90,11 +90,7 @@ class _Gate:
 
 
 def _gate(baseline: Path | None, fail: bool, tolerance: float | None) -> _Gate:
-    """The gate of the options.
-
-    Raises:
-        ParameterError: there is no baseline to be worse than.
-    """
+    """The gate of the options; ParameterError where there is no baseline to be worse than."""
     from vstestbed.report.comparison.baseline import TOLERANCE
 
     if baseline is None and (fail or tolerance is not None):

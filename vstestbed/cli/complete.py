@@ -92,7 +92,6 @@ def _schema() -> dict[str, Any]:
 
 
 def _children(rule: dict[str, Any], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The fields of a block, or of all the kinds that it may be."""
     if "$ref" in rule:
         rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]
     yield from rule.get("properties", {}).items()

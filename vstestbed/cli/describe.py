@@ -87,7 +87,6 @@ def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> Non
 
 
 def _held(inner: list[str], entries: dict[str, Entry], console: Console) -> None:
-    """The block in a field, where it is one."""
     if len(inner) == 1 and inner[0]:
         console.print()
         describe_entry(entries[inner[0]], entries, console)
@@ -141,7 +140,6 @@ def _table(*columns: str) -> Table:
 
 
 def _fields(cls: type, names: dict[type, str]) -> Table:
-    """One row a field: name, default, unit, and its sentence with the words that it may be and the name of its block."""
     table = _field_table("field")
     for name in class_text(cls).fields:
         if name != "kind":
@@ -157,7 +155,6 @@ def _field_table(first: str) -> Table:
 
 
 def _cells(cls: type, name: str, names: dict[type, str]) -> tuple[Text, Text, Text]:
-    """Default, unit and sentence of a field."""
     field, hint = class_text(cls).fields[name], hint_of(cls, name)
     default = Text("required", style="yellow") if name in needed_fields(cls) else Text(_default(cls, name, hint))
     unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
@@ -183,7 +180,6 @@ def _default(cls: type, name: str, hint: Any) -> str:
 
 
 def _words(hint: Any) -> Iterator[Any]:
-    """The words of a Literal; none for other fields."""
     if hasattr(hint, "__metadata__"):
         yield from _words(hint.__origin__)
     elif typing.get_origin(hint) is Literal:
@@ -198,7 +194,6 @@ def _inner(hint: Any, names: dict[type, str]) -> str:
 
 
 def _use(entry: Entry, console: Console) -> None:
-    """Which bundled files use it, and an example."""
     cls = typing.cast(type, entry.cls)
     uses = bundled_uses()
     files = uses.files.get(cls, [])

@@ -26,11 +26,7 @@ from vstestbed.core.shares import STOPS
 
 
 class Stream:
-    """A standard stream that drops its text from the first error on.
-
-    Args:
-        stream: the stream; None where the process was started without it (`>&-`).
-    """
+    """A standard stream that drops its text from the first error on; None: the process was started without it (`>&-`)."""
 
     def __init__(self, stream: TextIO | None):
         self._closed = stream is None
@@ -104,10 +100,8 @@ UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickExce
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:
-    """Do a command; its exit code.
-
-    The code is that of the command's outcome, also where the reader of its output goes away. Only where standard output is full or
-    closed, so that text was lost which nobody chose to lose, is it LACK in place of GOAL_REACHED.
+    """Do a command; its exit code, also where the reader of its output goes away. A command that reached its goal, but could not write all
+    its text because standard output is full or closed, ends with LACK.
     """
     with standard_streams() as out, _stopped_by_signals(), _after_all() as ignored:
         code = _guarded(command, debug)
@@ -122,9 +116,8 @@ def exit_code(command: Callable[[], object], debug: bool = False) -> int:
 
 @contextmanager
 def _after_all() -> Iterator[list[str]]:
-    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made.
-
-    Their finalisers then fail for reasons that are no news beside the want itself, which is known only at the end.
+    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made. Their
+    finalisers then fail for reasons that are no news beside the want itself, which is known only at the end.
     """
     said: list[str] = []
 

@@ -32,12 +32,7 @@ class Format(str, Enum):
 
 @dataclass(frozen=True)
 class Exported:
-    """What is exported.
-
-    Attributes:
-        folder: a run's, or a comparison's. runs: the folders of its runs. frames: of all. table: of a comparison's runs, None of one run.
-        left_out: what is not exported, or was cut off, in words.
-    """
+    """What is exported: the folders of the runs. table: of a comparison's runs, None of one run. left_out: what is missing or cut off."""
 
     folder: Path
     runs: tuple[Path, ...]
@@ -84,11 +79,7 @@ def export(
 
 
 def _folder(given: Path) -> Path:
-    """The folder of a run or a comparison that a person names by itself, or by one of its files.
-
-    Raises:
-        RunFolderError: a file of neither.
-    """
+    """The folder of a run or a comparison that a person names by itself, or by one of its files; else RunFolderError."""
     if not given.is_file():
         return given
     if any((given.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
@@ -97,7 +88,6 @@ def _folder(given: Path) -> Path:
 
 
 def _must_be_new(path: Path, found: Exported, to: Format) -> None:
-    """Refuse a place that holds something, before any picture is drawn."""
     if to is Format.mcap and found.within is None:  # a file
         if path.exists() or path.is_symlink():
             raise OutputError(path, "exists", "give a new file with --out")
@@ -108,11 +98,7 @@ def _must_be_new(path: Path, found: Exported, to: Format) -> None:
 
 
 def _found(folder: Path, plugins: list[str]) -> Exported:
-    """What a folder holds.
-
-    Raises:
-        RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame.
-    """
+    """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame."""
     if (folder / "comparison.yaml").is_file():
         return _comparison(folder, plugins)
     from vstestbed.report.export.source import RecordedRun
@@ -142,7 +128,6 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
 
 
 def _beside(found: Exported, to: Format) -> Path:
-    """The place beside a folder where its export goes by default."""
     folder = found.folder.resolve()
     return folder.with_name(f"{folder.name}.mcap" if to is Format.mcap and found.within is None else f"{folder.name}_{to.value}")
 

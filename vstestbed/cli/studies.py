@@ -28,17 +28,13 @@ if TYPE_CHECKING:
 
 
 def _command() -> str:
-    """This command line, for the page of a study; "" in a process that has none."""
     return shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
 
 
 @contextmanager
 def _results_in(kind: str, out: Path | None, found: Sized, total: int, things: str, write: Callable[[Path], object]) -> Iterator[Path]:
-    """The folder of a study, into which its results are written when it ends, also those of an interrupted one.
-
-    Args:
-        kind: the command. out: the folder. found: the results so far. total: how many there are to be. things: what they are of.
-        write: writes them into the folder.
+    """The folder of a study, into which `write` puts its results when it ends, also those of an interrupted one.
+    kind: the command. found: the results so far. total: how many there are to be. things: what they are of.
     """
     from vstestbed.studies.folder import study_folder
 
@@ -218,10 +214,9 @@ def gain_limit(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says.
-
-    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
-    scenario (`--set camera.latency_s=0.06`) comes first.
+    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says. The oracle
+    detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the scenario
+    (`--set camera.latency_s=0.06`) comes first.
     """
     from vstestbed.studies.delay import delays_of, find_limits, write
 
@@ -335,7 +330,6 @@ def ranges_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
 
 
 def _finished(search: Search, shown: bool) -> TuningResult:
-    """Do the search; an interrupt leaves with the command that goes on."""
     from vstestbed.cli.progress import Counter
     from vstestbed.studies.tuning import finished
 

@@ -250,11 +250,7 @@ def commands_of(text: str) -> list[str]:
 
 
 def _check_name(kind: NewKind, name: str) -> None:
-    """Refuse a name that is no word of Python, or that a bundled kind has.
-
-    Raises:
-        ParameterError: it says what would be valid.
-    """
+    """Refuse a name that is no word of Python, or that a bundled kind has."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind.value}", name)
     from vstestbed.scenario.validation import KINDS  # after the cheap check: it imports the whole package
@@ -265,11 +261,7 @@ def _check_name(kind: NewKind, name: str) -> None:
 
 
 def _check_file(path: Path, given: Path | None) -> None:
-    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out.
-
-    Raises:
-        ParameterError, OutputError: it says what would work.
-    """
+    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out."""
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
     if path.exists() or path.is_symlink():

@@ -30,12 +30,7 @@ _SOURCE = re.compile(r"References?: ")
 
 @dataclass(frozen=True)
 class FieldText:
-    """What is known of a field in words.
-
-    Attributes:
-        description: its sentence; "" where the docstring has none. unit: "1" for a pure number; "" for what is no number, and where
-            neither the type nor the docstring tells. example: YAML of a value; "" where the docstring has none.
-    """
+    """What is known of a field in words; "" what is not. unit: "1" for a pure number. example: YAML of a value."""
 
     description: str
     unit: str
@@ -44,12 +39,7 @@ class FieldText:
 
 @dataclass(frozen=True)
 class ClassText:
-    """A docstring in parts.
-
-    Attributes:
-        summary: its first paragraph, on one line. text: what follows up to the fields. sources: references, one a line.
-        fields: the text of each field.
-    """
+    """A docstring in parts. summary: its first paragraph, on one line. text: what follows up to the fields. sources: one a line."""
 
     summary: str
     text: str

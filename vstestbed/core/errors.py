@@ -36,14 +36,10 @@ def _unpickled(cls: type[VstestbedError], args: tuple[object, ...]) -> Vstestbed
 
 
 class ParameterError(VstestbedError, ValueError):
-    """A parameter outside its domain.
-
-    Args:
-        field: the parameter's name, as the user writes it.
-        problem: the rest of the sentence: what is wrong, and what is valid.
-        found: the given value; None where the message needs none.
-
-    With one argument alone, an error or its message, it says the same: so Gymnasium's vector environments raise a worker's error again.
+    """A parameter outside its domain. With one argument alone, an error or its message, it says the same: so Gymnasium's vector
+    environments raise a worker's error again.
+    field: the parameter's name, as the user writes it. problem: the rest of the sentence: what is wrong, and what is valid. found: the
+    given value; None where the message needs none.
     """
 
     def __init__(self, field: object, problem: str = "", found: object = None):

@@ -115,9 +115,7 @@ class Pose:
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
         """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0.
-
-        Raises:
-            ParameterError: it is no pose (`pose_matrix`).
+        Raises ParameterError: it is no pose (`pose_matrix`).
         """
         matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
@@ -293,10 +291,8 @@ def rotation_angle(R: Array) -> Array:
 
 
 def quaternion_wxyz(R: Array) -> Array:
-    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3).
-
-    The column of 4 q q^T with the largest diagonal element, normalised, which never divides by a small number.
-    Reference: Shepperd 1978, doi:10.2514/3.55767b.
+    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3). The column of 4 q q^T with the largest diagonal
+    element, normalised, which never divides by a small number. Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
     columns = [

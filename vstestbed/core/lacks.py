@@ -49,13 +49,10 @@ def shortage() -> EnvironmentLackError | None:
 
 
 def take_early() -> None:
-    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some.
-
-    What OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal.
-    One thread each: every further one would take 32 MiB.
-
-    Raises:
-        OSError: there is too little; `lack_of` tells it.
+    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some. What
+    OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal. One
+    thread each: every further one would take 32 MiB.
+    Raises OSError: there is too little; `lack_of` tells it.
     """
     if sys.platform == "win32":
         return
@@ -107,6 +104,5 @@ def _files(error: BaseException) -> EnvironmentLackError:
 
 
 def _said(error: BaseException) -> str:
-    """The first line of an error's words, in brackets."""
     words = str(error).strip().split("\n")[0]
     return f" ({words})" if words else ""

@@ -20,12 +20,8 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 @dataclass(frozen=True)
 class Within:
-    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says why.
-
-    Args:
-        low, high: smallest and largest number.
-        unit: as messages show it; "" for a pure number, and where fields of several units share the type.
-        why: the reason, which ends the sentence.
+    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says `why`.
+    unit: as messages show it; "" for a pure number, and where fields of several units share the type.
     """
 
     low: float
@@ -41,7 +37,6 @@ class Within:
         return core_schema.chain_schema([handler(source), bounds])
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: the type and the field's other bounds, and these bounds."""
         inner = handler(schema)
         low, high = max(self.low, inner.get("minimum", self.low)), min(self.high, inner.get("maximum", self.high))
         return inner | {"minimum": low, "maximum": high}
@@ -68,11 +63,9 @@ class OneForAll:
     """For `Annotated` of a list with a value for each joint: a number alone stands for the list of it, which holds for all joints."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a number becomes a list of one first."""
         return core_schema.no_info_before_validator_function(self._listed, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: the list, or a number as it may be in one."""
         listed = handler(schema)
         return {"anyOf": [listed, listed["items"]]}
 

@@ -21,11 +21,7 @@ Key = tuple[str | int, ...]
 
 
 def refuse_conversions(made: Any, values: Mapping[str, Any]) -> None:
-    """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a text, or True for 1.
-
-    Raises:
-        ParameterError: it names the field and what it should have been.
-    """
+    """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a text, or True for 1."""
     for name, value in values.items():
         if _may_convert(value):
             for key, words in converted(value, to_mapping(getattr(made, name)), (name,)):
@@ -41,12 +37,9 @@ def _may_convert(value: Any) -> bool:
 
 
 def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
-    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1.
-
-    Pydantic's strict mode is no way out: it would also refuse the lists of YAML for fields that are tuples.
-
-    Args:
-        plain: what was given. built: what it has become (`to_mapping`). key: of both.
+    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1. Pydantic's strict mode is
+    no way out: it would also refuse the lists of YAML for fields that are tuples.
+    plain: what was given. built: what it has become (`to_mapping`). key: of both.
     """
     if isinstance(plain, dict) and isinstance(built, dict):
         for name in plain:
@@ -70,11 +63,7 @@ UNKNOWN = "is an unknown field"
 
 
 def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
-    """The error of a constructor in Python: of an unknown field before all others, since that may be what another one misses.
-
-    Args:
-        error: pydantic's. cls: the spec class. values: what the constructor was given.
-    """
+    """The error of a constructor in Python, from pydantic's: of an unknown field before all others, since another one may miss that."""
     details = _details(error)
     inner = details[0].get("ctx", {}).get("error")
     if isinstance(inner, ParameterError) and not details[0]["loc"] and inner.field:
@@ -84,11 +73,7 @@ def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any
 
 
 def findings(error: pydantic.ValidationError, plain: Mapping[str, Any], cls: type) -> list[tuple[Key, str]]:
-    """The key and the sentence of each mistake.
-
-    Args:
-        error: pydantic's. plain: what was validated. cls: the spec class that it should become.
-    """
+    """The key and the sentence of each mistake that pydantic found in `plain`, which should become a `cls`."""
     return [_finding(detail, plain, cls) for detail in _details(error)]
 
 
@@ -98,7 +83,6 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
 
 
 def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
-    """The key and the sentence of one of pydantic's errors."""
     loc, inner = detail["loc"], detail.get("ctx", {}).get("error")
     # what is missing is a field, also where a kind has the same name
     key = (*_key_of(loc[:-1], plain), loc[-1]) if detail["type"] == "missing" else _key_of(loc, plain)
@@ -139,7 +123,6 @@ def _is_tag(part: int | str, here: Any, tagged: bool) -> bool:
 
 
 def _child(here: Any, part: int | str) -> Any:
-    """The value at a key of a mapping or an index of a list; None where there is none."""
     if isinstance(here, dict):
         return here.get(part)
     return here[part] if isinstance(here, list | tuple) and isinstance(part, int) and part < len(here) else None
@@ -169,7 +152,6 @@ _WORDS = {
 
 
 def _sentence(detail: Any, cls: type) -> str:
-    """The sentence for one of pydantic's errors, with the value found."""
     kind, found, loc = detail["type"], detail["input"], detail["loc"]
     if kind == "unexpected_keyword_argument":
         return _unknown(str(loc[-1]), *_block_at(loc[:-1], cls))
@@ -273,7 +255,6 @@ def _meant(block: type, value: Any) -> list[str]:
 
 
 def _takes(block: type, name: str, value: Any) -> bool:
-    """Whether a block with this one field, of this value, would be valid."""
     try:
         block(**{name: value})
     except ParameterError:
@@ -321,7 +302,6 @@ def _choices(cls: type, name: str) -> list[tuple[Room | None, type]]:
 
 
 def _hint(cls: type, name: str) -> Any:
-    """The type of a field; None where there is none."""
     try:
         return typing.get_type_hints(cls, include_extras=True).get(name)
     except NameError:  # of a class defined in a function, where pydantic alone knows the names

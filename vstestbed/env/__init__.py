@@ -43,14 +43,10 @@ def _register() -> None:
 
 def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict[str, Any], Any]:
     """A Gymnasium environment of any scenario, `gymnasium.make` of the id ANY.
-
-    Args:
-        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
-        settings: as `GymServo` has them (observation, reward, render_mode, overrides, ...), or `gymnasium.make`.
-
-    Raises:
-        EnvironmentLackError: Gymnasium is not installed. ScenarioError: the scenario has mistakes.
-        ParameterError: a setting is none of the possible ones.
+    scenario: path of a YAML file, name of a bundled scenario, or a loaded one. settings: as `GymServo` has them (observation, reward,
+    render_mode, overrides, ...), or `gymnasium.make`.
+    Raises EnvironmentLackError: Gymnasium is not installed. ScenarioError: the scenario has mistakes. ParameterError: a setting is none of
+    the possible ones.
     """
     if find_spec("gymnasium") is None:
         raise EnvironmentLackError("Gymnasium is not installed", REMEDY)
@@ -66,9 +62,7 @@ def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: 
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `rollout.rollout_of` has them.
         seed: of the seeds that episodes get, one after the other; None: other ones each time.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
     from vstestbed.env.deepmind import DmServo
     from vstestbed.env.rollout import rollout_of

@@ -40,8 +40,7 @@ def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
 
     Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
 
-    Args:
-        error: the judged error. view: number of the goal view that it belongs to. views: how many there are in turn.
+    error: the judged error. view: number of the goal view that it belongs to. views: how many there are in turn.
     """
     ratio = WORST if math.isnan(error.value) else min(abs(error.value) / error.limit, WORST)
     return (view + 1.0 - math.log1p(ratio) / math.log1p(WORST)) / views
@@ -58,11 +57,8 @@ class Reward:
     all n steps that were left, -(discount + ... + discount^n): without this, to give up would cost less than to go to the goal.
     `sparse`: the bonus alone.
 
-    Args:
-        kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
-
-    Raises:
-        ParameterError: another kind, a discount out of its range, a bonus that is not finite.
+    kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
+    Raises ParameterError: another kind, a discount out of its range, a bonus that is not finite.
 
     Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory and application to reward shaping",
     ICML, pp. 278-287; that phi must be 0 after the end: Grzes 2017, "Reward shaping in episodic reinforcement learning", AAMAS,
@@ -75,7 +71,6 @@ class Reward:
     success_bonus: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no reward."""
         if self.kind not in get_args(RewardKind):
             raise ParameterError("reward", f"must be one of {', '.join(get_args(RewardKind))}", self.kind)
         if not 0 < self.discount <= 1:
@@ -85,10 +80,8 @@ class Reward:
 
     def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
         """The reward of a step between two potentials.
-
-        Args:
-            before, after: the potentials. terminated: the episode has ended, and not by the clock. success: the goal was reached.
-            left: how many steps the episode would still have had.
+        before, after: the potentials. terminated: the episode has ended, and not by the clock. success: the goal was reached. left: how
+        many steps the episode would still have had.
         """
         bonus = self.success_bonus if success else 0.0
         if self.kind == "sparse":
@@ -105,12 +98,8 @@ class Reward:
 # The picture of an environment from outside, as in the film of a run.
 class Overview:
     """Draws one episode from outside, with the camera's own picture inset; the trail joins the frames that were drawn.
-
-    Args:
-        scenario: the episode's.
-
-    Raises:
-        EnvironmentLackError: OpenGL is asked for, and does not work here.
+    scenario: the episode's.
+    Raises EnvironmentLackError: OpenGL is asked for, and does not work here.
     """
 
     def __init__(self, scenario: Scenario):
@@ -177,9 +166,7 @@ class Rollout:
         observation: the mode. reward: of a step. overrides: values by dotted path, as `vstestbed.load`.
         end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
         end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
     """
 
     def __init__(
@@ -237,9 +224,7 @@ class Rollout:
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
-
-        Raises:
-            ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
+        Raises ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
         """
         u = self.scale.velocities(self._checked(action))
         session, frame = self._running()
@@ -257,27 +242,19 @@ class Rollout:
 
     def expert(self) -> Array:
         """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration.
-
-        Raises:
-            SessionError: before `reset`.
+        Raises SessionError: before `reset`.
         """
         return self.scale.action(self._running()[1].command.u)
 
     def recording(self) -> Recording:
-        """The episode so far, as `Session.recording`.
-
-        Raises:
-            SessionError: before `reset`, or after `close`.
-        """
+        """The episode so far, as `Session.recording`. Raises SessionError: before `reset`, or after `close`."""
         if self._session is None:
             raise SessionError("no episode has begun", "call reset() first")
         return self._session.recording()
 
     def render(self) -> Image:
         """The scene from outside at the last frame, as in a film's draft.
-
-        Raises:
-            SessionError: before `reset`. EnvironmentLackError: it cannot be drawn here.
+        Raises SessionError: before `reset`. EnvironmentLackError: it cannot be drawn here.
         """
         if self._frame is None or self._session is None:
             raise SessionError("nothing to draw", "call reset() first")
@@ -295,7 +272,6 @@ class Rollout:
 
     @property
     def _episode(self) -> Any:
-        """The session's episode, which has begun."""
         assert self._session is not None and self._session.episode is not None
         return self._session.episode
 
@@ -308,7 +284,6 @@ class Rollout:
         return self._session, self._frame
 
     def _checked(self, action: Array) -> Array:
-        """An action as numbers of its shape."""
         try:
             numbers = np.array(action, dtype=float)
         except (TypeError, ValueError):
@@ -320,7 +295,6 @@ class Rollout:
         return numbers
 
     def _observation(self, frame: Frame) -> dict[str, Any]:
-        """What a learner sees of a frame: measurements of the camera and of the robot, nothing of the frame's truth."""
         seen, exposure = frame.observation, self._episode.controller.before
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
         found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal)
@@ -333,7 +307,6 @@ class Rollout:
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:
-        """The judged error in a frame, and the potential."""
         scenario = self.scenario
         values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
         error = in_a_frame(scenario.goal.judged, scenario.stop, values)
@@ -369,8 +342,6 @@ def rollout_of(
     end_on_loss: bool = True,
 ) -> Rollout:
     """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
     return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides, end_on_rest, end_on_loss)

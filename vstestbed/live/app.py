@@ -17,17 +17,7 @@ IDLE_S = 0.2
 
 
 class LiveApp(Served):
-    """A run in the browser.
-
-    Args:
-        settings: the scenario, and what is changed of it. port: to listen at; None for a free one.
-
-    Attributes:
-        run: what is shown. address: of the page.
-
-    Raises:
-        ParameterError: the port is taken.
-    """
+    """A run in the browser, at `address`. port: None for a free one. Raises ParameterError: the port is taken."""
 
     def __init__(self, settings: Settings, port: int | None = None):
         self.run = LiveRun(settings)

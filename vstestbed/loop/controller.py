@@ -36,9 +36,7 @@ from vstestbed.vision import Detector, Observer
 
 class GuardedLaw:
     """A law that has failed is not asked again: its robot must be stopped, whatever the law does next.
-
-    Attributes:
-        failure: what the law did, in words; "" while it works.
+    failure: what the law did, in words; "" while it works.
     """
 
     def __init__(self, law: Law[Any]):
@@ -46,9 +44,8 @@ class GuardedLaw:
         self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
-        """One frame of the law; after a failure rest, with `failure` as its reason.
-
-        Whatever the law raises is its failure, a ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
+        """One frame of the law; after a failure rest, with `failure` as its reason. Whatever the law raises is its failure, a
+        ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
         """
         if not self.failure:
             stepped = self._asked(self._law.step, memory, seen, goal, basis)
@@ -137,7 +134,6 @@ def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str
 
 def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
     """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
-
     Where the detector has not found a single marker in any picture of the run (`found`), what may be wrong instead.
     """
     if why:
@@ -190,12 +186,8 @@ class Controller:
 
     To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 
-    Args:
-        scenario: the experiment.
-        goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
-
-    Raises:
-        ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
+    goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
+    Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
     """
 
     def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
@@ -226,14 +218,12 @@ class Controller:
 
         The robot moves again with the next picture: call it when the cause is found, and nobody stands in its way.
 
-        Raises:
-            SessionError: another thread is in a call.
+        Raises SessionError: another thread is in a call.
         """
         with self._alone():
             self._begin()
 
     def _begin(self) -> None:
-        """The state before the first picture."""
         s = self.scenario
         between, period = s.timing.interpolation, s.camera.period
         self.rng = s.rng(NOISE_STREAM)
@@ -317,8 +307,7 @@ class Controller:
 
         law: of the same kind, feature, modes and source of depth, which the memories and the observer belong to.
 
-        Raises:
-            ParameterError: of another one, or a law that this scenario refuses. SessionError: another thread is in a call.
+        Raises ParameterError: of another one, or a law that this scenario refuses. SessionError: another thread is in a call.
         """
         with self._alone():
             self._retune(law)
@@ -397,7 +386,6 @@ class Controller:
         return wanted, allocation, order
 
     def _ordered(self, t_cmd: float, order: Order) -> None:
-        """An order takes effect at t_cmd [s]."""
         self._order = order.copy()
         self.ordered.add(t_cmd, order.twist)
         if self._own_rates is not None:
@@ -407,7 +395,6 @@ class Controller:
         return mount_at(self.scenario, self.mount, q)
 
     def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
-        """The law's measurement from this picture."""
         s = self.scenario
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
@@ -480,9 +467,8 @@ class Controller:
 
         A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up.
 
-        Raises:
-            ParameterError: a time that goes back, a reading of another robot or outside of its joints' ranges.
-            SessionError: another thread is in a call.
+        Raises ParameterError: a time that goes back, a reading of another robot or outside of its joints' ranges. SessionError: another
+        thread is in a call.
         """
         with self._alone():
             return self.lapsed(self.inputs.now(t), self.inputs.reading(reading))

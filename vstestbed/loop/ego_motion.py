@@ -21,11 +21,8 @@ from vstestbed.vision.base import TruthView
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """A picture, with the robot's sensor reading at its exposure.
-
-    Attributes:
-        number: counts frames. t: time of the exposure's middle [s]. picture: None where no detector asks for one.
-        reading: of the robot's sensors at that time. view: the truth for an oracle; None for every other detector.
+    """A picture, with the robot's sensor reading at its exposure. t: of the exposure's middle [s].
+    picture: None where no detector asks for one. view: the truth for an oracle; None for every other detector.
     """
 
     number: int
@@ -50,11 +47,8 @@ REMEMBERED = 500
 
 
 class CommandHistory:
-    """The velocities ordered so far, each in force from its time on until the next one.
-
-    Args:
-        size: number of velocities, 6 for a camera twist.
-        between: how the robot goes from one order to the next, which its controller knows (`setpoints.Blend`). over_s: in this time [s].
+    """The velocities ordered so far (size,), each in force from its time on until the next one.
+    between: how the robot goes from one order to the next (`setpoints.Blend`), in the time `over_s`.
     """
 
     def __init__(self, size: int = 6, between: Between = "hold", over_s: float = 0.0) -> None:
@@ -104,11 +98,7 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
 
 # A robot's own velocities as its controller knows them: the model now, how far they led since the last picture, what was ordered.
 class OwnRates:
-    """Makes `Observation.robot`, and keeps the velocities that were ordered.
-
-    Args:
-        robot: the robot. period_s: time between pictures [s]. between: how it goes from one order to the next.
-    """
+    """Makes `Observation.robot`, and keeps the velocities that were ordered, one each `period_s`."""
 
     def __init__(self, robot: Robot, period_s: float, between: Between = "hold"):
         self._robot, self._period_s = robot, period_s
@@ -118,10 +108,7 @@ class OwnRates:
         self._J = np.zeros((6, 0))
 
     def model(self, last: Exposure, shot: Exposure, now: Arrival, mount: Mount) -> OwnModel:
-        """What the controller knows of its robot when a picture has arrived.
-
-        last, shot: the last exposure and this one. mount: of the camera now.
-        """
+        """What the controller knows of its robot when a picture has arrived, after the exposures `last` and `shot`."""
         model = self._robot.own_model(now.reading, mount)
         if self._ordered is None:
             self._ordered, self._last = CommandHistory(n := len(model.names), self._between, self._period_s), np.zeros(n)

@@ -43,14 +43,7 @@ _NOWHERE = np.full(3, np.nan)
 
 
 class Witness:
-    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller.
-
-    Attributes:
-        task: the task's monitor, which measures each frame.
-
-    Args:
-        scenario: the experiment. supervisor: the robot's.
-    """
+    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller."""
 
     def __init__(self, scenario: Scenario, supervisor: Supervisor):
         self.task, self._supervisor = scenario.goal.monitor(scenario.setup, supervisor), supervisor
@@ -75,7 +68,6 @@ class Witness:
         return frame
 
     def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
-        """Values of the robot's own columns."""
         if self._robot_log.columns == RobotLog.columns:
             return (self._supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
         seen, truth = frame.observation, frame.truth
@@ -90,12 +82,8 @@ PARTS = ("physics", "render", "detect", "law", "record", "video")
 
 class Episode:
     """One run under way: the plant, the controller, the judge, the log.
-
-    Attributes:
-        outcome: how it ended; None while it goes on. reason: in words. ended_s: simulated time of the verdict [s].
-        frame: the last frame; its command is not sent before the next `advance`.
-        plant, controller: of this run. closed: the simulation is freed.
-        by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
+    ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent before the next `advance`.
+    by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
     """
 
     def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):

@@ -25,11 +25,7 @@ OUTSIDE = 0.2
 
 
 class Inputs:
-    """Checks what a controller is given, and counts the pictures.
-
-    Attributes:
-        taken: number of pictures so far, each counted once.
-    """
+    """Checks what a controller is given, and counts the pictures (`taken`)."""
 
     def __init__(self, scenario: Scenario):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
@@ -41,9 +37,7 @@ class Inputs:
 
     def reading(self, reading: Reading) -> Reading:
         """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays.
-
-        Raises:
-            ParameterError: a reading of another robot, numbers that are not finite, or a joint that is outside of its range.
+        Raises ParameterError: a reading of another robot, numbers that are not finite, or a joint that is outside of its range.
         """
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
@@ -71,9 +65,7 @@ class Inputs:
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
         """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
-
-        Raises:
-            ParameterError: it is missing where the law reads it, or of another size or kind.
+        Raises ParameterError: it is missing where the law reads it, or of another size or kind.
         """
         if image is None and not self._reads_depth:
             return None
@@ -94,9 +86,7 @@ class Inputs:
         self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None
     ) -> tuple[Readings, tuple[str, ...]]:
         """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before.
-
-        Raises:
-            ParameterError: see `Controller.step`.
+        Raises ParameterError: see `Controller.step`.
         """
         if self._detector.needs_truth:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
@@ -117,7 +107,6 @@ class Inputs:
         return at_exposure, at_exposure if given[1] is given[0] else self.reading(given[1])
 
     def _check_picture(self, picture: Image | Sequence[Image]) -> None:
-        """The panels' images have their number, sizes and type."""
         panels = self._camera.panels
         images = (picture,) if isinstance(picture, np.ndarray) else picture
         if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
@@ -130,7 +119,6 @@ class Inputs:
                 raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
 
     def _timed(self, t: float) -> tuple[str, ...]:
-        """Notes of a picture's time against the one before."""
         before = self._t
         if before is not None and t < before:
             if not self._refuses:
@@ -145,7 +133,6 @@ class Inputs:
         return (f"{missing} {'picture is' if missing == 1 else 'pictures are'} missing before this one",) if periods > MISSING else ()
 
     def _late(self, t: float, arrived: float | None) -> tuple[str, ...]:
-        """A note of a picture that arrived too late to be one."""
         if arrived is None:
             return ()
         words = f"must be a time after the exposure, {t:g} s"

@@ -113,7 +113,6 @@ def _is_behind(frame: Frame, T_world_target: Array) -> bool:
 
 
 def _from_target(frame: Frame) -> list[float]:
-    """The camera's position from the target's origin, in world axes (3,) [m]."""
     return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
 
 
@@ -156,11 +155,7 @@ class Loss:
 
 
 class LostMarkers:
-    """Remembers of each marker that is not seen where it was lost.
-
-    Args:
-        scenario: the experiment. before: tells what stands before points.
-    """
+    """Remembers of each marker that is not seen where it was lost. before: tells what stands before points."""
 
     def __init__(self, scenario: Scenario, before: Before):
         self._scenario, self._before = scenario, before
@@ -218,7 +213,6 @@ class LostMarkers:
         return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
 
     def _loss(self, frame: Frame, i: int, name: str) -> Loss:
-        """Why marker i is not seen in a frame; name: what stands before it."""
         target, truth = self._scenario.target, frame.truth
         T_target_camera = inverse(truth.T_world_target) @ truth.T_world_camera
         if target.one_sided and T_target_camera[2, 3] >= 0:
@@ -274,7 +268,6 @@ def _minding(scenario: Scenario) -> str:
 
 
 def _takes(scenario: Scenario, law: Law[Any]) -> bool:
-    """Whether the scenario would be accepted with another law."""
     try:
         replace(scenario, law=law)
     except VstestbedError:
@@ -330,9 +323,8 @@ class Judge:
         return verdict and self._told_apart(verdict)
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
-        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so.
-
-        Where the frames do not tell, the reason at least names a gain over the limit of theory.
+        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so. Where
+        the frames do not tell, the reason at least names a gain over the limit of theory.
         """
         outcome, reason = verdict
         if self.stability is None or outcome not in (Outcome.timed_out, *DRIVEN_TO):

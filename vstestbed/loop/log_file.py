@@ -33,16 +33,8 @@ HEAD = "float64: "
 
 
 class FolderLog:
-    """The rows of a run's log in its folder (`Rows`).
-
-    Args:
-        folder: the run's. of_a_run: refuse times that do not go on, which no run logs, when they are read.
-
-    Attributes:
-        columns: names of the columns.
-
-    Raises:
-        RunFolderError: the folder has no log, or one that cannot be read.
+    """The rows of a run's log in its folder (`Rows`). of_a_run: refuse times that do not go on, which no run logs, when they are read.
+    Raises RunFolderError: the folder has no log, or one that cannot be read.
     """
 
     def __init__(self, folder: Path, of_a_run: bool = False):
@@ -65,7 +57,6 @@ class FolderLog:
 
     @property
     def _parquet(self) -> Path | None:
-        """`log.parquet`, if the run is finished."""
         whole = self._folder / "log.parquet"
         return whole if whole.is_file() else None
 
@@ -182,7 +173,6 @@ class FolderLog:
 
 
 def _must_be_of_a_run(block: Block) -> None:
-    """ValueError for what no run logs."""
     if "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
         raise ValueError("its times do not go on")
     if "lost" in block and not np.isin(block["lost"], (0, 1)).all():
@@ -191,13 +181,7 @@ def _must_be_of_a_run(block: Block) -> None:
 
 def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
     """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off.
-
-    Args:
-        folder: a run's folder.
-        scenario: where given, the log must have the columns that runs of this scenario have.
-
-    Raises:
-        RunFolderError: neither is there, or neither can be read, or it is damaged or the log of another experiment.
+    Raises RunFolderError: neither can be read, or it is damaged, or lacks a column that runs of `scenario` have.
     """
     log = FolderLog(folder, of_a_run=scenario is not None)
     lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []

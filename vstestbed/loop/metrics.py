@@ -339,8 +339,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
-    Args:
-        scenario: the experiment. outcome: how it ended. log: its rows, which are read a block at a time.
+    outcome: how it ended. log: its rows, which are read a block at a time.
     """
     parts: list[Part] = [
         Counts(),

@@ -52,7 +52,6 @@ def effects_on_points(scenario: Scenario) -> Iterator[str]:
 
 
 def _perturbing(noise: Noise, what: str) -> Iterator[str]:
-    """The kinds of `noise.perturb` that change this alone."""
     return (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == (what,))
 
 
@@ -74,10 +73,8 @@ def _warn_once(found: str, why: str) -> None:
 
 # The goal's pictures, taken by the simulated camera at each goal view before the run, as a robot is taught its goal by showing.
 def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
-    """The picture at each goal view; none where neither law nor detector needs them.
-
-    It is taken through the true lens, without noise and at rest, unless the scenario names a file, or other light (`GoalPicture`). The
-    plant is left in its state.
+    """The picture at each goal view; none where neither law nor detector needs them. It is taken through the true lens, without noise and
+    at rest, unless the scenario names a file, or other light (`GoalPicture`). The plant is left in its state.
     """
     if not scenario.needs_goal_image:
         return ()
@@ -87,7 +84,6 @@ def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
 
 
 def _pictured(scenario: Scenario, plant: Plant, T_camera_target: Array, said: GoalPicture, rng: np.random.Generator) -> Sight:
-    """The file's picture, or the one from T_camera_target (4, 4) under the light of teaching."""
     if said.source is not None:
         return Sight(said.read(scenario.camera))
     taken = _taken(scenario, plant, T_camera_target)
@@ -111,16 +107,13 @@ def sight_of(picture: Picture) -> Sight:
 
 
 def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
-    """The pictures of all goal views from their files; () where one has none."""
     said = scenario.goal.pictures
     return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
 
 
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
     """The goal views with their pictures.
-
-    Raises:
-        ParameterError: their number, or the size of one, is not that of the goal views and the camera.
+    Raises ParameterError: their number, or the size of one, is not that of the goal views and the camera.
     """
     views, camera = scenario.goal_views, scenario.camera
     if not scenario.needs_goal_image:

@@ -91,10 +91,9 @@ class MemoryRows:
 
 
 class Log:
-    """Frames become rows many at once, which costs a tenth of the time of one after the other.
-
-    No frame waits for more than PERIOD_S [s] of wall time, which is what a killed process may lose: rows are made when the next frame
-    would come too late for the oldest one that waits, if it took as long as the last one.
+    """Frames become rows many at once, which costs a tenth of the time of one after the other. No frame waits for more than PERIOD_S [s] of
+    wall time, which is what a killed process may lose: rows are made when the next frame would come too late for the oldest one that waits,
+    if it took as long as the last one.
     """
 
     PERIOD_S: ClassVar[float] = 0.1
@@ -181,8 +180,7 @@ class Recording:
         along a path. `camera_poses()[i].inv() * goal_pose()[i]` is what was left to go in frame i. For a camera that stands in the
         room it is where that would have to stand.
 
-        Raises:
-            ParameterError: the goal is no single pose (a gap or a line to keep).
+        Raises ParameterError: the goal is no single pose (a gap or a line to keep).
         """
         s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
         goals = [s.goal_pose_at(t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
@@ -196,7 +194,6 @@ class Recording:
         return as_twist3(np.column_stack([self[f"act_{name}"] for name in TWIST]))
 
     def _poses(self, stem: str) -> Array:
-        """The poses (n, 4, 4) in the columns of a stem, `cam` or `tgt`."""
         columns = [self[f"{stem}_{name}"] for name in POSE]
         T = np.tile(np.eye(4), (len(self.rows), 1, 1))
         T[:, :3, 3] = np.column_stack(columns[:3])
@@ -277,14 +274,7 @@ _Summary = create_model(
 
 
 def read_summary(folder: Path, works: str) -> dict[str, Any]:
-    """The summary of a run.
-
-    Args:
-        folder: the run's folder. works: what would work where the summary is damaged, for the message.
-
-    Raises:
-        RunFolderError: it is missing, cannot be read, is no JSON, or is not the summary of a run.
-    """
+    """The summary of a run; RunFolderError where it is none. works: what would work where the summary is damaged, for the message."""
     path = folder / "summary.json"
     content = read_file(path, works)
     fault, summary = _checked(content)

@@ -40,8 +40,7 @@ class RowViews:
     of the marker's centre at t; its place is interpolated between the views. A marker that the lens cannot project is taken at the
     picture's time stamp, one beyond the picture at the begin or end of the readout.
 
-    Args:
-        camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
+    camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
     """
 
     def __init__(self, camera: Camera, times: Array):
@@ -81,11 +80,7 @@ KEPT_S = 10.0
 
 
 class Stamps:
-    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp.
-
-    Args:
-        scenario: the experiment, with `timing.stamps`. plant: gives the readings.
-    """
+    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.stamps`)."""
 
     def __init__(self, scenario: Scenario, plant: Plant):
         timing = scenario.timing
@@ -116,7 +111,6 @@ class Stamps:
         return replace(shot, t=t, picture=picture, reading=self._reading(stamp)), stamp
 
     def _reading(self, stamp: float) -> Reading:
-        """The reading whose stamp is nearest to this one [s], of those that have come."""
         at = self._robot.true(stamp) / self._plant.step_s
         i = bisect_left(self._steps, at)
         if i == len(self._steps) or (i > 0 and at - self._steps[i - 1] <= self._steps[i] - at):
@@ -133,15 +127,8 @@ class Exposed:
 
 
 class CameraClock:
-    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency.
-
-    Attributes:
-        line: pictures in transit.
-        whole: whether the next exposures take whole pictures; may be changed at any time.
-
-    Args:
-        whole: take whole pictures, whatever the detector's regions of interest are.
-        link: may lose pictures; None for one that loses none.
+    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency (`line`).
+    whole: take whole pictures, whatever the detector's regions of interest are; may be changed at any time. link: may lose pictures.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: BurstyLink | None = None):
@@ -214,7 +201,6 @@ class CameraClock:
         return truth
 
     def _by_rows(self, made: Exposed) -> Exposed:
-        """With what an oracle sees through a rolling shutter; the truth itself stays that of the time stamp."""
         return made if self._row_views is None else replace(made, shot=replace(made.shot, view=self._row_views.taken()))
 
     def _shot(self, step: int, truth: Truth) -> Exposed:

@@ -78,9 +78,8 @@ def led_form(delay_frames: int) -> float:
 
 def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
     """Impulse response of a loop without lag of the robot, whose commands are led to (see `led_form`) and whose pictures are old.
-
-    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time
-    stamp is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
+    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time stamp
+    is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
     """
     whole, part = divmod(late_frames, 1.0)
     late = [0.0] * int(whole) + ([1 - part, part] if part else [1.0])
@@ -93,10 +92,8 @@ def swing_frames(delay_frames: float) -> int:
 
 
 def polynomial(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Array:
-    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,).
-
-    Of a delay of d + f frames with 0 < f < 1 a command begins at f of a frame: it is executed with 1 - f of each share in that frame, and
-    with f in the next one.
+    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,). Of a delay of d + f frames with 0 < f < 1 a
+    command begins at f of a frame: it is executed with 1 - f of each share in that frame, and with f in the next one.
     """
     whole, part = divmod(delay_frames, 1.0)
     d = int(whole)
@@ -115,9 +112,7 @@ def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Po
 
 def gain_limit(delay_frames: float, shares: Sequence[float] = NO_LAG) -> float:
     """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot without lag.
-
-    Raises:
-        ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
+    Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
     """
     if sum(shares) <= 0:
         raise ParameterError("shares", "must add up to more than 0: else no gain makes the error smaller", list(shares))
@@ -190,11 +185,9 @@ def period(x: Array) -> float:
 
 class LastPart(NamedTuple):
     """The last half of a run, n frames.
-
-    Attributes:
-        t: times (n,) [s]. error: in the image (n,) [px], or of a law of grey levels [grey levels]; NaN where nothing was measured.
-        twist: commands (n, 6). limited: those that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
-        away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
+    t: times (n,) [s]. error: in the image (n,) [px], or of a law of grey levels [grey levels]; NaN where nothing was measured. twist:
+    commands (n, 6). limited: those that limits of law or robot shortened (n,). reference: of the goal in the world (n, m). away: true
+    distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
     """
 
     t: Array
@@ -245,12 +238,9 @@ def turns(x: Array) -> int:
 
 
 def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -> int:
-    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another.
-
-    Only frames with a measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
-
-    Args:
-        part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
+    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another. Only frames with a
+    measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
+    part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
     """
     known = part.measured()
     third = len(known.t) // 3
@@ -267,7 +257,6 @@ def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -
 
 
 def _median(error: Array) -> float:
-    """Of what was measured; NaN where nothing was."""
     known = error[np.isfinite(error)]
     return float(np.median(known)) if len(known) else math.nan
 
@@ -283,12 +272,8 @@ def grows(part: LastPart, least: float) -> bool:
 
 
 def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
-    """How the loop is unstable, by what numbers, and what would help; "" for one that is not.
-
-    Where the last half of the run does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
-
-    Args:
-        scenario: the experiment. part: its last half. first_error: at the start of the run, in the unit of the part's.
+    """How the loop is unstable, by what numbers, and what would help; "" for one that is not. part: of the last half of its run.
+    Where that does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
     """
     return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
 
@@ -340,7 +325,6 @@ def _gain(law: Law[Any]) -> tuple[float | None, bool]:
 
 
 def _delay_s(scenario: Scenario) -> float:
-    """From the middle of a picture's exposure to the effect of its command [s]."""
     camera, timing = scenario.camera, scenario.timing
     return camera.latency_s + timing.command_latency_s + (timing.first_s(camera) + camera.readout_s) / 2
 
@@ -382,11 +366,7 @@ def window(scenario: Scenario) -> int:
 
 
 class Stability:
-    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`.
-
-    Args:
-        scenario: the experiment.
-    """
+    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`."""
 
     def __init__(self, scenario: Scenario):
         self._scenario, self._first, self._frames = scenario, math.nan, 0
@@ -424,10 +404,9 @@ class Stability:
 
 
 class Swinging:
-    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames.
-
-    It is a part of the metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for
-    PERIODS of the swing at the gain limit, of a robot that lags by a frame.
+    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames. It is a part of the
+    metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for PERIODS of the swing at
+    the gain limit, of a robot that lags by a frame.
     """
 
     LONG_SPANS = 2

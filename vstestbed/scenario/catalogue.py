@@ -30,10 +30,8 @@ from vstestbed.scenario.yaml_marks import plain_mapping, read_value
 @dataclass(frozen=True)
 class Entry:
     """A block, or a list of kinds.
-
-    Attributes:
-        name: its full name. cls: its class; None for a list of kinds. room: the list of kinds that it is, or to which its kind belongs.
-        field: the field that holds it, `NAME[]` where it is one of a list.
+    name: its full name. cls: its class; None for a list of kinds. room: the list of kinds that it is, or to which its kind belongs. field:
+    the field that holds it, `NAME[]` where it is one of a list.
     """
 
     name: str
@@ -44,9 +42,7 @@ class Entry:
 
 def catalogue(**roots: type) -> dict[str, Entry]:
     """All entries by their full names, from the outside in.
-
-    Args:
-        roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
+    roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
     """
     found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
@@ -89,11 +85,9 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
-    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it, with or without
-    a kind: `law.depth`, `law.depth.pnp`. None where there is none.
-
-    Raises:
-        ParameterError: there are several: it has their full names.
+    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it, with or without a
+    kind: `law.depth`, `law.depth.pnp`. None where there is none.
+    Raises ParameterError: there are several: it has their full names.
     """
     if word in entries:
         return entries[word]
@@ -138,7 +132,6 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
 
 
 def _kinds_of(entry: Entry) -> list[type]:
-    """The class of a block, or those of a list of kinds."""
     if entry.cls is not None:
         return [entry.cls]
     return [] if entry.room is None else list(entry.room.members.values())
@@ -158,10 +151,8 @@ MOST_NAMED = 6
 @dataclass(frozen=True)
 class FieldPlace:
     """A field in all the blocks that have it at one place of a scenario.
-
-    Attributes:
-        path: as it was asked for; of a name alone the path to it. name: its own.
-        owners: the classes that have it, by the names of their entries. settable: whether `--set` takes the path.
+    path: as it was asked for; of a name alone the path to it. name: its own. owners: the classes that have it, by the names of their
+    entries. settable: whether `--set` takes the path.
     """
 
     path: str
@@ -172,9 +163,7 @@ class FieldPlace:
 
 def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     """A kind, a block or a field, by any of its names.
-
-    Raises:
-        ParameterError: there is none, or there are several: it has the nearest, or their names.
+    Raises ParameterError: there is none, or there are several: it has the nearest, or their names.
     """
     return entry_of(word, entries) or _at(word, entries)
 
@@ -194,16 +183,11 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
 
 
 def _name_of(cls: type, entries: Mapping[str, Entry]) -> str:
-    """The name of a class's first entry."""
     return next(entry.name for entry in entries.values() if entry.cls is cls)
 
 
 def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> list[type]:
-    """The classes of the blocks to which the parts of a path before its last one lead.
-
-    Raises:
-        ParameterError: one of them leads nowhere.
-    """
+    """The classes of the blocks to which the parts of a path before its last one lead. Raises ParameterError: one of them leads nowhere."""
     holders = [_scenario(entries)]
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
@@ -239,9 +223,7 @@ def _scenario(entries: Mapping[str, Entry]) -> type:
 
 def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
     """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name.
-
-    Raises:
-        ParameterError: it is no word at all.
+    Raises ParameterError: it is no word at all.
     """
     scenario = _scenario(entries)
     if word in fields_of(scenario):
@@ -276,7 +258,6 @@ def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
 
 
 def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
-    """The error for a part of a path that leads nowhere, behind the parts `before` it."""
     inside = {inner for cls in holders for inner in fields_of(cls) if inner != "kind"}
     if name in inside:
         return ParameterError(path, f"is no field of a scenario: {'.'.join((*before, name))} is no block, and has no fields")
@@ -294,11 +275,9 @@ def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
 @dataclass
 class Uses:
     """What is written in bundled files.
-
-    Attributes:
-        files: names of the files that use a class, by class, in their order.
-        blocks: the field and the block in the first of them; the field is `NAME[]` where the block is one of a list.
-        values: what is written in each field, by the name of its class and its own, in the order of the files.
+    files: names of the files that use a class, by class, in their order. blocks: the field and the block in the first of them; the field is
+    `NAME[]` where the block is one of a list. values: what is written in each field, by the name of its class and its own, in the order of
+    the files.
     """
 
     files: dict[type, list[str]] = field(default_factory=dict)
@@ -321,9 +300,8 @@ class Uses:
 
 @functools.cache
 def bundled_uses() -> Uses:
-    """The uses in all bundled scenarios, and in comparisons of what no scenario has before.
-
-    A scenario with an arm's file inside a package is left out where that package is not installed.
+    """The uses in all bundled scenarios, and in comparisons of what no scenario has before. A scenario with an arm's file inside a package
+    is left out where that package is not installed.
     """
     uses = Uses()
     for name, path in bundled_scenarios().items():
@@ -374,7 +352,6 @@ def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
 
 
 def _members(what: str) -> dict[str, type]:
-    """The kinds of a field; none where it has no kinds."""
     return next((room.members for room in KINDS.values() if room.what == what), {})
 
 
@@ -415,7 +392,6 @@ class _Described(GenerateJsonSchema):
 
 
 def _annotations(cls: type, name: str, words: ClassText, uses: Uses) -> dict[str, Any]:
-    """Description, unit and examples of a field, as far as there are any."""
     if name == "kind":
         return {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
     field = words.fields[name]
@@ -447,7 +423,6 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
 
 
 def _block_example(hint: Any, uses: Uses) -> Iterator[Any]:
-    """Of a field that holds a block, or a list of them."""
     for _, cls in itertools.islice(blocks_in(hint), 1):
         block = example_block(cls, uses)
         yield [block] if is_list(hint) else block

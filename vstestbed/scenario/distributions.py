@@ -49,7 +49,6 @@ class DistributionBase:
     field: str
 
     def __post_init__(self) -> None:
-        """Refuse a path to what cannot be drawn."""
         if self.field.split(".")[0] in NOT_DRAWN:
             raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
 
@@ -73,7 +72,6 @@ class Uniform(DistributionBase):
     uniform: Pair
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("uniform", self.uniform)
 
@@ -99,7 +97,6 @@ class Gaussian(DistributionBase):
     within: Pair | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a negative standard deviation, and bounds far from the mean."""
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
@@ -133,7 +130,6 @@ class LogUniform(DistributionBase):
     log_uniform: Annotated[tuple[Annotated[float, Gt(0), Le(1e9)], ...], Len(2, 2)]
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("log_uniform", self.log_uniform)
 
@@ -157,7 +153,6 @@ class Integer(DistributionBase):
     integer: Annotated[tuple[Whole, ...], Len(2, 2)]
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("integer", self.integer)
 

@@ -36,9 +36,8 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
 
     Returns the text.
 
-    Raises:
-        ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`.
-        OutputError, EnvironmentLackError: the file cannot be written.
+    Raises ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`. OutputError,
+    EnvironmentLackError: the file cannot be written.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
@@ -76,10 +75,8 @@ def given_mapping(scenario: Scenario) -> dict[str, Any]:
 
 
 def documents(scenario: Scenario) -> dict[str, str]:
-    """The two documents of a run's folder by name, which name the copies of files there (`kept_files`).
-
-    `scenario.yaml` is what was given, and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and
-    draw.
+    """The two documents of a run's folder by name, which name the copies of files there (`kept_files`). `scenario.yaml` is what was given,
+    and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and draw.
     """
     target, pictures = getattr(scenario.target, "file", None), [said.file for said in scenario.goal.pictures]
     copies = {file: place for file, place in zip((target, *pictures), _kept_at(scenario), strict=True) if file and place}
@@ -89,7 +86,6 @@ def documents(scenario: Scenario) -> dict[str, str]:
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """Plain values with other names of files."""
     if isinstance(value, dict):
         return {key: _renamed(inner, names) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -115,9 +111,7 @@ FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed"
 
 def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
     """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both.
-
-    Raises:
-        ScenarioError, PluginError: as `load`.
+    Raises ScenarioError, PluginError: as `load`.
     """
     path, record = folder / GIVEN, folder / RESOLVED
     text = text_of(path)
@@ -138,10 +132,7 @@ def _without_former(value: Any) -> Any:
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:
-    """Plain mappings, lists and scalars as YAML.
-
-    brief: each block that fits on one line stands on one; otherwise the innermost alone do.
-    """
+    """Plain mappings, lists and scalars as YAML. brief: each block that fits on one line stands on one; else the innermost alone do."""
     import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
 
     libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -192,18 +183,13 @@ def _in_flow(node: Any) -> Any:
 
 
 def _width(node: Any) -> int:
-    """Columns that a node of PyYAML takes on one line."""
     if isinstance(node.value, str):
         return len(node.value) + 2
     return 2 + sum(sum(map(_width, item)) if isinstance(item, tuple) else _width(item) for item in node.value)
 
 
 def check_plugins(scenario: Scenario) -> None:
-    """Refuse a scenario with a kind of the user's own that a file of the scenario would lack.
-
-    Raises:
-        ParameterError: it names the class, and how it gets into a file.
-    """
+    """Refuse a scenario with a kind of the user's own that a file of the scenario would lack."""
     foreign = {type(part): field for field, part in _parts(scenario) if not _is_ours(type(part).__module__)}
     if not foreign:
         return
@@ -215,7 +201,6 @@ def check_plugins(scenario: Scenario) -> None:
 
 
 def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
-    """Each spec in a spec, with the dotted path of its field."""
     if isinstance(part, tuple):
         for i, item in enumerate(part):
             yield from _parts(item, f"{field}.{i}")
@@ -241,12 +226,10 @@ def _is_named(cls: type, plugins: tuple[str, ...], installed: set[str]) -> bool:
 
 
 def _holds(module: ModuleType, wanted: tuple[object, ...]) -> bool:
-    """Whether a module has imported one of these objects."""
     return any(value is one for value in vars(module).values() for one in wanted)
 
 
 def _file_of(cls: type) -> Path | None:
-    """The file in which a class is defined; None for a notebook, and for the program that runs."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
     return None if file is None or cls.__module__ == "__main__" else Path(file).resolve()
 
@@ -266,9 +249,8 @@ OF_THE_RUN = ("name", "description", "plugins", "seed", "draw_start")
 
 
 def changes(scenario: Scenario) -> tuple[str, ...]:
-    """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake.
-
-    A block whose kind was changed is one field with its whole value. What a preset has filled is told by the preset's name.
+    """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake. A block
+    whose kind was changed is one field with its whole value. What a preset has filled is told by the preset's name.
     """
     if scenario.name not in bundled_scenarios():
         return ()

@@ -33,9 +33,7 @@ SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 
 def find(name: str | Path) -> Path:
     """The file of a scenario given by path or by the name of a bundled one.
-
-    Raises:
-        ScenarioError: neither exists; names the nearest bundled scenario.
+    Raises ScenarioError: neither exists; names the nearest bundled scenario.
     """
     path, bundled = Path(name), bundled_scenarios()
     try:
@@ -66,9 +64,7 @@ def load(
         seed: draw the start from the robot's random block, and all noise, from this seed.
         places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `overrides`.
         plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names under `plugins`.
-
-    Raises:
-        ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
+    Raises ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
     """
     if not isinstance(overrides or {}, Mapping):
         raise ScenarioError([Mistake("overrides", "", f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}")])
@@ -138,7 +134,6 @@ START = "robot.start.nominal"
 
 
 def _gives_start(dotted: str) -> bool:
-    """Whether an override of a path gives the nominal start, or a part of it."""
     return f"{START}.".startswith(f"{dotted}.") or dotted.startswith(f"{START}.")
 
 
@@ -150,7 +145,6 @@ def _is_plain(value: object) -> bool:
 
 
 def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
-    """The overrides of `plugins`, or all others."""
     return {path: value for path, value in overrides.items() if (path.split(".")[0] == "plugins") == of_plugins}
 
 
@@ -166,10 +160,8 @@ def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: M
 def _blame_settings(
     error: ScenarioError, text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]
 ) -> ScenarioError:
-    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone.
-
-    A contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override
-    at a time.
+    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone. A
+    contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override at a time.
     """
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
@@ -196,7 +188,6 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
 
 
 def _within(field: str, paths: Iterable[str]) -> bool:
-    """Whether a field is at one of some paths, or below it."""
     return any(f"{field}.".startswith(f"{path}.") for path in paths)
 
 
@@ -210,7 +201,6 @@ def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapp
 
 
 def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Field and sentence of each mistake in a scenario."""
     plain, marks = plain_mapping(text, file, "")
     plain = absolute_files(plain, Path(file).absolute().parent)
     put_over(plain, overrides, marks, {})
@@ -223,9 +213,7 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
     """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone.
-
-    Raises:
-        ParameterError: nothing is random, or no start was found with the target in view.
+    Raises ParameterError: nothing is random, or no start was found with the target in view.
     """
     # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
     if scenario.robot.start.random is None and scenario.draws:
@@ -239,9 +227,8 @@ def _required() -> str:
 
 
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere.
-
-    Its plugins and the files that it names are named absolutely; it names no schema, which an editor would not find there.
+    """The text of a scenario file for a copy elsewhere. Its plugins and the files that it names are named absolutely; it names no schema,
+    which an editor would not find there.
     """
     text, folder = SCHEMA_LINE.sub("", text_of(path)), path.absolute().parent
     plain = plain_mapping(text, str(path), "")[0]

@@ -27,15 +27,10 @@ _installed: list[str] = []  # rooms whose entry points are loaded
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
     """Load plugins, which register their kinds, and the entry points of installed packages; then rebuild the validators.
-
-    Args:
-        names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
-
+    names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
     Returns:
         The names under which they are found again from any folder: absolute files, and modules.
-
-    Raises:
-        PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
+    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
     """
     _load_installed()
     return _load_given(names)
@@ -47,13 +42,9 @@ def _load_given(names: Sequence[str]) -> tuple[str, ...]:
 
 def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[str] = ()) -> None:
     """Load the plugins that a mapping names under `plugins`, and those given beside it; `plain["plugins"]` then holds them all.
-
-    Args:
-        plain: the mapping of a YAML file, which is changed. marks, file: its positions and its name, as in `build`.
-        given: as in `load_plugins`. Each also takes the place of a file of the same name that is not there any more.
-
-    Raises:
-        PluginError: see `load_plugins`.
+    plain: the mapping of a YAML file, which is changed. marks, file: its positions and its name, as in `build`. given: as in
+    `load_plugins`. Each also takes the place of a file of the same name that is not there any more.
+    Raises PluginError: see `load_plugins`.
     """
     if len(_installed) < len(KINDS):
         _load_installed()
@@ -105,10 +96,8 @@ def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
     """Load a plugin; returns the name under which it is found again.
-
-    Args:
-        name: of the plugin. folder: to which a file's name is relative. where, field: where it is named, for messages.
-        beside: plugins that are loaded already, one of which may be this one in its new place.
+    name: of the plugin. folder: to which a file's name is relative. where, field: where it is named, for messages. beside: plugins that are
+    loaded already, one of which may be this one in its new place.
     """
     if is_file_name(name):
         path = Path(absolute(name, folder))
@@ -141,7 +130,6 @@ def _what_adds(module: ModuleType) -> str:
 
 
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
-    """Import a module by its name."""
     origin = _origin(name)
     if origin is None and name not in sys.modules and (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)  # at the end: a file here named like an installed package must not replace it
@@ -167,7 +155,6 @@ def _origin(name: str) -> Path | None:
 
 
 def _moved(stem: str, beside: Sequence[str]) -> str | None:
-    """The plugin given beside a scenario that stands for one of this name, which is gone."""
     return next((name for name in beside if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem), None)
 
 
@@ -176,7 +163,6 @@ def _refuse(where: str, found: str, remedy: str, field: str) -> str:
 
 
 def _load_installed() -> None:
-    """Register the kinds of installed packages' entry points."""
     offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
     for room, kinds in KINDS.items():
         with _loading(f"an installed plugin of vstestbed.{room}", None), undone_on_error():

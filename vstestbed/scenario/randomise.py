@@ -37,12 +37,9 @@ TARGET_STREAM = 16
 
 
 def drawn(scenario: Scenario) -> Scenario:
-    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws.
-
-    Itself where it has them already.
-
-    Raises:
-        ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
+    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws. Itself
+    where it has them already.
+    Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
     """
     if scenario.randomise:
         scenario = _with(scenario, [one.draw(_rng(scenario.seed, one.field)) for one in scenario.randomise])
@@ -54,11 +51,7 @@ def drawn(scenario: Scenario) -> Scenario:
 
 
 def check_randomise(randomise: Sequence[Distribution]) -> None:
-    """Refuse two distributions of one field, or of a block and a field in it.
-
-    Raises:
-        ParameterError: it names the second one.
-    """
+    """Refuse two distributions of one field, or of a block and a field in it."""
     for i, one in enumerate(randomise):
         for j, other in enumerate(randomise[:i]):
             if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
@@ -70,7 +63,6 @@ def _rng(seed: int, field: str) -> np.random.Generator:
 
 
 def _with(scenario: Scenario, values: list[Any]) -> Scenario:
-    """The scenario with a value for each of its distributions."""
     plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
     if "robot.realism" in fields:  # it fills what is not given
         plain["robot"] = brief_mapping(scenario.robot)

@@ -143,7 +143,6 @@ class Scenario:
     randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not belong together."""
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_clocks(self.robot, self.timing)
@@ -305,8 +304,7 @@ class Scenario:
         The start stands in `robot.start.nominal`, drawn again until the target is in view; the body in the robot's blocks, whose lists take
         the place of the standard deviations; what `randomise` draws in its fields, clutter in `world.clutter.placed`.
 
-        Raises:
-            ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
+        Raises ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
         """
         made = drawn(self)
         robot = made.robot.drawn(made.rng(BODY_STREAM))
@@ -319,7 +317,6 @@ class Scenario:
         return made
 
     def _start_of(self, robot: Robot) -> Robot:
-        """The robot at a start drawn from the seed."""
         rng = self.rng(START_STREAM)
         for _ in range(TRIES):
             started = robot.randomised(rng)
@@ -349,9 +346,7 @@ class Scenario:
 
     def with_seed(self, seed: int) -> Scenario:
         """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise.
-
-        Raises:
-            ParameterError: a drawn value is refused.
+        Raises ParameterError: a drawn value is refused.
         """
         made = self.given.but(seed=seed)
         made.resolved  # noqa: B018 - refuses what it draws
@@ -359,9 +354,7 @@ class Scenario:
 
     def randomised(self, seed: int) -> Scenario:
         """The same experiment with this seed and a start drawn from it (`draw_start`).
-
-        Raises:
-            ParameterError: the robot has no random block, or no start in it sees the target.
+        Raises ParameterError: the robot has no random block, or no start in it sees the target.
         """
         made = self.given.but(seed=seed, draw_start=True)
         made.resolved  # noqa: B018 - refuses what it draws
@@ -373,8 +366,7 @@ class Scenario:
         of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in
         its own frame at the goal, T_camera_target = T* D.
 
-        Raises:
-            UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
+        Raises UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))

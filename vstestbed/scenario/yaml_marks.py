@@ -31,12 +31,8 @@ DEEPEST, MOST_VALUES = 32, 20_000
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
     """The mapping in YAML text, and the position of its keys.
-
-    Args:
-        text: YAML 1.2. file: the file's name in messages. needs: the required content, for messages.
-
-    Raises:
-        ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
+    text: YAML 1.2. file: the file's name in messages. needs: the required content, for messages.
+    Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
     found = _mapping(text, file)
     if found is None:
@@ -179,14 +175,9 @@ def override(
     plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_PYTHON
 ) -> None:
     """Set the value at a dotted path; missing blocks on the path are created, a bare kind becomes a block.
-
-    Args:
-        plain: the mapping, which is changed. dotted: the path, such as `law.gain`. value: the new value.
-        marks: positions of the keys, which are changed, too. is_kind: whether a word is a kind of some block.
-        own: position of the value, and of the keys in it relative to it.
-
-    Raises:
-        ScenarioError: the path goes through a value, or to an item that a list does not have.
+    plain: the mapping, which is changed. dotted: the path, such as `law.gain`. value: the new value. marks: positions of the keys, which
+    are changed, too. is_kind: whether a word is a kind of some block. own: position of the value, and of the keys in it relative to it.
+    Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
     parts, where = dotted.split("."), own[()]
     if not all(parts):
