@@ -13,8 +13,7 @@ from typing import Any
 
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 
-VARIABLE = "_VSTESTBED_COMPLETE"
-"""Environment variable by which a shell's completion asks."""
+VARIABLE = "_VSTESTBED_COMPLETE"  # environment variable by which a shell's completion asks
 
 
 def asked(arguments: Sequence[str]) -> bool:

@@ -194,10 +194,8 @@ def sweep(
 
 # The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function.
 delays = typer.Typer()
-LAGGING = 0.95
-"""A limit below this share of the theory for the delay alone shows the lag of the servos."""
-EXPLAINED = 0.9
-"""A limit below this share of the nearest model is told as not explained by it."""
+LAGGING = 0.95  # a limit below this share of the theory for the delay alone shows the lag of the servos
+EXPLAINED = 0.9  # a limit below this share of the nearest model is told as not explained by it
 
 
 @delays.command("gain-limit")

@@ -149,10 +149,8 @@ except ImportError:  # Windows has no flock
 
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
 """Names that Windows keeps for devices, also with an ending."""
-Identity = tuple[int, int]
-"""Device and inode of a folder."""
-_held: dict[Identity, int] = {}
-"""How many nested holds this process has on each folder."""
+Identity = tuple[int, int]  # device and inode of a folder
+_held: dict[Identity, int] = {}  # how many nested holds this process has on each folder
 
 
 @contextmanager

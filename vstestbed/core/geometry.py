@@ -66,10 +66,8 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
     return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType] - three, as `rad` has
 
 
-Image = NDArray[np.uint8]
-"""A picture (H, W, 3), RGB."""
-DepthImage = NDArray[np.float32]
-"""Depths (H, W) [m] along the axis."""
+Image = NDArray[np.uint8]  # a picture (H, W, 3), RGB
+DepthImage = NDArray[np.float32]  # depths (H, W) [m] along the axis
 Images = tuple[Image | None, ...]
 """The pictures of all panels of a camera; None of a panel that is not drawn."""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -84,28 +84,23 @@ def _shown(bound: float) -> str:
 
 
 _FAR = "five times the 200 m at which a camera counts as diverged"
-Length = Annotated[float, Within(-1e3, 1e3, "m", _FAR)]
-"""A coordinate or an offset [m]."""
-Distance = Annotated[float, Ge(0), Within(0.0, 1e3, "m", _FAR)]
-"""A length that may be 0 [m]."""
+Length = Annotated[float, Within(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
+Distance = Annotated[float, Ge(0), Within(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
 PositiveLength = Annotated[float, Gt(0), Within(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
 """A size [m], also a pixel's."""
 Position = Annotated[tuple[Length, ...], Len(3, 3)]
 """Three coordinates, amplitudes, or half widths of a box [m]."""
 
 _TURNS = "100 turns; beyond them an angle loses digits of its direction"
-Angle = Annotated[float, Within(-36e3, 36e3, "deg", _TURNS)]
-"""An angle [deg]."""
+Angle = Annotated[float, Within(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
 AngleWidth = Annotated[float, Ge(0), Within(0.0, 36e3, "deg", _TURNS)]
 """Half the width of a range of angles [deg]."""
 PositiveAngle = Annotated[float, Gt(0), Within(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")]
 """A tolerance or a field of view [deg]."""
-Angles = Annotated[tuple[Angle, ...], Len(3, 3)]
-"""Three angles [deg]."""
+Angles = Annotated[tuple[Angle, ...], Len(3, 3)]  # three angles [deg]
 
 _FAST = "in one second as far as any length"
-Speed = Annotated[float, Ge(0), Within(0.0, 1e3, "m/s", _FAST)]
-"""A speed that may be 0 [m/s]."""
+Speed = Annotated[float, Ge(0), Within(0.0, 1e3, "m/s", _FAST)]  # a speed that may be 0 [m/s]
 PositiveSpeed = Annotated[float, Gt(0), Within(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")]
 """A speed [m/s]."""
 Velocity = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "m/s", _FAST)], ...], Len(3, 3)]
@@ -116,15 +111,13 @@ PositiveRateDeg = Annotated[float, Gt(0), Within(1e-4, 36e3, "deg/s", "up to 100
 """An angular speed [deg/s]."""
 
 _AGES = "30 years, longer than any run"
-Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]
-"""A time or a duration that may be 0 [s]."""
+Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]  # a time or a duration that may be 0 [s]
 PositiveTime = Annotated[float, Gt(0), Within(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
 """A duration or a time constant [s]."""
 Duration = Annotated[float, Gt(0), Within(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
 """The simulated time of a run [s]."""
 _PERIOD = "a period of three hours to one of a millisecond, a physics step"
-Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]
-"""A frequency [Hz]."""
+Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]  # a frequency [Hz]
 Frequencies = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...], Len(3, 3)]
 """The frequency along each axis; a negative one runs backwards [Hz]."""
 
@@ -160,8 +153,7 @@ Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], 
 
 Coefficient = Annotated[float, Within(-1e6, 1e6, "", "more than any calibrated lens has")]
 """A coefficient of a lens's distortion."""
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
+GRAVITY = 9.81  # acceleration of free fall [m/s^2]
 Mass = Annotated[float, Gt(0), Within(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
 """A mass [kg]."""
 Seed = Annotated[int, Ge(0), Within(0, 2**63 - 1, "", "what the tables of results hold")]

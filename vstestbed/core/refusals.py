@@ -58,8 +58,7 @@ def _expected_type(plain: Any, built: Any) -> str | None:
     return "a number" if isinstance(built, int | float) and isinstance(plain, str | bool) else None
 
 
-UNKNOWN = "is an unknown field"
-"""How the sentence for one begins."""
+UNKNOWN = "is an unknown field"  # how the sentence for one begins
 
 
 def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:

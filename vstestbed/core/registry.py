@@ -13,8 +13,7 @@ from vstestbed.core.errors import ParameterError, nearest
 
 SPECS: list[type] = []
 """Every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them."""
-ROOMS: list[Room] = []
-"""Every list of kinds."""
+ROOMS: list[Room] = []  # every list of kinds
 
 
 class Room:

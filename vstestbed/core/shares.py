@@ -15,8 +15,7 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 """Signals that end a command as Ctrl-C does; its worker processes leave them to it. Windows has no SIGHUP."""
 
 
-HEARD_S = 0.2
-"""Longest time that a wait for other processes does not hear of Ctrl-C [s]."""
+HEARD_S = 0.2  # longest time that a wait for other processes does not hear of Ctrl-C [s]
 
 
 def some_done(futures: Collection[Future[Any]]) -> set[Future[Any]]:

@@ -117,10 +117,8 @@ class Overview:
 
 
 ObservationMode = Literal["markers", "pixels", "both"]
-MOST = 1e6
-"""Bound of `agent_pos`: far beyond any reading in metres, radians or their rates."""
-MOST_SEED = 2**31 - 1
-"""Largest seed that an episode without a given one draws."""
+MOST = 1e6  # bound of `agent_pos`: far beyond any reading in metres, radians or their rates
+MOST_SEED = 2**31 - 1  # largest seed that an episode without a given one draws
 
 
 class Bounds(NamedTuple):

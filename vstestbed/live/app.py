@@ -12,8 +12,7 @@ from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun, Served, Settings
 from vstestbed.live.server import LocalServer
 
-IDLE_S = 0.2
-"""How long a view that rests waits for orders before it looks whether it has to end [s]."""
+IDLE_S = 0.2  # how long a view that rests waits for orders before it looks whether it has to end [s]
 
 
 class LiveApp(Served):

@@ -21,8 +21,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
 FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
-FLOOR_M, GRID_M = 400.0, 60.0
-"""Edges of the floor, and of the part of it with lines [m]."""
+FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 AMBIENT = 1.2
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
 """Lights from afar: where they come from, and how bright they are."""
@@ -35,10 +34,8 @@ NEAR = 0.02
 """Near plane over the distance of what is looked at: the depth buffer must tell lines on the floor from the floor."""
 LAYER_M = 0.004
 """Distance of the grid under the floor of the simulation, and of the surface under the grid [m]."""
-GHOST = 0.3
-"""Opacity of the robot, or the target in the gripper, at its goal."""
-PLACES = 400
-"""Points of the trail: when there are more, every other one is dropped."""
+GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
+PLACES = 400  # points of the trail: when there are more, every other one is dropped
 PLATE_GREY = (115, 115, 120)
 
 
@@ -196,10 +193,8 @@ def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
 
 
 # The servo camera's picture in the browser: reduced, with markers, goals and numbers drawn in, not more often than needed.
-WIDTH, EYE_HEIGHT = 400, 320
-"""The picture in the panel is at most as large [px]."""
-FRUSTUM_WIDTH = 160
-"""Width of the one in the frustum [px]."""
+WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px]
+FRUSTUM_WIDTH = 160  # width of the one in the frustum [px]
 JPEG_QUALITY = 70
 
 
@@ -234,8 +229,7 @@ class Eye:
 # Curves that grow with a run: the judged error, the commanded twist, the joints; of bounded length.
 MOST = 1200
 """Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
-PLOT_HEIGHT = 150
-"""Of a plot [px]."""
+PLOT_HEIGHT = 150  # of a plot [px]
 THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width": 1}, "grid": {"width": 1, "stroke": "#e3e6ea"}}
 AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
 
@@ -333,8 +327,7 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
 
 SCENE_S, PLOTS_S = 1 / 30, 1 / 4
 """Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`."""
-VIEW_WIDTH, PANEL_WIDTH = 340, 330
-"""Widths of the panels beside the scene [px]."""
+VIEW_WIDTH, PANEL_WIDTH = 340, 330  # widths of the panels beside the scene [px]
 
 
 class LiveView:

@@ -179,10 +179,8 @@ def _number(path: str, value: float, metadata: tuple[Any, ...], whole: bool) -> 
 
 
 # The controls of a scenario's fields: what they ask for goes to the inbox, what is in force comes back into them.
-Ask = Callable[[str, object], None]
-"""Ask for a setting: path and value."""
-DIGITS = 9
-"""To which a slider's number is rounded: the browser adds up steps."""
+Ask = Callable[[str, object], None]  # ask for a setting: path and value
+DIGITS = 9  # to which a slider's number is rounded: the browser adds up steps
 
 
 class Controls:
@@ -246,8 +244,7 @@ class Controls:
         return handle
 
 
-KIND_AND_NUMBER = {"law.gain"}
-"""Fields whose kind has a menu, and whose number a slider."""
+KIND_AND_NUMBER = {"law.gain"}  # fields whose kind has a menu, and whose number a slider
 
 
 def _key(field: Field) -> str:
@@ -261,12 +258,9 @@ def _plain(field: Field, value: Any) -> object:
 
 
 SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}
-LAW = "law"
-"""Of what is changed by hand, that which a scenario can repeat, though from the start alone."""
-SLOWER = 0.95
-"""Share of the asked pace under which the page says that the machine is slower."""
-PUSH_S = 0.2
-"""How long a push lasts [s]."""
+LAW = "law"  # of what is changed by hand, that which a scenario can repeat, though from the start alone
+SLOWER = 0.95  # share of the asked pace under which the page says that the machine is slower
+PUSH_S = 0.2  # how long a push lasts [s]
 
 
 def transport_panel(gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]) -> None:

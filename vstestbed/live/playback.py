@@ -22,8 +22,7 @@ from vstestbed.report.video.film import ending_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.dump import load_run
 
-SLIDER = "slider"
-"""Key of the orders of the time slider."""
+SLIDER = "slider"  # key of the orders of the time slider
 
 
 class Recorded:

@@ -192,8 +192,7 @@ class Served:
 # Play, pause, single steps, and the pace: simulated time against the clock on the wall.
 LATE_S = 0.25
 """How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
-MEASURED_S = 2.0
-"""Time on the wall over which the pace is measured."""
+MEASURED_S = 2.0  # time on the wall over which the pace is measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,8 +281,7 @@ PLATE_RADII, LEAST_PLATE_M = 5.0, 0.06
 """Edge of the plate in reserve: so many radii of a marker, but at least so much [m]."""
 PICTURE_S, REST = 1 / 15, 2.5
 """Least time on the wall between two whole pictures [s], and over the time that a frame with one took."""
-NEAR_MARKER = 0.75
-"""Where the plate is held, as a share of the way from the camera to the marker."""
+NEAR_MARKER = 0.75  # where the plate is held, as a share of the way from the camera to the marker
 
 
 class LiveRun:

@@ -15,10 +15,8 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-Kept = Mapping[str, Any]
-"""The numbers and arrays of a frame that enter the log, by name; no picture."""
-Stacked = Mapping[str, Array]
-"""The same for n frames, stacked along the first axis."""
+Kept = Mapping[str, Any]  # the numbers and arrays of a frame that enter the log, by name; no picture
+Stacked = Mapping[str, Array]  # the same for n frames, stacked along the first axis
 Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
 """Names of columns side by side, and their values (n, columns)."""
 

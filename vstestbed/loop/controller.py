@@ -160,8 +160,7 @@ def never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
-REST_S = 1e3
-"""Time after which a robot that stops has come to rest, whatever its way to stop [s]."""
+REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
 class Controller:

@@ -38,8 +38,7 @@ from vstestbed.vision.base import goal_of_points, points_of
 # The witness: completes the controller's cycle to a frame, with the truth that the controller never sees.
 
 
-_NOWHERE = np.full(3, np.nan)
-"""Place and odometry of a robot that has none."""
+_NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 
 class Witness:
@@ -76,8 +75,7 @@ class Witness:
         return self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
 
 
-PARTS = ("physics", "render", "detect", "law", "record", "video")
-"""Parts of a run's wall time."""
+PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
 class Episode:

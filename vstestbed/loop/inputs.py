@@ -18,8 +18,7 @@ from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
 """A robot's sensor readings: at the exposure, and when the picture has arrived."""
-MISSING = 1.5
-"""A picture is missing where two are further apart than this [camera periods]."""
+MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
 """A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
 

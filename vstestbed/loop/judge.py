@@ -29,16 +29,13 @@ from vstestbed.tasks.stop import Stop
 # Safety monitors, which end a run whatever its task: collision, divergence, a crossed target plane, joint limit, singularity.
 
 
-FAR_M = 200.0
-"""Distance from the target beyond which the camera has diverged [m]."""
+FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
 FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
 CROSSED_WORDS = "the camera crossed the plane of the target"
 BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it cannot see; start in front of it, or turn target.pose"
 TURNED_WORDS = "the target turned its back to the camera, or moved past it"
-BLOCKED_S = 1.0
-"""How long a limit must block the robot before the run ends [s]."""
-BLOCKED_SCALE = 0.02
-"""A command scaled to less than this is blocked by the limit."""
+BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
+BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
 
 
 class Collision:
@@ -122,12 +119,10 @@ def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[M
 
 
 # Where markers that are not seen were lost, by the truth: for the sentence of a run that ends as `target_lost`.
-SIDES = "left", "top", "right", "bottom"
-"""The borders of a picture, as `Camera.borders` has them."""
+SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
 SMALL = 1.5
 """A marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour."""
-POINTS = 32
-"""Points of a marker's rim."""
+POINTS = 32  # points of a marker's rim
 Before = Callable[[Array, Array], tuple[str, ...]]
 """What stands before each of points (N, 3) of a camera at a pose (4, 4) (`Plant.names_before`)."""
 

@@ -20,8 +20,7 @@ from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, OwnFigures, 
 # The parts of a run's metrics, each computed block by block: a log of a day needs no more memory than one of an hour.
 
 
-SATURATED = 0.999
-"""A command scaled under this counts as saturated."""
+SATURATED = 0.999  # a command scaled under this counts as saturated
 
 
 def side_by_side(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:

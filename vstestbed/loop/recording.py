@@ -38,8 +38,7 @@ class Watcher(Protocol):
         ...
 
 
-Block = dict[str, Array]
-"""Columns by name, of rows that follow each other."""
+Block = dict[str, Array]  # columns by name, of rows that follow each other
 BLOCK = 8_192
 """Rows of a block, and of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns."""
 
@@ -246,8 +245,7 @@ def to_frame(columns: Block) -> polars.DataFrame:
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.
-LARGEST = 2**63
-"""Whole numbers from here on fit no table."""
+LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
 

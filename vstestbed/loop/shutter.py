@@ -75,8 +75,7 @@ class RowViews:
 # Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
 READING_S = 0.002
 """Time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints."""
-KEPT_S = 10.0
-"""How long readings are kept [s]."""
+KEPT_S = 10.0  # how long readings are kept [s]
 
 
 class Stamps:

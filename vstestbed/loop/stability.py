@@ -51,8 +51,7 @@ from vstestbed.tasks.metrics import TWIST, Figures
 
 Poles = NDArray[np.complexfloating]
 
-NO_LAG = (1.0,)
-"""Impulse response of a robot without lag."""
+NO_LAG = (1.0,)  # impulse response of a robot without lag
 
 
 def closed_form(delay_frames: float) -> float:
@@ -143,8 +142,7 @@ def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -
 
 FEWEST, MOST = 24, 2048
 """Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not be kept in constant memory."""
-PERIODS = 4
-"""How many periods of a swing must fit in the frames that are looked at."""
+PERIODS = 4  # how many periods of a swing must fit in the frames that are looked at
 ALIKE, OPPOSITE = 0.75, -0.45
 """Cosine between the commands of a swing and those a period later, and at most that of commands in between; -0.5 for three frames."""
 LEAST_PX, LEAST_LIMITS = 1.0, 5.0
@@ -162,8 +160,7 @@ an arm without delay leaves it about half of that limit."""
 HELD_SHARE, NET_SHARE, TURNS = 0.5, 0.3, 4
 """Of such a loop: least share of limited commands (measured: 0.84 to 1), largest share of the way that it gets on (measured: 0.04 to
 0.25; a slow approach: 1), and least number of times that its command turns round."""
-GREW = 2.0
-"""Growth of an error that does not swing, over the frames, so that it counts as one."""
+GREW = 2.0  # growth of an error that does not swing, over the frames, so that it counts as one
 
 
 def period(x: Array) -> float:

@@ -144,8 +144,7 @@ def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
 
 
 # Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
-MOST_NAMED = 6
-"""Most paths that a message lists of a word that is a field of many blocks."""
+MOST_NAMED = 6  # most paths that a message lists of a word that is a field of many blocks
 
 
 @dataclass(frozen=True)
@@ -359,8 +358,7 @@ def _members(what: str) -> dict[str, type]:
 #
 # Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves room for such: a reader that does not
 # know it passes over it.
-LONGEST_EXAMPLE = 100
-"""Longest example of a field, in characters of its YAML."""
+LONGEST_EXAMPLE = 100  # longest example of a field, in characters of its YAML
 _NOTHING = ({}, [], "", None)
 
 

@@ -14,8 +14,7 @@ from vstestbed.core.spec import OneOf, spec
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
 """Blocks that no distribution may change: the seed decides what is drawn, and the others describe the experiment."""
-TRIES = 1000
-"""Largest number of draws until one lies within its bounds."""
+TRIES = 1000  # largest number of draws until one lies within its bounds
 Finite = Annotated[float, Ge(-1e9), Le(1e9)]
 Whole = Annotated[int, Ge(-(10**9)), Le(10**9)]
 Pair = Annotated[tuple[Finite, ...], Len(2, 2)]

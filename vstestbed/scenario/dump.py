@@ -22,8 +22,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
 
-WIDTH, ON_ONE_LINE = 120, 110
-"""Columns of a line, and of a block that stands on one line."""
+WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
 
 
 def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool = False) -> str:

@@ -32,8 +32,7 @@ random walk, perturbations."""
 RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM, IMAGING_STREAM, RANDOMISE_STREAM, CLUTTER_STREAM = range(8, 16)
 """The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses of the link, time stamps, the image
 sensor, the block `randomise`, clutter."""
-TARGET_STREAM = 16
-"""Changes of the target's own picture."""
+TARGET_STREAM = 16  # changes of the target's own picture
 
 
 def drawn(scenario: Scenario) -> Scenario:

@@ -56,8 +56,7 @@ from vstestbed.vision.perturb import Perturbed
 # Whether a start sees the target.
 
 
-VIEW_MARGIN_PX = 10.0
-"""Margin round each whole marker in the picture of a random start [px]."""
+VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 
 def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World) -> bool:
@@ -77,8 +76,7 @@ def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any
     return bool(faces and (whole if goal.counted is None else whole[goal.counted]).all())
 
 
-TRIES = 1000
-"""Largest number of random starts drawn until the target is in view."""
+TRIES = 1000  # largest number of random starts drawn until the target is in view
 DISPLACEMENT_STEPS = 12
 """Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
 

@@ -20,8 +20,7 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
 """The position of each key, `FILE:LINE:COL`, or the option or argument that it comes from."""
-FROM_OPTION: Mapping[Key, str] = {(): "--set"}
-"""Position of a value that comes from the command line."""
+FROM_OPTION: Mapping[Key, str] = {(): "--set"}  # position of a value that comes from the command line
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
 """Position of a value that comes from the argument `overrides` in Python."""
 DEEPEST, MOST_VALUES = 32, 20_000
