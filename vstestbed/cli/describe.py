@@ -44,7 +44,6 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
 
 
 def _text(cls: type, console: Console) -> None:
-    """The docstring of a class up to its fields, and its sources."""
     words = class_text(cls)
     for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
         console.print()
@@ -68,7 +67,10 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
         text = flow_text(example)
         shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
         _wrapped(f"Example: {shown}", console)
-    _held(list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values())), entries, console)
+    held = list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values()))
+    if len(held) == 1 and held[0]:
+        console.print()
+        describe_entry(entries[held[0]], entries, console)
 
 
 def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> None:
@@ -84,12 +86,6 @@ def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> Non
     console.print()
     if alike and "scenario" not in field.owners:
         _wrapped(f"A field of {', '.join(field.owners)}.", console)
-
-
-def _held(inner: list[str], entries: dict[str, Entry], console: Console) -> None:
-    if len(inner) == 1 and inner[0]:
-        console.print()
-        describe_entry(entries[inner[0]], entries, console)
 
 
 def _names(entries: dict[str, Entry]) -> dict[type, str]:
@@ -187,7 +183,6 @@ def _words(hint: Any) -> Iterator[Any]:
 
 
 def _inner(hint: Any, names: dict[type, str]) -> str:
-    """The entry of the block that a field holds: of its kinds, or of its class."""
     for room, inner in blocks_in(hint):
         return room.what if room is not None else names[inner]
     return ""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,12 +21,7 @@ exports = typer.Typer()
 WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
-class Format(str, Enum):
-    """What other tools read."""
-
-    mcap = "mcap"
-    lerobot = "lerobot"
-    csv = "csv"
+Format = Literal["mcap", "lerobot", "csv"]  # what other tools read
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ def export(
     plugin: Plugins = None,
 ) -> None:
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
-    if start is not None and to is not Format.mcap:
+    if start is not None and to != "mcap":
         raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
     from vstestbed.cli.progress import FrameBar, show_notes
     from vstestbed.core.files import make_parents
@@ -88,7 +82,7 @@ def _folder(given: Path) -> Path:
 
 
 def _must_be_new(path: Path, found: Exported, to: Format) -> None:
-    if to is Format.mcap and found.within is None:  # a file
+    if to == "mcap" and found.within is None:  # a file
         if path.exists() or path.is_symlink():
             raise OutputError(path, "exists", "give a new file with --out")
         return
@@ -110,7 +104,6 @@ def _found(folder: Path, plugins: list[str]) -> Exported:
 
 
 def _comparison(folder: Path, plugins: list[str]) -> Exported:
-    """The finished runs of a comparison; those that crashed without a log are left out."""
     from vstestbed.studies.comparison import stored
 
     comparison, table, total = stored(folder, plugins)
@@ -129,15 +122,15 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
 
 def _beside(found: Exported, to: Format) -> Path:
     folder = found.folder.resolve()
-    return folder.with_name(f"{folder.name}.mcap" if to is Format.mcap and found.within is None else f"{folder.name}_{to.value}")
+    return folder.with_name(f"{folder.name}.mcap" if to == "mcap" and found.within is None else f"{folder.name}_{to}")
 
 
 def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
-    if to is Format.csv:
+    if to == "csv":
         from vstestbed.report.export.source import write_csv
 
         write_csv(found.opened(), path, tick, found.within, found.table)
-    elif to is Format.lerobot:
+    elif to == "lerobot":
         from vstestbed.report.export.lerobot import write_dataset
 
         write_dataset(found.opened(), path, tick, found.within)

@@ -128,7 +128,6 @@ def _judged(summary: Mapping[str, Any]) -> str:
 
 
 def _error_text(recording: Recording) -> str:
-    """Errors at the end: measured in the image, true of the pose."""
     s = recording.summary()
     error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
@@ -141,7 +140,6 @@ def _error_text(recording: Recording) -> str:
 
 
 def _path_text(summary: Mapping[str, Any]) -> str:
-    """When the goal was reached, the path over the straight line, and how far the camera backed off."""
     since = summary["time_to_converge_s"]
     reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
     ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"

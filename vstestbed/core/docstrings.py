@@ -83,7 +83,6 @@ def _sections(cls: type) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
 
 
 def _field_lines(lines: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, FieldText]]:
-    """Name of each field with its words, and the unit and the example in them."""
     for names, text in lines:
         example, words = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
         each = [name.strip() for name in names.split(",")]
@@ -116,7 +115,6 @@ def _unit_of(hint: Any, written: str) -> str:
 
 
 def _bases(hint: Any) -> Iterator[Any]:
-    """The types of numbers in a hint: float, int, or the words of a Literal that are numbers."""
     if hasattr(hint, "__metadata__"):
         yield from _bases(hint.__origin__)
     elif typing.get_origin(hint) is Literal:

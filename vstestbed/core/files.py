@@ -148,16 +148,13 @@ except ImportError:  # Windows has no flock
     fcntl = None
 
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
-"""Names that Windows keeps for devices, also with an ending."""
 Identity = tuple[int, int]  # device and inode of a folder
 _held: dict[Identity, int] = {}  # how many nested holds this process has on each folder
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Hold an existing folder as the only process that writes into it; holds of one process may be nested. The lock is flock(2) on the
-    folder itself: it leaves no file, and ends with its process however that dies. A file system or an operating system without flock gives
-    no protection.
+    """Hold an existing folder as the only process that writes into it, by flock(2) where there is one; holds of one process may be nested.
     Raises OutputError: another process holds the folder, which the message names; or there is no such folder.
     """
     with writing(folder):
@@ -176,7 +173,6 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def _lock(folder: Path) -> int | None:
-    """The open handle that holds a folder's lock; None where there are no locks."""
     if fcntl is None:
         return None
     with writing(folder):

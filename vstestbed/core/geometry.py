@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from spatialmath import SE3
 
 
-# Roll, pitch and yaw of a rotation matrix, R = Rz(yaw) Ry(pitch) Rx(roll), and back: the convention of `Pose`.
 def rotation_from_rpy(rpy: Array) -> Array:
     """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
@@ -69,7 +68,6 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
 Image = NDArray[np.uint8]  # a picture (H, W, 3), RGB
 DepthImage = NDArray[np.float32]  # depths (H, W) [m] along the axis
 Images = tuple[Image | None, ...]
-"""The pictures of all panels of a camera; None of a panel that is not drawn."""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
 

@@ -93,7 +93,6 @@ def kept_at(source: Path, what: str = "target") -> str:
     return f"assets/{what}/{source.name}"
 
 
-# The folders models/ and scenarios/: inside an installed package, or beside it in a checkout.
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 

@@ -14,9 +14,6 @@ from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.registry import ROOMS, Room, blocks_in, fields_of, rooms_of, spec_named, to_mapping
 
-# Values that pydantic converts silently, such as a quoted number: they are refused, in a file and in a constructor alike.
-
-
 Key = tuple[str | int, ...]
 
 
@@ -37,9 +34,8 @@ def _may_convert(value: Any) -> bool:
 
 
 def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
-    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1. Pydantic's strict mode is
-    no way out: it would also refuse the lists of YAML for fields that are tuples.
-    plain: what was given. built: what it has become (`to_mapping`). key: of both.
+    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1. Pydantic's strict mode
+    would also refuse the lists of YAML for fields that are tuples. built: what `plain` has become (`to_mapping`). key: of both.
     """
     if isinstance(plain, dict) and isinstance(built, dict):
         for name in plain:
@@ -52,7 +48,6 @@ def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
 
 
 def _expected_type(plain: Any, built: Any) -> str | None:
-    """The type that a scalar should have had; None where it was not converted."""
     if isinstance(built, bool):  # before int: a bool is one
         return None if isinstance(plain, bool) else "true or false"
     return "a number" if isinstance(built, int | float) and isinstance(plain, str | bool) else None
@@ -168,9 +163,7 @@ def _sentence(detail: Any, cls: type) -> str:
 
 
 def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> str:
-    """The sentence for what is no list, with an example or what its blocks are of; and for a list whose length is another than the only
-    valid one.
-    """
+    """The sentence for what is no list, or for a list whose length is another than the only valid one."""
     at = max(i for i, part in enumerate(loc) if isinstance(part, str))
     name, block = str(loc[at]), _block_at(loc[:at], cls)[0]
     if kind != "tuple_type":
@@ -187,7 +180,6 @@ def _a(noun: str) -> str:
 
 
 def _such_as(words: str, block: type, name: str) -> str:
-    """The words on a field that must be a list, with what its blocks are of, or an example."""
     if blocks := _choices(block, name):
         room, inner = blocks[0]
         return f"must be a list of blocks, each {_a(room.what) if room else f'of {_listed(inner)}'}"
@@ -205,7 +197,6 @@ def _list_like(block: type, name: str) -> str:
 
 
 def _only_length(block: type, name: str) -> int | None:
-    """The length that a list must have; None where several are valid, or any."""
     hint = _hint(block, name)
     for part in (hint, *typing.get_args(hint)):  # a list that may be None is one of two
         for bound in getattr(part, "__metadata__", ()):
@@ -262,7 +253,6 @@ def _takes(block: type, name: str, value: Any) -> bool:
 
 
 def _unknown(name: str, block: type, room: Room | None) -> str:
-    """The sentence for an unknown field: the kinds of the room that have it, or the nearest valid name."""
     able = [kind for kind, member in room.members.items() if name in fields_of(member)] if room else []
     if able and room:
         kind = next(kind for kind, member in room.members.items() if member is block)
@@ -289,14 +279,12 @@ def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, Room | None]:
 
 
 def _room_of_field(loc: Sequence[int | str], cls: type) -> Room | None:
-    """The room of whose kinds the field at a pydantic location must be; None where it is no block with kinds."""
     if not loc or isinstance(loc[-1], int):
         return None
     return next((room for room, _ in _choices(_block_at(loc[:-1], cls)[0], loc[-1])), None)
 
 
 def _choices(cls: type, name: str) -> list[tuple[Room | None, type]]:
-    """The blocks that a field may be, each with its room."""
     return list(blocks_in(_hint(cls, name)))
 
 

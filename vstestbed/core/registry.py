@@ -78,7 +78,6 @@ def is_list(hint: Any) -> bool:
     return "tuple[" in str(hint)
 
 
-# Specs as plain mappings, lists and scalars: with every default, or as people write them.
 def to_mapping(value: Any) -> Any:
     """A spec as plain mappings, lists and scalars with all defaults written out: the content of `resolved.yaml`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -187,7 +186,6 @@ class Contract:
 
 
 def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
-    """The public members of a protocol in the order of their definition: a method's function, None for an attribute."""
     found: dict[str, Callable[..., Any] | None] = {}
     for cls in reversed(protocol.__mro__):
         found |= dict.fromkeys(name for name in inspect.get_annotations(cls) if not name.startswith("_"))
@@ -196,7 +194,6 @@ def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
 
 
 def _shown(name: str, method: Callable[..., Any] | None) -> str:
-    """A member as messages show it: `depth`, or `step(memory, observation, goal, basis)`."""
     return name if method is None else f"{name}({', '.join(list(inspect.signature(method).parameters)[1:])})"
 
 

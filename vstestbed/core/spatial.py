@@ -32,8 +32,7 @@ def is_matrix(value: object) -> bool:
 
 
 def pose_matrix(value: Any, name: str = "") -> Array:
-    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one.
-    value: the pose. name: the parameter's name, for messages.
+    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one. name: the parameter's, for messages.
     Raises ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix that is no rigid motion.
     """
     kind = class_of(value)

@@ -48,7 +48,6 @@ def holders(rooms: Collection[str]) -> list[type]:
 
 
 def _blocks() -> tuple[dict[type, set[str]], dict[type, set[type]]]:
-    """Of each class the rooms of its own fields, and the classes of the blocks that may stand in them."""
     direct: dict[type, set[str]] = {}
     inner: dict[type, set[type]] = {}
     ahead = list(SPECS)
@@ -225,7 +224,6 @@ class OneOf(Room):
         return {**block, "kind": kind}
 
     def _expanded(self, value: Any) -> Any:
-        """The block for which a bare word or number is a shorthand; any other value as it is."""
         if isinstance(value, str):
             return {"kind": value}
         # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
@@ -239,7 +237,6 @@ class OneOf(Room):
         return f"one of the fields {', '.join(self.fields)}, or {words}" if self.fields else words
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
         self._is_built()
         if not self.members:  # until a plugin adds one
             return core_schema.no_info_plain_validator_function(self._none)
@@ -256,7 +253,6 @@ class OneOf(Room):
         raise PydanticCustomError("block", "{words}", {"words": words})
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: a block of one of the kinds, or a shorthand (a bare word, a number)."""
         if not self.members:
             return {"not": {}}
         blocks = handler(schema)["oneOf"]

@@ -23,7 +23,7 @@ class DmServo(dm_env.Environment):
     A success or failure ends an episode with discount 0, a time-out with discount 1.
 
     info: of the last step, see `Rollout`: truth, outcome, judged error. rollout: the episodes.
-    rollout: the episodes. seed: of the seeds that they get, one after the other; None: other ones each time.
+    seed: of the seeds that they get, one after the other; None: other ones each time.
     """
 
     def __init__(self, rollout: Rollout, seed: int | None = None):

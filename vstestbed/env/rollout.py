@@ -22,11 +22,9 @@ from vstestbed.report.video.quality import quality_of
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, in_a_frame
-
-# The reward of a learner: from the error by which the task is judged, and from its outcome.
-
 
 RewardKind = Literal["potential", "negative_error", "sparse"]
 WORST = 1e4
@@ -39,8 +37,6 @@ def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
         nearness = 1 - ln(1 + |error| / limit) / ln(1 + WORST),  phi = (view + nearness) / views
 
     Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
-
-    error: the judged error. view: number of the goal view that it belongs to. views: how many there are in turn.
     """
     ratio = WORST if math.isnan(error.value) else min(abs(error.value) / error.limit, WORST)
     return (view + 1.0 - math.log1p(ratio) / math.log1p(WORST)) / views
@@ -80,40 +76,16 @@ class Reward:
 
     def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
         """The reward of a step between two potentials.
-        before, after: the potentials. terminated: the episode has ended, and not by the clock. success: the goal was reached. left: how
-        many steps the episode would still have had.
+        terminated: the episode has ended, and not by the clock. left: how many steps the episode would still have had.
         """
         bonus = self.success_bonus if success else 0.0
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
-            return after - 1.0 + bonus - (self._sum(left) if terminated and not success else 0.0)
+            g = self.discount  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            lost = float(left) if g == 1 else g * -math.expm1(left * math.log(g)) / (1.0 - g)
+            return after - 1.0 + bonus - (lost if terminated and not success else 0.0)
         return (0.0 if terminated else self.discount * after) - before + bonus
-
-    def _sum(self, n: int) -> float:
-        """A reward of 1 in each of the next n steps: discount + ... + discount^n."""
-        return float(n) if self.discount == 1 else self.discount * -math.expm1(n * math.log(self.discount)) / (1.0 - self.discount)
-
-
-# The picture of an environment from outside, as in the film of a run.
-class Overview:
-    """Draws one episode from outside, with the camera's own picture inset; the trail joins the frames that were drawn.
-    scenario: the episode's.
-    Raises EnvironmentLackError: OpenGL is asked for, and does not work here.
-    """
-
-    def __init__(self, scenario: Scenario):
-        quality = quality_of(scenario)
-        self._replay = replay_of(scenario, quality)
-        self._pictures = Pictures(scenario, "overview", self._replay, quality.size)
-
-    def picture(self, frame: Frame) -> Image:
-        """The picture (H, W, 3) uint8 RGB of a frame; the caller may keep it."""
-        return self._pictures.picture(FilmFrame.of_frame(frame))
-
-    def close(self) -> None:
-        """Free its scene."""
-        self._replay.close()
 
 
 ObservationMode = Literal["markers", "pixels", "both"]
@@ -189,7 +161,8 @@ class Rollout:
         self.scale = ActionScale.of(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
         self._frame: Frame | None = None
-        self._overview: Overview | None = None
+        self._replay: Replay | None = None
+        self._overview: Pictures | None = None
         self._phi, self._told, self._steps = 0.0, False, 0
 
     @property
@@ -239,9 +212,7 @@ class Rollout:
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
 
     def expert(self) -> Array:
-        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration.
-        Raises SessionError: before `reset`.
-        """
+        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration. SessionError without one."""
         return self.scale.action(self._running()[1].command.u)
 
     def recording(self) -> Recording:
@@ -251,20 +222,21 @@ class Rollout:
         return self._session.recording()
 
     def render(self) -> Image:
-        """The scene from outside at the last frame, as in a film's draft.
-        Raises SessionError: before `reset`. EnvironmentLackError: it cannot be drawn here.
-        """
+        """The scene from outside at the last frame, as in a film's draft. SessionError before `reset`."""
         if self._frame is None or self._session is None:
             raise SessionError("nothing to draw", "call reset() first")
         if self._overview is None:
-            self._overview = Overview(self._episode.scenario)
-        return self._overview.picture(self._frame)
+            scenario = self._episode.scenario
+            quality = quality_of(scenario)
+            self._replay = replay_of(scenario, quality)
+            self._overview = Pictures(scenario, "overview", self._replay, quality.size)
+        return self._overview.picture(FilmFrame.of_frame(self._frame))
 
     def close(self) -> None:
         """Free the simulation; `reset` begins another one."""
-        session, overview, self._session, self._overview, self._frame = self._session, self._overview, None, None, None
-        if overview is not None:
-            overview.close()
+        session, replay, self._session, self._replay, self._overview, self._frame = self._session, self._replay, None, None, None, None
+        if replay is not None:
+            replay.close()
         if session is not None:
             session.close()
 
@@ -274,7 +246,6 @@ class Rollout:
         return self._session.episode
 
     def _running(self) -> tuple[Session, Frame]:
-        """The session and its last frame, of an episode whose end has not been told."""
         if self._session is None or self._frame is None:
             raise SessionError("no episode has begun", "call reset() first")
         if self._told:

@@ -46,11 +46,6 @@ class LiveApp(Served):
             self.close()
 
     @property
-    def clients(self) -> tuple[int, ...]:
-        """Numbers of the pages that are connected."""
-        return tuple(self._server.get_clients())
-
-    @property
     def said(self) -> str:
         """The sentence that pages show."""
         return self._panel.status.message
@@ -62,7 +57,6 @@ class LiveApp(Served):
         self.run.close()
 
     def _once(self) -> None:
-        """Obey what was asked for, and make the next frame if it is due."""
         wait = self.run.wait_s()
         orders = self._inbox.take(IDLE_S if wait is None else min(wait, IDLE_S))
         for order in orders:
@@ -154,7 +148,6 @@ class LiveApp(Served):
 
 
 def _sentence(error: VstestbedError) -> str:
-    """What is refused, and why; of a setting without the word `--set`, which the page has not."""
     if isinstance(error, ScenarioError):
         return "; ".join(f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes)
     return str(error)

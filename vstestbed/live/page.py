@@ -24,7 +24,6 @@ FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
 FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 AMBIENT = 1.2
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
-"""Lights from afar: where they come from, and how bright they are."""
 REACH = 0.13
 """Length of the camera's frustum over its distance from the target, or from its goal, at the start."""
 REACH_OF_ROOM = 0.05
@@ -175,7 +174,6 @@ class SceneView:
         self._trail = trail
 
     def _look_at(self, server: viser.ViserServer, t: float, T_world_goal: Array | None) -> None:
-        """The view from which pages look at first: that of the film from outside."""
         T, middle, fovy = self._replay.outside_view(t, T_world_goal)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
@@ -184,7 +182,6 @@ class SceneView:
 
 
 def _square(edge_m: float) -> tuple[Array, Array]:
-    """Corners and faces of a square in the xy plane."""
     return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
 
 
@@ -192,7 +189,6 @@ def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
     handle.position, handle.wxyz = T[:3, 3], quaternion_wxyz(T[:3, :3])
 
 
-# The servo camera's picture in the browser: reduced, with markers, goals and numbers drawn in, not more often than needed.
 WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px]
 FRUSTUM_WIDTH = 160  # width of the one in the frustum [px]
 JPEG_QUALITY = 70
@@ -226,7 +222,6 @@ class Eye:
         self._shown.remove()
 
 
-# Curves that grow with a run: the judged error, the commanded twist, the joints; of bounded length.
 MOST = 1200
 """Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
 PLOT_HEIGHT = 150  # of a plot [px]
@@ -327,7 +322,7 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
 
 SCENE_S, PLOTS_S = 1 / 30, 1 / 4
 """Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`."""
-VIEW_WIDTH, PANEL_WIDTH = 340, 330  # widths of the panels beside the scene [px]
+VIEW_WIDTH = 340  # of the panel beside the scene [px]
 
 
 class LiveView:

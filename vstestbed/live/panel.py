@@ -47,7 +47,6 @@ HIGH = {
 }
 """Right ends of sliders: far over what is usual, far under what is valid."""
 GAIN_HIGH, GAIN_TIMES = 4.0, 4.0
-"""Right end of a gain's slider, at least this many times its value at the start."""
 DISTORTION_END = 0.4
 STEPS = 200
 
@@ -132,7 +131,6 @@ def _of(path: str, hint: Any, value: Any) -> Iterator[Field]:
 
 
 def _opened(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type without None and its metadata, and the metadata."""
     metadata: tuple[Any, ...] = ()
     while True:
         if typing.get_origin(hint) in (typing.Union, UnionType):
@@ -178,7 +176,6 @@ def _number(path: str, value: float, metadata: tuple[Any, ...], whole: bool) -> 
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
-# The controls of a scenario's fields: what they ask for goes to the inbox, what is in force comes back into them.
 Ask = Callable[[str, object], None]  # ask for a setting: path and value
 DIGITS = 9  # to which a slider's number is rounded: the browser adds up steps
 
@@ -237,7 +234,9 @@ class Controls:
 
         async def asked(event: viser.GuiEvent[Any]) -> None:  # async: run at once and in order, not in a pool of threads
             if event.client is not None:
-                self._ask(field.path, _plain(field, event.target.value))
+                value = event.target.value
+                value = read_value(value) if field.control == "choice" else value
+                self._ask(field.path, round(value, DIGITS) if isinstance(value, float) and field.control != "choice" else value)
 
         handle.on_update(asked)
         self._handles[_key(field)] = field, handle
@@ -249,12 +248,6 @@ KIND_AND_NUMBER = {"law.gain"}  # fields whose kind has a menu, and whose number
 
 def _key(field: Field) -> str:
     return f"{field.path}.kind" if field.control == "choice" else field.path
-
-
-def _plain(field: Field, value: Any) -> object:
-    if field.control == "choice":
-        return read_value(value)
-    return round(value, DIGITS) if isinstance(value, float) else value
 
 
 SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}

@@ -40,7 +40,6 @@ SEED = "seed"
 """The setting that draws start and noise as `--seed` does; None for the scenario's own start."""
 DISTORTION = "camera.distortion"
 TEXTS = {"name", "description", "plugins"}
-"""Blocks whose texts are none of the words that other fields may have."""
 
 
 class Settings:
@@ -72,7 +71,7 @@ class Settings:
         return scenario
 
     def _refuse_new_texts(self, path: str, value: object) -> None:
-        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named. So a page
+        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named: so a page
         can name no file, and run no code, that the command line did not name, whichever field it is in, also of a plugin.
         """
         if path.split(".")[0] == "plugins":
@@ -80,7 +79,11 @@ class Settings:
         found = absolute_files({path: value}, Path.cwd())[path]  # as the scenario has the names of files
         block = path.rpartition(".")[2]
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
-            known = self._given | ({f"{TEXTURE}{name}" for name in textures()} if key in FILE_FIELDS else _words())
+            known = self._given | (
+                {f"{TEXTURE}{name}" for name in textures()}
+                if key in FILE_FIELDS
+                else _words(sum(len(room.members) for room in ROOMS), len(SPECS))
+            )
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if block in TEXTS or not hint.startswith("did you mean"):
@@ -120,14 +123,9 @@ def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
         yield key, str(value)
 
 
-def _words() -> frozenset[str]:
-    """The kinds, and the words between which a field has the choice."""
-    return _words_with(sum(len(room.members) for room in ROOMS), len(SPECS))
-
-
 @functools.lru_cache(maxsize=1)
-def _words_with(kinds: int, specs: int) -> frozenset[str]:
-    """Those of so many kinds and specs: a plugin adds some."""
+def _words(kinds: int, specs: int) -> frozenset[str]:
+    """The kinds, and the words between which a field has the choice, of so many kinds and specs: a plugin adds some."""
     choices = {word for cls in SPECS for field in fields_of(cls) for word in _choices(hint_of(cls, field))}
     return frozenset(choices | {kind for room in ROOMS for kind in room.members})
 
@@ -189,7 +187,6 @@ class Served:
         self._inbox.put(lambda: None)
 
 
-# Play, pause, single steps, and the pace: simulated time against the clock on the wall.
 LATE_S = 0.25
 """How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
 MEASURED_S = 2.0  # time on the wall over which the pace is measured

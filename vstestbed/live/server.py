@@ -139,7 +139,6 @@ def _told(handler: Callable[[ServerConnection], Awaitable[None]]) -> Callable[[S
 
 
 def _tell_failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Tell in a line what a message made fail, such as one with a text for a number."""
     if (error := context.get("exception")) is None:
         loop.default_exception_handler(context)
     else:

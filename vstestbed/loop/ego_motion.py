@@ -16,8 +16,6 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.timing.setpoints import Between, Blend
 from vstestbed.vision.base import TruthView
 
-# What reaches the control step with a picture: the exposure, and the moment at which it arrives.
-
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
@@ -41,7 +39,6 @@ class Arrival:
     reading: Reading
 
 
-# The velocities that were ordered, integrated over time: what a robot without sensors of its motion knows about its own way.
 REMEMBERED = 500
 """Orders that are kept. The oldest time asked for is that of the last exposure but one, a few orders ago."""
 
@@ -78,7 +75,6 @@ class CommandHistory:
         return self._orders[0][2]
 
 
-# The camera's own motion while a picture was under way, by the robot's own sensors.
 def since_exposure(robot: Robot, mount: Mount, ordered: CommandHistory, shot: Exposure, now: Arrival) -> Array:
     """How far the camera has gone since an exposure (6,), in its own frame [m, rad]; mount: as it is now."""
     # Integrated commands stand in for a robot without sensors of its motion.
@@ -88,7 +84,6 @@ def since_exposure(robot: Robot, mount: Mount, ordered: CommandHistory, shot: Ex
     return moved
 
 
-# The camera's mount as the controller believes it.
 def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
     if not scenario.target.on_gripper:
@@ -96,7 +91,6 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)
 
 
-# A robot's own velocities as its controller knows them: the model now, how far they led since the last picture, what was ordered.
 class OwnRates:
     """Makes `Observation.robot`, and keeps the velocities that were ordered, one each `period_s`."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -34,9 +34,6 @@ from vstestbed.tasks.monitors import OwnMonitor
 from vstestbed.timing.clock import DelayLine
 from vstestbed.timing.link import directions
 from vstestbed.vision.base import goal_of_points, points_of
-
-# The witness: completes the controller's cycle to a frame, with the truth that the controller never sees.
-
 
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
@@ -157,8 +154,12 @@ class Episode:
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
         took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
+        scenario = self.scenario
+        if self.by_hand:
+            words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
+            scenario = replace(scenario, description=f"{scenario.description} Changed by hand during the run: {words}.".strip())
         return Recording(
-            self._described(),
+            scenario,
             outcome,
             self.reason or outcome.value,
             rows,
@@ -178,14 +179,6 @@ class Episode:
         """Remember what a person changed, which no scenario file repeats."""
         t, times = self.by_hand.get(what, (self.frame.t if self.frame else 0.0, 0))
         self.by_hand[what] = t, times + 1
-
-    def _described(self) -> Scenario:
-        """The scenario; its description tells what was changed by hand."""
-        if not self.by_hand:
-            return self.scenario
-        words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
-        description = f"{self.scenario.description} Changed by hand during the run: {words}.".strip()
-        return replace(self.scenario, description=description)
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law."""
@@ -210,7 +203,6 @@ class Episode:
         self._note()
 
     def _note(self) -> None:
-        """The last frame is complete: into the log, and to the watchers."""
         assert self.frame is not None
         self._waits = False
         start = time.perf_counter()
@@ -232,7 +224,9 @@ class Episode:
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
             camera.act(step, controller.look)
-            for frame in self._arrivals(step):
+            for made in camera.line.pop_due(step):
+                if (frame := self._arrive(made, step)) is None:  # refused
+                    continue
                 silent_at = step + order_steps
                 yield frame
                 if frame.outcome is not None:
@@ -257,12 +251,6 @@ class Episode:
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
 
-    def _arrivals(self, step: int) -> Iterator[Frame]:
-        """The frames of the pictures that arrive at this step, one after the other, without those that are refused."""
-        for made in self._camera.line.pop_due(step):
-            if (frame := self._arrive(made, step)) is not None:
-                yield frame
-
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
         plant, shot = self.plant, made.shot
@@ -278,7 +266,10 @@ class Episode:
             cycle = replace(cycle, timing=replace(cycle.timing, t=shot.t, own={name: own[name] for name in columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
-        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
+        image = shot.picture.image if shot.picture else None
+        if self._camera.whole and image is not None:
+            image = image.copy()  # the caller may keep it
+        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, image)
         judged = self.frame
         # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
         if self._commanded and before is not None:
@@ -296,8 +287,3 @@ class Episode:
             return {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
         control = self.scenario.camera.blurring
         return {} if control is None else dict(zip(("exposure_s", "gain"), control.first, strict=True))
-
-    def _image(self, made: Exposed) -> Image | None:
-        """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
-        image = made.shot.picture.image if made.shot.picture else None
-        return image.copy() if self._camera.whole and image is not None else image

@@ -17,7 +17,6 @@ from vstestbed.robots.flight import FlightReading
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
-"""A robot's sensor readings: at the exposure, and when the picture has arrived."""
 MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
 """A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
@@ -91,19 +90,16 @@ class Inputs:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             raise ParameterError("detector", words, self._detector.kind)
         self._check_picture(picture)
-        both, t = self._both(readings), _seconds("t", "must be the time of exposure in seconds", t)
+        pair = readings if isinstance(readings, tuple) else (readings, readings)
+        if len(pair) != 2:
+            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(pair)}")
+        at_exposure = self.reading(pair[0])
+        both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
+        t = _seconds("t", "must be the time of exposure in seconds", t)
         late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
         notes = (*self._timed(t), *late)
         self._arrived = self._arrived if arrived is None else arrived
         return both, notes
-
-    def _both(self, readings: Reading | Readings) -> Readings:
-        """Readings at the exposure and now, of float64, in arrays of their own."""
-        given = readings if isinstance(readings, tuple) else (readings, readings)
-        if len(given) != 2:
-            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(given)}")
-        at_exposure = self.reading(given[0])
-        return at_exposure, at_exposure if given[1] is given[0] else self.reading(given[1])
 
     def _check_picture(self, picture: Image | Sequence[Image]) -> None:
         panels = self._camera.panels
@@ -143,7 +139,6 @@ class Inputs:
 
 
 def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
-    """Finite numbers of a shape, as a new array; ParameterError with these words where they are not."""
     try:
         numbers = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -164,5 +159,4 @@ def _check_flight(reading: FlightReading) -> None:
 
 
 def _seconds(field: str, words: str, t: object) -> float:
-    """A finite time; ParameterError with these words where it is none."""
     return float(_finite(field, words, None if isinstance(t, str) else t, ()))

@@ -26,9 +26,6 @@ from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, timed_out_words
 from vstestbed.tasks.monitors import Monitor
 from vstestbed.tasks.stop import Stop
 
-# Safety monitors, which end a run whatever its task: collision, divergence, a crossed target plane, joint limit, singularity.
-
-
 FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
 FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
 CROSSED_WORDS = "the camera crossed the plane of the target"
@@ -66,9 +63,8 @@ class Divergence:
 
     def update(self, frame: Frame) -> Verdict | None:
         """Diverged, beyond FAR_M."""
-        if math.hypot(*_from_target(frame)) > FAR_M:
-            return Outcome.diverged, FAR_WORDS
-        return None
+        away = (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
+        return (Outcome.diverged, FAR_WORDS) if math.hypot(*away) > FAR_M else None
 
 
 class PlaneCrossed:
@@ -109,16 +105,11 @@ def _is_behind(frame: Frame, T_world_target: Array) -> bool:
     return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
 
 
-def _from_target(frame: Frame) -> list[float]:
-    return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
-
-
 def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[Monitor, ...]:
     """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
     return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided and stop.loss_ends else ()), LimitReached()
 
 
-# Where markers that are not seen were lost, by the truth: for the sentence of a run that ends as `target_lost`.
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
 SMALL = 1.5
 """A marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour."""
@@ -280,11 +271,8 @@ class Judge:
     Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
     that is reached, the safety monitors in their order, the scenario's own, a task that is missed.
 
-    Args:
-        task: the task's monitor, which has already measured the frame. stop: time limits.
-        target: the scenario's. supervisor: the robot's. own: the scenario's monitors.
-        stability: tells a run that would end as `timed_out`, and is unstable; None: no run is looked at so.
-        markers: tells where those are lost that are not seen; None: it is not said.
+    task: has already measured the frame. own: the scenario's monitors. stability: tells a run that would end as `timed_out`, and is
+    unstable. markers: tells where those are lost that are not seen.
     """
 
     def __init__(
@@ -340,7 +328,6 @@ class Judge:
         return (Outcome.timed_out, timed_out_words(self._duration_s)) if t >= self._duration_s - 1e-9 else None
 
     def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
-        """The abort's verdict, once the robot is at rest, or down, or the duration is over."""
         down = self._supervisor.down(t)
         if not (down or t >= self._duration_s - 1e-9):
             return None

@@ -27,7 +27,6 @@ WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into an
 PROBE_BYTES = 1_000_000
 """More than polars writes at once: a disk without room for that has none for this."""
 COMPRESSED: Final[dict[str, Any]] = {"compression": "zstd", "statistics": False, "row_group_size": BLOCK}
-"""How `log.parquet` is written."""
 HEAD = "float64: "
 """How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
 
@@ -118,8 +117,10 @@ class FolderLog:
         wanted = self.columns if names is None else tuple(names)
         with self._reading():
             for block in self._parquet_blocks(self._parquet, wanted) if self._parquet else self._part_blocks(wanted):
-                if self._of_a_run:
-                    _must_be_of_a_run(block)
+                if self._of_a_run and "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
+                    raise ValueError("its times do not go on")
+                if self._of_a_run and "lost" in block and not np.isin(block["lost"], (0, 1)).all():
+                    raise ValueError("the column lost holds something else than 0 and 1")
                 yield block
 
     def frames(self, names: Sequence[str] | None = None) -> Iterator[polars.DataFrame]:
@@ -170,13 +171,6 @@ class FolderLog:
                 made.file.flush()
                 raise
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
-
-
-def _must_be_of_a_run(block: Block) -> None:
-    if "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
-        raise ValueError("its times do not go on")
-    if "lost" in block and not np.isin(block["lost"], (0, 1)).all():
-        raise ValueError("the column lost holds something else than 0 and 1")
 
 
 def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:

@@ -91,8 +91,7 @@ class MemoryRows:
 
 class Log:
     """Frames become rows many at once, which costs a tenth of the time of one after the other. No frame waits for more than PERIOD_S [s] of
-    wall time, which is what a killed process may lose: rows are made when the next frame would come too late for the oldest one that waits,
-    if it took as long as the last one.
+    wall time, which a killed process may lose: rows are made when the next frame, if it took as long as the last one, would come too late.
     """
 
     PERIOD_S: ClassVar[float] = 0.1
@@ -156,16 +155,12 @@ class Recording:
         return self.rows.table()
 
     def __getitem__(self, name: str) -> Array:
-        """One column as a numpy array; KeyError names the column."""
         if name not in self.columns:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
         return WholeColumns(self.rows)[name]
 
     def camera_poses(self) -> SE3:
-        """The camera's true pose T_world_camera in each of the n frames, as one spatialmath SE3 of n.
-
-        Axes of the camera: x right, y down, z forward. Such an object multiplies, interpolates, prints, and has `plot` and `animate`.
-        """
+        """The camera's true pose T_world_camera (x right, y down, z forward) in each of the n frames, as one spatialmath SE3 of n."""
         return as_se3(self._poses("cam"))
 
     def target_poses(self) -> SE3:
@@ -175,11 +170,9 @@ class Recording:
     def goal_pose(self) -> SE3:
         """The pose T_world_camera where the camera was to be in each of the n frames, as one spatialmath SE3 of n.
 
-        T_world_target inverse(T_camera_target) with the goal in force: it moves with the target, from one via point to the next and
-        along a path. `camera_poses()[i].inv() * goal_pose()[i]` is what was left to go in frame i. For a camera that stands in the
-        room it is where that would have to stand.
-
-        Raises ParameterError: the goal is no single pose (a gap or a line to keep).
+        It is T_world_target inverse(T_camera_target) with the goal in force; `camera_poses()[i].inv() * goal_pose()[i]` was left to go in
+        frame i. For a camera in the room it is where that would have to stand. Raises ParameterError: the goal is no single pose (a gap, a
+        line).
         """
         s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
         goals = [s.goal_pose_at(t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
@@ -204,13 +197,11 @@ class Recording:
         return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
 
     def _repr_html_(self) -> str | None:
-        """The report, where a Jupyter notebook shows the recording."""
         return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
-        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms].
-
-        With the gains of servos that were made for an arm of one's own (`Actuation.gains`).
+        """The metrics of the run, as in `summary.json`; `time_ms`: mean wall time of a frame by part [ms]. With the gains of servos that
+        were made for an arm of one's own (`Actuation.gains`).
         """
         figures = summarise(self.scenario, self.outcome, self.rows)
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)

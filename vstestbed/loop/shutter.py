@@ -25,9 +25,6 @@ from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 from vstestbed.vision.base import TruthView
 
-# What an oracle sees through a rolling shutter: each marker when the row that it is in is exposed.
-
-
 ROUNDS = 12
 """Iterations to the time at which a marker is exposed. Each divides the error by H / (readout_s v'), v' the marker's speed down the
 picture [px/s]: 24 for one that crosses it in half a second while 20 ms are read out."""
@@ -189,7 +186,10 @@ class CameraClock:
         self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            self._send(planned, self.plant.developed(self.middle.shot.t), self._by_rows(self.middle))
+            made = self.middle
+            if self._row_views is not None:  # the truth itself stays that of the time stamp
+                made = replace(made, shot=replace(made.shot, view=self._row_views.taken()))
+            self._send(planned, self.plant.developed(made.shot.t), made)
 
     def _truth(self, is_middle: bool) -> Truth | None:
         """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
@@ -199,11 +199,7 @@ class CameraClock:
         self._row_views.add(TruthView(truth.p_camera, truth.hidden))
         return truth
 
-    def _by_rows(self, made: Exposed) -> Exposed:
-        return made if self._row_views is None else replace(made, shot=replace(made.shot, view=self._row_views.taken()))
-
     def _shot(self, step: int, truth: Truth) -> Exposed:
-        """Truth and reading at an exposure, still without the picture."""
         # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
         view = TruthView(truth.p_camera, truth.hidden) if self._view else None
         return Exposed(Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth)

@@ -13,7 +13,7 @@ A gain far too high has no clean period: limits of law and robot shorten the com
 Such a loop is known by its gain, near or over the limit of theory, and by commands that stay large, turn round often and lead nowhere,
 while the error does not fall.
 
-Reference: the limit of the gain and the period at it are those of `loop.theory`.
+The limit of the gain and the period at it are those of `gain_limit` and `swing_frames`.
 """
 
 from __future__ import annotations
@@ -57,9 +57,7 @@ NO_LAG = (1.0,)  # impulse response of a robot without lag
 def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
-    There a pair of poles crosses the unit circle at the angle pi / (2 d + 1): the loop oscillates with a period of
-    2 (2 d + 1) frames.
-
+    There a pair of poles crosses the unit circle at pi / (2 d + 1): the loop oscillates with a period of 2 (2 d + 1) frames.
     Reference: Levin & May 1976, A note on difference-delay equations, doi:10.1016/0040-5809(76)90043-5.
     """
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
@@ -181,10 +179,9 @@ def period(x: Array) -> float:
 
 
 class LastPart(NamedTuple):
-    """The last half of a run, n frames.
-    t: times (n,) [s]. error: in the image (n,) [px], or of a law of grey levels [grey levels]; NaN where nothing was measured. twist:
-    commands (n, 6). limited: those that limits of law or robot shortened (n,). reference: of the goal in the world (n, m). away: true
-    distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
+    """The last half of a run, n frames. error: in the image (n,) [px], or of a law of grey levels; NaN where nothing was measured.
+    limited: commands that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
+    away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
     """
 
     t: Array
@@ -194,15 +191,9 @@ class LastPart(NamedTuple):
     reference: Array
     away: Array
 
-    def measured(self) -> LastPart:
-        """The frames with a measurement."""
-        known = np.isfinite(self.error)
-        return self._replace(**{name: getattr(self, name)[known] for name in ("t", "error", "twist", "limited", "reference")})
-
-    def last_half(self) -> LastPart:
-        """The last half of it; `away` stays that of the whole."""
-        n = len(self.t) // 2
-        return LastPart(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
+    def at(self, frames: Any) -> LastPart:
+        """Some of the frames; `away` stays that of all."""
+        return self._replace(**{name: getattr(self, name)[frames] for name in ("t", "error", "twist", "limited", "reference")})
 
 
 def swings(part: LastPart, least: float) -> float:
@@ -239,7 +230,7 @@ def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -
     measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
     part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
     """
-    known = part.measured()
+    known = part.at(np.isfinite(part.error))
     third = len(known.t) // 3
     if share < NEAR_LIMIT or len(known.t) < FEWEST or np.ptp(part.reference, axis=0).any():
         return 0
@@ -272,7 +263,7 @@ def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
     """How the loop is unstable, by what numbers, and what would help; "" for one that is not. part: of the last half of its run.
     Where that does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
     """
-    return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
+    return _how(scenario, part, first_error) or _how(scenario, part.at(slice(len(part.t) // 2, None)), first_error)
 
 
 def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
@@ -288,7 +279,7 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     if late > first_error and grows(part, least):
         return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
     if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
-        limited, blind = np.mean(part.measured().limited), np.mean(~np.isfinite(part.error))
+        limited, blind = np.mean(part.limited[np.isfinite(part.error)]), np.mean(~np.isfinite(part.error))
         held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
         lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
         return f"{over} the command turned round {turned} times{held}{lost}, and the error {how}; {_cause(scenario)}".replace("%", " %")

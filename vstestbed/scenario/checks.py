@@ -98,28 +98,19 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
     if robot.model is None and robot.joints:
         words = f"{robot.kind} has joints and no body; let its `model` name an MJCF file"
         raise ParameterError("robot.kind", words)
-    if robot.base != "floating":
-        _check_without_flight(robot, world, derotation)
-    _check_level_trim(target, derotation, level_trim_s)
+    flies = robot.base == "floating"
+    if not flies and derotation != "none":
+        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
+    if not (flies or world.wind.still):
+        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
+    if level_trim_s and (derotation == "none" or target.moves):  # the target's own motion would be taken for a tilt
+        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+        raise ParameterError("level_trim_s", words, level_trim_s)
     if world.floor_friction is not None and not robot.slips:
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
     if target.on_gripper and not robot.gripper:
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
-
-
-def _check_level_trim(target: Target, derotation: str, level_trim_s: float) -> None:
-    """Refuse a correction of the tilt where nothing is derotated, or where the target's own motion would be taken for a tilt."""
-    if level_trim_s and (derotation == "none" or target.moves):
-        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
-        raise ParameterError("level_trim_s", words, level_trim_s)
-
-
-def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
-    if derotation != "none":
-        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
-    if not world.wind.still:
-        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
 
 
 def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
@@ -137,9 +128,7 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
 
 
 def check_carrier(target: Target) -> None:
-    """Refuse a route that the vehicle which carries the target cannot drive.
-    Raises ParameterError: a bend is tighter than its turning circle, or the speed higher than its top speed.
-    """
+    """Refuse a route that the vehicle which carries the target cannot drive: a bend too tight, or a speed too high."""
     if target.carrier is None:
         return
     by, route, speed = target.carrier.by, target.carrier.route, target.carrier.speed_mps
@@ -305,7 +294,6 @@ def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[A
 
 
 def _untold_pose(target: Target, law: Law[Any]) -> str:
-    """Why the pose of an outline is not estimated, and what would work; empty where it is, and for markers."""
     if not target.outlined:  # of markers some detectors solve the pose themselves
         return ""
     if runs_along(target):
@@ -316,7 +304,6 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
 
 
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
-    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
     seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
@@ -325,12 +312,10 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
 
 
 def _of_markers() -> dict[str, type]:
-    """The detectors that find a target's markers, by their kinds."""
     return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
 
 
 def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse, with a law that reads nothing but the picture, points of the goal's picture and markers that are not drawn."""
     if set(law.inputs) != {"image"}:
         return
     if detector.needs_goal:
@@ -368,7 +353,6 @@ def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
@@ -378,7 +362,9 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
     if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
-        less = _needed_on_floor(robot, law, basis)
+        less = None  # with depth `floor`, where that is an alternative to `pnp`
+        if robot.base == "planar" and isinstance(law.depth, PnP) and _has_depth(law):
+            less = replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field
         enough = less is not None and len(points) >= less
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
 
@@ -444,10 +430,3 @@ def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> 
 
 def _has_depth(law: Law[Any]) -> bool:
     return any(field.name == "depth" for field in fields(law))
-
-
-def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
-    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
-    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
-        return None
-    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

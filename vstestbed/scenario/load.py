@@ -6,7 +6,7 @@ import dataclasses
 import io
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
 
 NAMED_FILES = ("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery"), ("world", "floor", "texture")
-"""Fields that name a file."""
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
@@ -105,7 +104,8 @@ def parse(
     plugins: Sequence[str] = (),
 ) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
-    plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
+    *needed, last = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
+    plain, marks = plain_mapping(text, file, f"a scenario needs {', '.join(needed)} and {last}")
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
@@ -130,11 +130,9 @@ def parse(
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
 
 
-START = "robot.start.nominal"
-
-
 def _gives_start(dotted: str) -> bool:
-    return f"{START}.".startswith(f"{dotted}.") or dotted.startswith(f"{START}.")
+    start = "robot.start.nominal."
+    return start.startswith(f"{dotted}.") or dotted.startswith(start)
 
 
 def _is_plain(value: object) -> bool:
@@ -149,7 +147,6 @@ def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object
 
 
 def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
-    """Refuse an override of a field that the seed draws, which would be without effect."""
     for i, one in enumerate(scenario.randomise):
         for dotted in overrides:
             if f"{dotted}.".startswith(f"{one.field}."):
@@ -176,8 +173,8 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
     mistakes = list(error.mistakes)
     for dotted, kind in overrides.items():
         block, _, last = dotted.rpartition(".")
-        given = [other for other in overrides if other != dotted]
-        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not _within(m.field, given)]
+        given = tuple(f"{other}." for other in overrides if other != dotted)
+        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not f"{m.field}.".startswith(given)]
         if last != "kind" or not kept:
             continue
         names = ", ".join(dict.fromkeys(m.field.removeprefix(f"{block}.") for m in kept))
@@ -185,10 +182,6 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
         mistakes = [m for m in mistakes if m not in kept]
         mistakes.append(Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words))
     return ScenarioError(mistakes)
-
-
-def _within(field: str, paths: Iterable[str]) -> bool:
-    return any(f"{field}.".startswith(f"{path}.") for path in paths)
 
 
 def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> dict[tuple[str, str], str]:
@@ -219,11 +212,6 @@ def seeded(scenario: Scenario, seed: int) -> Scenario:
     if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
-
-
-def _required() -> str:
-    needed = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
-    return ", ".join(needed[:-1]) + " and " + needed[-1]
 
 
 def for_another_folder(path: Path) -> str:

@@ -53,9 +53,6 @@ from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.derotate import Derotation
 from vstestbed.vision.perturb import Perturbed
 
-# Whether a start sees the target.
-
-
 VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 
@@ -343,17 +340,13 @@ class Scenario:
         return made if known is None else made.loaded_from({**values, **known, **values})  # what is new stands first
 
     def with_seed(self, seed: int) -> Scenario:
-        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise.
-        Raises ParameterError: a drawn value is refused.
-        """
+        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise. Errors: see `resolved`."""
         made = self.given.but(seed=seed)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
 
     def randomised(self, seed: int) -> Scenario:
-        """The same experiment with this seed and a start drawn from it (`draw_start`).
-        Raises ParameterError: the robot has no random block, or no start in it sees the target.
-        """
+        """The same experiment with this seed and a start drawn from it (`draw_start`). Errors: see `resolved`."""
         made = self.given.but(seed=seed, draw_start=True)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
@@ -361,10 +354,8 @@ class Scenario:
     def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
         """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
 
-        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in
-        its own frame at the goal, T_camera_target = T* D.
-
-        Raises UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
+        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in its own
+        frame at the goal, T_camera_target = T* D. Raises UnreachableError. ParameterError: the robot is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))
