@@ -129,9 +129,7 @@ def make_parents(path: Path) -> Path:
 
 
 def read_file(path: Path, works: str) -> bytes:
-    """The content of a file of a results folder; `works`: what would work, for the message.
-    Raises RunFolderError: it is missing, is no plain file (a pipe would never end), or cannot be read.
-    """
+    """The content of a file of a results folder; RunFolderError with `works`, what would work, where it cannot be read."""
     try:
         if path.is_file():
             return path.read_bytes()
@@ -230,9 +228,7 @@ def _cut(name: str, most: int) -> str:
 
 
 def distinct(words: Sequence[str]) -> list[str]:
-    """The words, with `_` at the end of those that stand there before: texts may differ in what a file name cannot hold alone. Small and
-    large letters count as equal, as on the file systems of Windows and macOS.
-    """
+    """The words, with `_` at the end of those that stand there before; small and large letters count as equal, as on Windows and macOS."""
     seen: dict[str, str] = {}
     for word in words:
         while (known := unicodedata.normalize("NFKC", word).casefold()) in seen:

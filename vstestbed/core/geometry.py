@@ -110,9 +110,7 @@ class Pose:
 
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
-        """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0.
-        Raises ParameterError: it is no pose (`pose_matrix`).
-        """
+        """The pose with a homogeneous matrix (4, 4), or of a spatialmath object (`pose_matrix`); at a pitch of 90 degrees roll is 0."""
         matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
 

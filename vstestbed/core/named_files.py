@@ -42,9 +42,7 @@ def is_there(path: Path) -> bool:
 
 
 def place_of_file(file: str) -> Path:
-    """The path of a file named absolutely or inside a package, which is not imported.
-    Raises ParameterError: the package is not installed, or the file is not there.
-    """
+    """The path of a file named absolutely or inside a package, which is not imported; ParameterError where it is not there."""
     path = Path(file)
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")

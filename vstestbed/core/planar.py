@@ -103,9 +103,7 @@ def composed(place: Array, step: Array) -> Array:
 def arc(motion: Array, duration: float) -> Array:
     """The step (ahead, left, turn) (..., 3) of a constant motion (vx, vy, wz) in the vehicle frame: an exact arc.
 
-    With theta = wz t and the SE(2) exponential: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t,
-    a = sin(theta)/theta,  b = (1 - cos(theta))/theta.
-
+    With theta = wz t: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t, a = sin(theta)/theta, b = (1 - cos(theta))/theta.
     Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
     step = np.asarray(motion, dtype=float) * duration

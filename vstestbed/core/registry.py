@@ -92,9 +92,7 @@ def to_mapping(value: Any) -> Any:
 
 
 def brief_mapping(value: Any) -> Any:
-    """A spec as people write it: without what is a default anyway, whole numbers without `.0`, with the shorthands of its rooms. A spec may
-    have `preset_values`, by field, which stand in place of defaults.
-    """
+    """A spec as people write it: without defaults and what `preset_values` stand for, whole numbers without `.0`, with shorthands."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return _brief_block(value)
     if isinstance(value, tuple | list):

@@ -81,9 +81,7 @@ def tidy_angles(angles_deg: tuple[float, ...]) -> list[float]:
 
 
 def twist_numbers(value: Any, name: str = "command") -> Any:
-    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is.
-    Raises ParameterError: several twists, or another object of spatialmath.
-    """
+    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is. ParameterError for several twists, or another object."""
     kind = class_of(value)
     if not kind:
         return value

@@ -43,9 +43,7 @@ class DmServo(dm_env.Environment):
         return dm_env.restart(step.observation)
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """One camera frame; after the end, or before the first episode, a new one, whatever the action.
-        Raises ParameterError: an action of another shape, or one that is not finite.
-        """
+        """One camera frame; after the end, or before the first episode, a new one, whatever the action. Errors: see `Rollout.step`."""
         if self._last:
             return self.reset()
         step = self.rollout.step(action)

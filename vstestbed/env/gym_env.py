@@ -60,9 +60,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         return step.observation, step.info
 
     def step(self, action: NDArray[Any]) -> Step:
-        """One camera frame: observation, reward, terminated, truncated, info.
-        Raises ParameterError: an action of another shape, or one that is not finite. SessionError: after the end.
-        """
+        """One camera frame: observation, reward, terminated, truncated, info. Errors: see `Rollout.step`."""
         return self._rollout.step(action)
 
     def expert(self) -> NDArray[Any]:

@@ -310,7 +310,5 @@ def rollout_of(
     end_on_rest: bool = True,
     end_on_loss: bool = True,
 ) -> Rollout:
-    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`.
-    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
-    """
+    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`."""
     return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides, end_on_rest, end_on_loss)

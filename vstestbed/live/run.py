@@ -338,9 +338,7 @@ class LiveRun:
         self._show(frame)
 
     def change(self, path: str, value: object) -> bool:
-        """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one.
-        Raises VstestbedError: the setting is refused; everything stays as it was.
-        """
+        """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one."""
         before = copy.copy(self.settings)  # `change` replaces its parts, and writes into none
         now = self.settings.change(path, value)
         try:

@@ -33,9 +33,7 @@ from vstestbed.vision import Detector, Observer
 
 
 class GuardedLaw:
-    """A law that has failed is not asked again: its robot must be stopped, whatever the law does next.
-    failure: what the law did, in words; "" while it works.
-    """
+    """A law that has failed is not asked again: its robot must be stopped, whatever it does next. `failure` says what it did, or is ""."""
 
     def __init__(self, law: Law[Any]):
         self._law, self.failure = law, ""
@@ -129,7 +127,7 @@ def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str
 
 def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
     """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
-    Where the detector has not found a single marker in any picture of the run (`found`), what may be wrong instead.
+    Where the detector has never found a marker in the run (`found`), what may be wrong instead.
     """
     if why:
         return f" ({why})"

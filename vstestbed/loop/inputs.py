@@ -34,9 +34,7 @@ class Inputs:
         self.taken = -1
 
     def reading(self, reading: Reading) -> Reading:
-        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays.
-        Raises ParameterError: a reading of another robot, numbers that are not finite, or a joint that is outside of its range.
-        """
+        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays."""
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
             raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
@@ -62,9 +60,7 @@ class Inputs:
             raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
-        """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
-        Raises ParameterError: it is missing where the law reads it, or of another size or kind.
-        """
+        """A depth picture as float32 in metres, NaN in its holes, in an array of its own; ParameterError where the law reads it."""
         if image is None and not self._reads_depth:
             return None
         wanted = self._camera.height, self._camera.width
@@ -83,9 +79,7 @@ class Inputs:
     def given(
         self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None
     ) -> tuple[Readings, tuple[str, ...]]:
-        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before.
-        Raises ParameterError: see `Controller.step`.
-        """
+        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before."""
         if self._detector.needs_truth:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             raise ParameterError("detector", words, self._detector.kind)

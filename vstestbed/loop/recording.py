@@ -124,11 +124,10 @@ class Recording:
 
     Attributes:
         rows: the log; of a run with a folder it is on disk alone.
-        time_ms: wall time by part, in all [ms]: physics render detect law record video.
-        wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
+        time_ms: wall time by part, in all [ms]. wall_time_s: of the run; loop_s: without building and closing the scene [s].
         versions: of the packages and the renderer used.
         ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
-        goal_images: the pictures taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
+        goal_images: taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
     """
 
     scenario: Scenario

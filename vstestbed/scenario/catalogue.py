@@ -39,9 +39,7 @@ class Entry:
 
 
 def catalogue(**roots: type) -> dict[str, Entry]:
-    """All entries by their full names, from the outside in.
-    roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
-    """
+    """All entries by full name, from the outside in. roots: the blocks that are files; the fields of `scenario` go without that name."""
     found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
@@ -151,9 +149,7 @@ class FieldPlace:
 
 
 def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
-    """A kind, a block or a field, by any of its names.
-    Raises ParameterError: there is none, or there are several: it has the nearest, or their names.
-    """
+    """A kind, a block or a field, by any of its names; ParameterError with the nearest where there is none, or several."""
     return entry_of(word, entries) or _at(word, entries)
 
 
@@ -207,9 +203,7 @@ def _scenario(entries: Mapping[str, Entry]) -> type:
 
 
 def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
-    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name.
-    Raises ParameterError: it is no word at all.
-    """
+    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name."""
     scenario = _scenario(entries)
     if word in fields_of(scenario):
         return list(_within([scenario], word))

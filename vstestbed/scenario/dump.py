@@ -102,9 +102,7 @@ FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed"
 
 
 def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
-    """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both.
-    Raises ScenarioError, PluginError: as `load`.
-    """
+    """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both."""
     path, record = folder / GIVEN, folder / RESOLVED
     text = text_of(path)
     if record.is_file():

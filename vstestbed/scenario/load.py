@@ -31,9 +31,7 @@ SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 
 
 def find(name: str | Path) -> Path:
-    """The file of a scenario given by path or by the name of a bundled one.
-    Raises ScenarioError: neither exists; names the nearest bundled scenario.
-    """
+    """The file of a scenario given by path or by the name of a bundled one; ScenarioError names the nearest where neither exists."""
     path, bundled = Path(name), bundled_scenarios()
     try:
         if path.is_file():
@@ -205,9 +203,7 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone.
-    Raises ParameterError: nothing is random, or no start was found with the target in view.
-    """
+    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone."""
     # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
     if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
