@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -16,7 +17,7 @@ from vstestbed.cli.tools import ROOM_OF, NewKind, commands_of, settings_of, text
 from vstestbed.core.docstrings import class_text
 from vstestbed.scenario.validation import KINDS as ROOMS
 
-KINDS = [kind.value for kind in NewKind]
+KINDS = list(get_args(NewKind))
 SUCCESS = {"motion": "completed"}
 """The outcome of a file's own run, where it is not `converged`."""
 LINES = 60

@@ -321,7 +321,7 @@ def test_reloads_leak_nothing(browser: Browser):
             tab.call("Page.reload")
             time.sleep(0.2)  # the old page is gone: the next line must not see it
             tab.wait(f"{FRAME} >= 0", 60)
-            live.until(lambda: len(live.app.clients) == 1)
+            live.until(lambda: len(live.app._server.get_clients()) == 1)
             gc.collect()
             if i >= 4:  # the first ones fill caches
                 seen.append((process.memory_info().rss / 1e6, process.num_fds(), threading.active_count()))

@@ -8,9 +8,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
@@ -18,14 +17,13 @@ from vstestbed.cli import complete
 from vstestbed.cli.compare import comparing
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import exports
-from vstestbed.cli.live import lives
 from vstestbed.cli.studies import basins, benchmarks, convergences, delays, tunings
-from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario, news, tools
+from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, lives, load_scenario, news, tools
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
-    from vstestbed.loop.recording import Recording, Watcher
+    from vstestbed.loop.recording import Watcher
     from vstestbed.tasks.frame import Frame
 
 app = typer.Typer(
@@ -37,15 +35,7 @@ app = typer.Typer(
 )
 
 
-class FilmChoice(str, Enum):
-    """The films that `run` makes."""
-
-    camera = "camera"
-    overview = "overview"
-    both = "both"
-    none = "none"
-
-
+FilmChoice = Literal["camera", "overview", "both", "none"]
 Fine = Annotated[bool, typer.Option("--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 
@@ -72,22 +62,25 @@ def run(
     set_: Settings = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/SCENARIO/NUMBER]")] = None,
-    video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = FilmChoice.both,
+    video: Annotated[FilmChoice, typer.Option(help="Which films to make.")] = "both",
     fine: Fine = False,
     as_json: Json = False,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """One closed-loop run, with its folder of results."""
-    from vstestbed.cli.progress import Progress, show_notes
+    from vstestbed.cli.progress import Progress, show_notes, summary_text
     from vstestbed.studies.run_folder import new_folder, run_into
 
     chosen = load_scenario(scenario, set_, plugin, seed)
     folder = new_folder(chosen, out)
     with Progress(chosen, shown=not quiet and not as_json) as progress, _interrupts() as watch:
         show_notes(not quiet)
-        recording = run_into(folder, chosen, video.value, [progress, watch], progress.say, fine=fine)
-    _print_result(recording, folder, video.value, as_json, quiet)
+        recording = run_into(folder, chosen, video, [progress, watch], progress.say, fine=fine)
+    if as_json:
+        typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        typer.echo(summary_text(recording, folder, filmed=video != "none"), err=True)
     if recording.outcome.name == "interrupted":
         raise typer.Exit(INTERRUPTED)
     raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
@@ -122,15 +115,6 @@ def _interrupts() -> Iterator[Watcher]:
             signal.signal(number, handler)
 
 
-def _print_result(recording: Recording, folder: Path, films: str, as_json: bool, quiet: bool) -> None:
-    if as_json:
-        typer.echo((folder / "summary.json").read_text(encoding="utf-8"), nl=False)
-    elif not quiet:
-        from vstestbed.cli.progress import summary_text
-
-        typer.echo(summary_text(recording, folder, filmed=films != "none"), err=True)
-
-
 @app.command()
 def render(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
@@ -151,16 +135,19 @@ def render(
     from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.dump import load_run
 
-    size_px, path = _size(size), _film_file(out, run_dir / camera, ".gif" if gif else ".mp4")
+    size_px, ending = _size(size), ".gif" if gif else ".mp4"
+    if out is not None and out.suffix.lower() != ending:
+        raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))
+    path = out or run_dir / f"{camera}{ending}"
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
     show_notes(not quiet)
     make_parents(path)
-    quality, ending = quality_of(scenario, fine), ending_of(run_dir)
+    quality, verdict = quality_of(scenario, fine), ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
-        return film_log(scenario, log, camera, path, quality, size_px, ending)
+        return film_log(scenario, log, camera, path, quality, size_px, verdict)
 
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
         film = gif_of(make, path) if gif else make(path)
@@ -170,15 +157,7 @@ def render(
         typer.echo(str(film), err=True)
 
 
-def _film_file(out: Path | None, default: Path, ending: str) -> Path:
-    """The film's file, which has the ending by which players know it."""
-    if out is not None and out.suffix.lower() != ending:
-        raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if ending == '.gif' else '.gif with'} --gif", str(out))
-    return out or default.with_name(default.name + ending)
-
-
 def _must_hold(folder: Path, *names: str) -> None:
-    """Refuse what is no folder with one of these files."""
     try:
         if any((folder / name).is_file() for name in names):
             return
@@ -225,22 +204,13 @@ def report(
         typer.echo(str(page), err=True)
 
 
-app.add_typer(exports)
-app.add_typer(comparing)
-app.add_typer(tunings)
-app.add_typer(basins)
-app.add_typer(delays)
-app.add_typer(convergences)
-app.add_typer(lives)
-app.add_typer(news)
-app.add_typer(tools)
-app.add_typer(benchmarks)
+for commands in (exports, comparing, tunings, basins, delays, convergences, lives, news, tools, benchmarks):
+    app.add_typer(commands)
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit.
-
-    0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline, 130 interrupted.
+    """Run the command line and exit: 0 goal reached, 1 a bug, 2 bad input, 3 not reached, 4 environment, 5 worse than the baseline,
+    130 interrupted.
     """
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,7 +53,9 @@ def compare(
     from vstestbed.studies.comparison import Baseline, must_be_known, prepared
 
     must_be_known(executor)
-    gate = _gate(baseline, fail, tolerance)
+    if baseline is None and (fail or tolerance is not None):
+        option = "--fail-on-regression" if fail else "--tolerance"
+        raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit) as (
         campaign,
@@ -63,57 +64,29 @@ def compare(
         show_notes(not quiet)
         table = _carried_out(campaign, plan, jobs, executor, before, shown)
     if as_json:
-        sys.stdout.write(_as_json(table))
+        runs, changed = table.write_json(), table.baseline
+        sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
     elif not quiet:
         typer.echo(_summary_text(table, campaign.folder), err=True)
     if table.baseline is not None:
-        gate.judge(table.baseline, shown)
+        _judge(table.baseline, tolerance, fail, shown)
 
 
-@dataclass(frozen=True)
-class _Gate:
-    """What happens where a comparison is worse than its baseline by more than a tolerance."""
+def _judge(changes: BaselineChanges, tolerance: float | None, fail: bool, shown: bool) -> None:
+    """Say what changed, and what got worse by more than the tolerance; with `fail` this ends the command with REGRESSED."""
+    from vstestbed.report.comparison.baseline import TOLERANCE, text
 
-    tolerance: float
-    fail: bool
-
-    def judge(self, changes: BaselineChanges, shown: bool) -> None:
-        """Say what changed, and what got worse; with `fail` this ends the command with REGRESSED."""
-        from vstestbed.report.comparison.baseline import text
-
-        worse = [f"worse: {words}" for words in changes.regressions(self.tolerance)]
-        lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * self.fail  # the reason for 5 is always told
-        for line in lines:
-            typer.echo(line, err=True)
-        if self.fail and worse:
-            raise typer.Exit(REGRESSED)
-
-
-def _gate(baseline: Path | None, fail: bool, tolerance: float | None) -> _Gate:
-    """The gate of the options.
-
-    Raises:
-        ParameterError: there is no baseline to be worse than.
-    """
-    from vstestbed.report.comparison.baseline import TOLERANCE
-
-    if baseline is None and (fail or tolerance is not None):
-        option = "--fail-on-regression" if fail else "--tolerance"
-        raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
-    return _Gate(TOLERANCE if tolerance is None else tolerance, fail)
-
-
-def _as_json(table: ComparisonTable) -> str:
-    """The runs; beside a baseline also what changed."""
-    if table.baseline is None:
-        return table.write_json() + "\n"
-    return f'{{"runs": {table.write_json()}, "baseline": {json.dumps(table.baseline.plain())}}}\n'
+    worse = [f"worse: {words}" for words in changes.regressions(TOLERANCE if tolerance is None else tolerance)]
+    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
+    for line in lines:
+        typer.echo(line, err=True)
+    if fail and worse:
+        raise typer.Exit(REGRESSED)
 
 
 def _carried_out(
     campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool
 ) -> ComparisonTable:
-    """Do the missing runs; an interrupt leaves with the command that goes on."""
     from vstestbed.cli.progress import Counter
     from vstestbed.studies.comparison import carry_out
 
@@ -129,12 +102,10 @@ def _carried_out(
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
-    """The lists of values of `--vary` by dotted path."""
-    return {path: tuple(_values(text)) for path, text in _pairs(options)}
+    """The lists of values of `--vary` by dotted path: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
+    from vstestbed.scenario.yaml_marks import read_value
 
-
-def _pairs(options: list[str] | None) -> list[tuple[str, str]]:
-    pairs = []
+    pairs: list[tuple[str, str]] = []
     for option in options or []:
         path, equals, text = option.partition("=")
         if not equals or not text.strip() or not all(part.strip() for part in path.split(".")):
@@ -142,16 +113,9 @@ def _pairs(options: list[str] | None) -> list[tuple[str, str]]:
         pairs.append((path.strip(), text))
     if len({path for path, _ in pairs}) < len(pairs):
         raise ParameterError("--vary", "names a field twice; put all its values after one =", options)
-    return pairs
-
-
-def _values(text: str) -> list[object]:
-    """The values between top-level commas: `1,2`, `[0, 1], [1, 0]`, `{kind: oracle}, blobs`."""
-    from vstestbed.scenario.yaml_marks import read_value
-
     # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
-    found = read_value(f"[{text}]")
-    return found if isinstance(found, list) else [found]
+    values = {path: read_value(f"[{text}]") for path, text in pairs}
+    return {path: tuple(found) if isinstance(found, list) else (found,) for path, found in values.items()}
 
 
 def _summary_text(table: DataFrame, folder: Path) -> str:

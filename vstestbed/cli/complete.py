@@ -13,8 +13,7 @@ from typing import Any
 
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 
-VARIABLE = "_VSTESTBED_COMPLETE"
-"""Environment variable by which a shell's completion asks."""
+VARIABLE = "_VSTESTBED_COMPLETE"  # environment variable by which a shell's completion asks
 
 
 def asked(arguments: Sequence[str]) -> bool:
@@ -92,7 +91,6 @@ def _schema() -> dict[str, Any]:
 
 
 def _children(rule: dict[str, Any], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The fields of a block, or of all the kinds that it may be."""
     if "$ref" in rule:
         rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]
     yield from rule.get("properties", {}).items()

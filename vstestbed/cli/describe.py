@@ -44,7 +44,6 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
 
 
 def _text(cls: type, console: Console) -> None:
-    """The docstring of a class up to its fields, and its sources."""
     words = class_text(cls)
     for paragraph in filter(None, [words.summary, *words.text.split("\n\n"), *(f"Source: {source}" for source in words.sources)]):
         console.print()
@@ -68,7 +67,10 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
         text = flow_text(example)
         shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
         _wrapped(f"Example: {shown}", console)
-    _held(list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values())), entries, console)
+    held = list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values()))
+    if len(held) == 1 and held[0]:
+        console.print()
+        describe_entry(entries[held[0]], entries, console)
 
 
 def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> None:
@@ -84,13 +86,6 @@ def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> Non
     console.print()
     if alike and "scenario" not in field.owners:
         _wrapped(f"A field of {', '.join(field.owners)}.", console)
-
-
-def _held(inner: list[str], entries: dict[str, Entry], console: Console) -> None:
-    """The block in a field, where it is one."""
-    if len(inner) == 1 and inner[0]:
-        console.print()
-        describe_entry(entries[inner[0]], entries, console)
 
 
 def _names(entries: dict[str, Entry]) -> dict[type, str]:
@@ -141,7 +136,6 @@ def _table(*columns: str) -> Table:
 
 
 def _fields(cls: type, names: dict[type, str]) -> Table:
-    """One row a field: name, default, unit, and its sentence with the words that it may be and the name of its block."""
     table = _field_table("field")
     for name in class_text(cls).fields:
         if name != "kind":
@@ -157,7 +151,6 @@ def _field_table(first: str) -> Table:
 
 
 def _cells(cls: type, name: str, names: dict[type, str]) -> tuple[Text, Text, Text]:
-    """Default, unit and sentence of a field."""
     field, hint = class_text(cls).fields[name], hint_of(cls, name)
     default = Text("required", style="yellow") if name in needed_fields(cls) else Text(_default(cls, name, hint))
     unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
@@ -183,7 +176,6 @@ def _default(cls: type, name: str, hint: Any) -> str:
 
 
 def _words(hint: Any) -> Iterator[Any]:
-    """The words of a Literal; none for other fields."""
     if hasattr(hint, "__metadata__"):
         yield from _words(hint.__origin__)
     elif typing.get_origin(hint) is Literal:
@@ -191,14 +183,12 @@ def _words(hint: Any) -> Iterator[Any]:
 
 
 def _inner(hint: Any, names: dict[type, str]) -> str:
-    """The entry of the block that a field holds: of its kinds, or of its class."""
     for room, inner in blocks_in(hint):
         return room.what if room is not None else names[inner]
     return ""
 
 
 def _use(entry: Entry, console: Console) -> None:
-    """Which bundled files use it, and an example."""
     cls = typing.cast(type, entry.cls)
     uses = bundled_uses()
     files = uses.files.get(cls, [])

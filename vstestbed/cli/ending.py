@@ -22,15 +22,9 @@ from vstestbed.core.errors import EnvironmentLackError, VstestbedError
 from vstestbed.core.lacks import lack_of, shortage, take_early
 from vstestbed.core.shares import STOPS
 
-# Standard output and standard error that may be closed, full, or left by their reader: none of that ends a command.
-
 
 class Stream:
-    """A standard stream that drops its text from the first error on.
-
-    Args:
-        stream: the stream; None where the process was started without it (`>&-`).
-    """
+    """A standard stream that drops its text from the first error on; None: the process was started without it (`>&-`)."""
 
     def __init__(self, stream: TextIO | None):
         self._closed = stream is None
@@ -73,7 +67,11 @@ class Stream:
 @contextmanager
 def standard_streams() -> Iterator[Stream]:
     """Make both streams safe to write to while a command runs; yields standard output."""
-    _fill_descriptors()
+    for descriptor in (0, 1, 2):  # else the next file that is opened, such as a log, would get what is printed
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
     before = sys.stdout, sys.stderr
     out, err = Stream(sys.stdout), Stream(sys.stderr)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)
@@ -83,15 +81,6 @@ def standard_streams() -> Iterator[Stream]:
         out.flush()
         err.flush()
         sys.stdout, sys.stderr = before
-
-
-def _fill_descriptors() -> None:
-    """Open /dev/null in place of closed standard streams: else the next file that is opened, such as a log, would get what is printed."""
-    for descriptor in (0, 1, 2):
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
 
 
 class Said(int):
@@ -104,10 +93,8 @@ UsageMistake: type[Exception] = typer.BadParameter.__mro__[2]  # click.ClickExce
 
 
 def exit_code(command: Callable[[], object], debug: bool = False) -> int:
-    """Do a command; its exit code.
-
-    The code is that of the command's outcome, also where the reader of its output goes away. Only where standard output is full or
-    closed, so that text was lost which nobody chose to lose, is it LACK in place of GOAL_REACHED.
+    """Do a command; its exit code, also where the reader of its output goes away. A command that reached its goal, but could not write all
+    its text because standard output is full or closed, ends with LACK.
     """
     with standard_streams() as out, _stopped_by_signals(), _after_all() as ignored:
         code = _guarded(command, debug)
@@ -122,9 +109,8 @@ def exit_code(command: Callable[[], object], debug: bool = False) -> int:
 
 @contextmanager
 def _after_all() -> Iterator[list[str]]:
-    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made.
-
-    Their finalisers then fail for reasons that are no news beside the want itself, which is known only at the end.
+    """What finalisers raise, and Python ignores, is said after the command: for want of something, objects are left half made, whose
+    finalisers fail for reasons that are no news beside the want itself, which is known only at the end.
     """
     said: list[str] = []
 
@@ -197,7 +183,6 @@ def _guarded(command: Callable[[], object], debug: bool) -> int:
 
 
 def _unforeseen(error: BaseException, debug: bool) -> int:
-    """An error that no part of vstestbed foresees: in the OpenGL bindings, in a plugin, or a bug."""
     if isinstance(error, ImportError):  # the OpenGL bindings look for their driver when they are imported
         from vstestbed.sim import gl_probe as gl
 

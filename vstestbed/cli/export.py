@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,22 +21,12 @@ exports = typer.Typer()
 WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
-class Format(str, Enum):
-    """What other tools read."""
-
-    mcap = "mcap"
-    lerobot = "lerobot"
-    csv = "csv"
+Format = Literal["mcap", "lerobot", "csv"]  # what other tools read
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What is exported.
-
-    Attributes:
-        folder: a run's, or a comparison's. runs: the folders of its runs. frames: of all. table: of a comparison's runs, None of one run.
-        left_out: what is not exported, or was cut off, in words.
-    """
+    """What is exported: the folders of the runs. table: of a comparison's runs, None of one run. left_out: what is missing or cut off."""
 
     folder: Path
     runs: tuple[Path, ...]
@@ -68,7 +57,7 @@ def export(
     plugin: Plugins = None,
 ) -> None:
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
-    if start is not None and to is not Format.mcap:
+    if start is not None and to != "mcap":
         raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
     from vstestbed.cli.progress import FrameBar, show_notes
     from vstestbed.core.files import make_parents
@@ -84,11 +73,7 @@ def export(
 
 
 def _folder(given: Path) -> Path:
-    """The folder of a run or a comparison that a person names by itself, or by one of its files.
-
-    Raises:
-        RunFolderError: a file of neither.
-    """
+    """The folder of a run or a comparison that a person names by itself, or by one of its files; else RunFolderError."""
     if not given.is_file():
         return given
     if any((given.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
@@ -97,8 +82,7 @@ def _folder(given: Path) -> Path:
 
 
 def _must_be_new(path: Path, found: Exported, to: Format) -> None:
-    """Refuse a place that holds something, before any picture is drawn."""
-    if to is Format.mcap and found.within is None:  # a file
+    if to == "mcap" and found.within is None:  # a file
         if path.exists() or path.is_symlink():
             raise OutputError(path, "exists", "give a new file with --out")
         return
@@ -108,11 +92,7 @@ def _must_be_new(path: Path, found: Exported, to: Format) -> None:
 
 
 def _found(folder: Path, plugins: list[str]) -> Exported:
-    """What a folder holds.
-
-    Raises:
-        RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame.
-    """
+    """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame."""
     if (folder / "comparison.yaml").is_file():
         return _comparison(folder, plugins)
     from vstestbed.report.export.source import RecordedRun
@@ -124,7 +104,6 @@ def _found(folder: Path, plugins: list[str]) -> Exported:
 
 
 def _comparison(folder: Path, plugins: list[str]) -> Exported:
-    """The finished runs of a comparison; those that crashed without a log are left out."""
     from vstestbed.studies.comparison import stored
 
     comparison, table, total = stored(folder, plugins)
@@ -142,17 +121,16 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
 
 
 def _beside(found: Exported, to: Format) -> Path:
-    """The place beside a folder where its export goes by default."""
     folder = found.folder.resolve()
-    return folder.with_name(f"{folder.name}.mcap" if to is Format.mcap and found.within is None else f"{folder.name}_{to.value}")
+    return folder.with_name(f"{folder.name}.mcap" if to == "mcap" and found.within is None else f"{folder.name}_{to}")
 
 
 def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
-    if to is Format.csv:
+    if to == "csv":
         from vstestbed.report.export.source import write_csv
 
         write_csv(found.opened(), path, tick, found.within, found.table)
-    elif to is Format.lerobot:
+    elif to == "lerobot":
         from vstestbed.report.export.lerobot import write_dataset
 
         write_dataset(found.opened(), path, tick, found.within)

@@ -3,88 +3,70 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from rich.progress import ProgressColumn
+
     from vstestbed.loop.recording import Recording
     from vstestbed.scenario.scenario import Scenario
     from vstestbed.tasks.frame import Frame
 
 
-class Progress:
-    """Progress bar of a run on standard error (a Watcher); hidden if standard error is no terminal.
+class _Shown:
+    """A progress bar on standard error, one task; hidden if that is no terminal, or `shown` is False."""
 
-    Args:
-        scenario: the scenario; its duration is the full bar.
-        shown: False hides the bar.
-    """
-
-    def __init__(self, scenario: Scenario, shown: bool):
+    def __init__(self, columns: Sequence[str | ProgressColumn], shown: bool, what: str, total: float, **fields: Any):
         from rich.console import Console
-        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as Bar
 
         console = Console(stderr=True)
-        self._bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:5.1f} of {task.total:g} s   error {task.fields[error]} px"),
-            TimeElapsedColumn(),
-            console=console,
-            disable=not (shown and console.is_terminal),
-            transient=True,
-        )
-        self._task = self._bar.add_task(scenario.name, total=scenario.stop.duration_s, error="-")
+        self._bar = Bar(*columns, console=console, disable=not (shown and console.is_terminal), transient=True)
+        self._task = self._bar.add_task(what, total=total, **fields)
+
+    def say(self, words: str) -> None:
+        """Show what is being done."""
+        self._bar.update(self._task, description=words)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._bar.stop()
+
+
+class Progress(_Shown):
+    """Progress bar of a run (a Watcher)."""
+
+    def __init__(self, scenario: Scenario, shown: bool):
+        from rich.progress import BarColumn, TimeElapsedColumn
+
+        state = "{task.completed:5.1f} of {task.total:g} s   error {task.fields[error]} px"
+        columns = "{task.description}", BarColumn(), state, TimeElapsedColumn()
+        super().__init__(columns, shown, scenario.name, scenario.stop.duration_s, error="-")
 
     def frame(self, frame: Frame) -> None:
         """Advance the bar."""
         error = "lost" if frame.error.lost else f"{frame.error.rms_px:.2f}"
         self._bar.update(self._task, completed=frame.t, error=error)
 
-    def say(self, words: str) -> None:
-        """Show what is being done after the run."""
-        self._bar.update(self._task, description=words)
 
-    def __enter__(self) -> Progress:
-        """Show the bar."""
-        self._bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Take the bar away."""
-        self._bar.stop()
-
-
-class Counter:
-    """Progress bar of a comparison on standard error: runs done, failures, time left; hidden if standard error is no terminal.
-
-    Args:
-        total: number of runs. done: number of runs that were done before (`--resume`). shown: False hides the bar.
-    """
+class Counter(_Shown):
+    """Progress bar of a comparison: runs done, failures, time left. done: number of runs that were done before (`--resume`)."""
 
     def __init__(self, total: int, done: int, shown: bool):
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-        from rich.progress import Progress as Bar
+        from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
 
-        console = Console(stderr=True)
-        self._bar = Bar(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("runs   {task.fields[failed]} failed   left"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not (shown and console.is_terminal),
-            transient=True,
-        )
+        state = "runs   {task.fields[failed]} failed   left"
+        columns = "{task.description}", BarColumn(), MofNCompleteColumn(), state, TimeRemainingColumn()
+        super().__init__(columns, shown, "comparing", total, completed=done, failed=0)
         self._failed = 0
-        self._task = self._bar.add_task("comparing", total=total, completed=done, failed=0)
 
     def run_done(self, job: object, summary: dict[str, Any]) -> None:
         """Advance the bar by one run."""
@@ -95,49 +77,19 @@ class Counter:
         """Advance the bar by runs that were done before."""
         self._bar.update(self._task, advance=runs)
 
-    def say(self, words: str) -> None:
-        """Show what is being done."""
-        self._bar.update(self._task, description=words)
 
-    def __enter__(self) -> Counter:
-        """Show the bar."""
-        self._bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Take the bar away."""
-        self._bar.stop()
-
-
-class FrameBar:
-    """Progress bar of an export on standard error; hidden if standard error is no terminal.
-
-    Args:
-        total: number of frames. shown: False hides the bar.
-    """
+class FrameBar(_Shown):
+    """Progress bar of an export."""
 
     def __init__(self, total: int, shown: bool):
-        from rich.console import Console
         from rich.progress import Progress as Bar
         from rich.progress import TimeRemainingColumn
 
-        console = Console(stderr=True)
-        columns = (*Bar.get_default_columns()[:-1], TimeRemainingColumn())
-        self._bar = Bar(*columns, console=console, disable=not (shown and console.is_terminal), transient=True)
-        self._task = self._bar.add_task("exporting", total=total)
+        super().__init__((*Bar.get_default_columns()[:-1], TimeRemainingColumn()), shown, "exporting", total)
 
     def frame(self) -> None:
         """Advance the bar by one frame."""
         self._bar.update(self._task, advance=1)
-
-    def __enter__(self) -> FrameBar:
-        """Show the bar."""
-        self._bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        """Take the bar away."""
-        self._bar.stop()
 
 
 def show_notes(shown: bool) -> None:
@@ -167,7 +119,6 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
 
 
 def _judged(summary: Mapping[str, Any]) -> str:
-    """The error that decided, who measured it, and its limit."""
     from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 
     limit, unit = in_words_unit(summary["judged_limit"], summary["judged_unit"])
@@ -177,7 +128,6 @@ def _judged(summary: Mapping[str, Any]) -> str:
 
 
 def _error_text(recording: Recording) -> str:
-    """Errors at the end: measured in the image, true of the pose."""
     s = recording.summary()
     error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
@@ -190,7 +140,6 @@ def _error_text(recording: Recording) -> str:
 
 
 def _path_text(summary: Mapping[str, Any]) -> str:
-    """When the goal was reached, the path over the straight line, and how far the camera backed off."""
     since = summary["time_to_converge_s"]
     reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
     ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"
@@ -198,7 +147,6 @@ def _path_text(summary: Mapping[str, Any]) -> str:
 
 
 def _why_no_error(recording: Recording) -> str:
-    """Why there is no measured error at the end."""
     if recording.outcome.name == "law_failed":
         return "not known, since the law failed"
     seen = [name for name in recording.columns if name.startswith("u_") and name[2:].isdecimal()]

@@ -7,9 +7,8 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sized
 from contextlib import contextmanager
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 import typer
 
@@ -27,18 +26,25 @@ if TYPE_CHECKING:
     from vstestbed.studies.tuning import Search, TuningResult
 
 
+RESULTS = "  results   {} (open report.html)"
+
+
+def _tell(as_json: bool, quiet: bool, plain: Callable[[], Any], text: Callable[[], str]) -> None:
+    """The results of a study: as JSON on standard output, or in words on standard error."""
+    if as_json:
+        sys.stdout.write(json.dumps(plain(), indent=1) + "\n")
+    elif not quiet:
+        typer.echo(text(), err=True)
+
+
 def _command() -> str:
-    """This command line, for the page of a study; "" in a process that has none."""
     return shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
 
 
 @contextmanager
 def _results_in(kind: str, out: Path | None, found: Sized, total: int, things: str, write: Callable[[Path], object]) -> Iterator[Path]:
-    """The folder of a study, into which its results are written when it ends, also those of an interrupted one.
-
-    Args:
-        kind: the command. out: the folder. found: the results so far. total: how many there are to be. things: what they are of.
-        write: writes them into the folder.
+    """The folder of a study, into which `write` puts its results when it ends, also those of an interrupted one.
+    kind: the command. found: the results so far. total: how many there are to be. things: what they are of.
     """
     from vstestbed.studies.folder import study_folder
 
@@ -54,15 +60,7 @@ def _results_in(kind: str, out: Path | None, found: Sized, total: int, things: s
                 write(folder)
 
 
-# The command `basin`: outcome of each start over two of its coordinates. Heavy imports are inside the function.
 basins = typer.Typer()
-
-
-class FieldOfView(str, Enum):
-    """Field of view of the camera of a map."""
-
-    limited = "limited"
-    unlimited = "unlimited"
 
 
 @basins.command()
@@ -75,7 +73,8 @@ def basin(
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map for each of these values.")] = None,
     set_: SettingsOfAll = None,
     field_of_view: Annotated[
-        FieldOfView | None, typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]")
+        Literal["limited", "unlimited"] | None,
+        typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]"),
     ] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
@@ -93,21 +92,18 @@ def basin(
     from vstestbed.studies.comparison import chosen
 
     # mistakes on the command line are reported before the scenarios are loaded
-    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates("--at", at or [])
+    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates(at or [])
     comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
     must_be_few_starts(comparison, n, force)
     show_notes(not quiet)
-    found = laws(comparison, None if field_of_view is None else field_of_view.value, force)
+    found = laws(comparison, field_of_view, force)
     mapped: list[Basin] = []
     with _results_in("basin", out, mapped, len(found), "maps", lambda folder: write(folder, mapped, _command())) as folder:
         for label, scenario in found:
             mapped.append(map_of(label, scenario, across, up, rest, check))
             if not (quiet or as_json):
                 typer.echo(_summary_text(mapped[-1]), err=True)
-    if as_json:
-        sys.stdout.write(json.dumps([b.summary() for b in mapped], indent=1) + "\n")
-    elif not quiet:
-        typer.echo(f"  results   {folder} (open report.html)", err=True)
+    _tell(as_json, quiet, lambda: [b.summary() for b in mapped], lambda: RESULTS.format(folder))
 
 
 def _axis(option: str, text: str, n: int) -> Axis:
@@ -124,20 +120,17 @@ def _axis(option: str, text: str, n: int) -> Axis:
         raise ParameterError(option, "needs the form NAME=LOW:HIGH, such as yaw=-180:180", text) from None
 
 
-def _coordinate(option: str, text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise ParameterError(option, "needs the form NAME=VALUE, such as z=-1", text) from None
-
-
-def _coordinates(option: str, texts: list[str]) -> dict[str, float]:
+def _coordinates(texts: list[str]) -> dict[str, float]:
     found: dict[str, float] = {}
-    for name, value in (_coordinate(option, text) for text in texts):
-        if name in found:
-            raise ParameterError(option, "must give each coordinate once", name)
-        found[name] = value
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            raise ParameterError("--at", "needs the form NAME=VALUE, such as z=-1", text) from None
+        if name.strip() in found:
+            raise ParameterError("--at", "must give each coordinate once", name.strip())
+        found[name.strip()] = number
     return found
 
 
@@ -151,7 +144,6 @@ def _summary_text(mapped: Basin) -> str:
     return "\n".join(lines)
 
 
-# The command `sweep`: share of converged runs over two varied fields. Heavy imports are inside the function.
 convergences = typer.Typer()
 
 
@@ -193,15 +185,12 @@ def sweep(
     elif not quiet:
         for one in summaries(study.maps(ended())):
             typer.echo(f"{one['label']}: {100 * float(str(one['converged'])):.1f} % of all runs converged", err=True)
-        typer.echo(f"  results   {folder} (open report.html)", err=True)
+        typer.echo(RESULTS.format(folder), err=True)
 
 
-# The command `gain-limit`: the gain limit of the loop for each delay. Heavy imports are inside the function.
 delays = typer.Typer()
-LAGGING = 0.95
-"""A limit below this share of the theory for the delay alone shows the lag of the servos."""
-EXPLAINED = 0.9
-"""A limit below this share of the nearest model is told as not explained by it."""
+LAGGING = 0.95  # a limit below this share of the theory for the delay alone shows the lag of the servos
+EXPLAINED = 0.9  # a limit below this share of the nearest model is told as not explained by it
 
 
 @delays.command("gain-limit")
@@ -218,10 +207,9 @@ def gain_limit(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No words.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says.
-
-    The oracle detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the
-    scenario (`--set camera.latency_s=0.06`) comes first.
+    """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says. The oracle
+    detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the scenario
+    (`--set camera.latency_s=0.06`) comes first.
     """
     from vstestbed.studies.delay import delays_of, find_limits, write
 
@@ -236,10 +224,7 @@ def gain_limit(
 
     with _results_in("gain-limit", out, limits, total, "delays", lambda folder: write(folder, limits, chosen.name, _command())) as folder:
         find_limits(chosen, delays, done)
-    if as_json:
-        sys.stdout.write(json.dumps([limit.row() for limit in limits], indent=1) + "\n")
-    elif not quiet:
-        typer.echo(f"  results   {folder} (open report.html)", err=True)
+    _tell(as_json, quiet, lambda: [limit.row() for limit in limits], lambda: RESULTS.format(folder))
 
 
 def _numbers(text: str) -> list[int]:
@@ -270,7 +255,6 @@ def _summary_line(limit: Limit) -> str:
     return f"{line}{why}; {', '.join(with_servos)}{left}"
 
 
-# The command `tune`: search for the settings with which a scenario does best. Heavy imports are inside the function.
 tunings = typer.Typer()
 RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
 
@@ -300,6 +284,7 @@ def tune(
     plugin: Plugins = None,
 ) -> None:
     """The settings with which a scenario does best: a search over ranges and choices, each trial from the same random starts."""
+    from vstestbed.cli.compare import vary_of
     from vstestbed.cli.progress import show_notes
     from vstestbed.studies.comparison import must_be_known
     from vstestbed.studies.tuning import begun, planned
@@ -308,34 +293,19 @@ def tune(
     plan, settings = None, settings_of(set_)
     if not resume:
         numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
-        plan = planned(scenario, ranges_of(vary), settings, plugin or [], metric=metric, maximise=maximise or None, **numbers)
+        plan = planned(scenario, vary_of(vary), settings, plugin or [], metric=metric, maximise=maximise or None, **numbers)
     elif any((scenario, vary, settings)):
         raise ParameterError("--resume", "goes on with what the folder searches; leave the rest out, but for --trials")
     with begun(plan, out, trials, plugin or []) as search:
         show_notes(not quiet)
         search.jobs, search.executor = jobs, executor
         result = _finished(search, shown=not quiet and not as_json)
-    _tell(result, as_json, quiet)
+    _tell(as_json, quiet, result.plain, lambda: _text(result))
     if result.best is None:
         raise typer.Exit(NOT_REACHED)
 
 
-def _tell(result: TuningResult, as_json: bool, quiet: bool) -> None:
-    if as_json:
-        sys.stdout.write(json.dumps(result.plain(), indent=1) + "\n")
-    elif not quiet:
-        typer.echo(_text(result), err=True)
-
-
-def ranges_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
-    """What is varied by `--vary`, by dotted path: values, or a range in one text."""
-    from vstestbed.cli.compare import vary_of
-
-    return vary_of(options)
-
-
 def _finished(search: Search, shown: bool) -> TuningResult:
-    """Do the search; an interrupt leaves with the command that goes on."""
     from vstestbed.cli.progress import Counter
     from vstestbed.studies.tuning import finished
 
@@ -352,10 +322,9 @@ def _finished(search: Search, shown: bool) -> TuningResult:
 def _text(result: TuningResult) -> str:
     lines = [result.headline, *(f"  {words}" for words in result.sentences())]
     lines += [f"  take it   {result.command}"] if result.best else []
-    return "\n".join([*lines, f"  results   {result.folder} (open report.html)"])
+    return "\n".join([*lines, RESULTS.format(result.folder)])
 
 
-# The command `bench`: where the time goes, and what became slower. Heavy imports are inside the functions.
 benchmarks = typer.Typer()
 
 

@@ -1,4 +1,4 @@
-"""The commands `list`, `schema`, `doctor` and `optical-flow`, and the options that several commands share.
+"""The commands `list`, `schema`, `doctor`, `optical-flow`, `new` and `live`, and the options that several commands share.
 
 Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 """
@@ -9,9 +9,9 @@ import importlib.util
 import json
 import keyword
 import re
-from enum import Enum
+import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
@@ -19,32 +19,31 @@ from vstestbed.cli import complete
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 
 if TYPE_CHECKING:
+    from vstestbed.live.app import LiveApp
+    from vstestbed.live.playback import PlaybackApp
     from vstestbed.scenario.scenario import Scenario
 
 tools = typer.Typer()
 
 
-class Listed(str, Enum):
-    """Argument of `list`."""
-
-    scenarios = "scenarios"
-    robots = "robots"
-    effects = "effects"
-    cameras = "cameras"
-    targets = "targets"
-    features = "features"
-    laws = "laws"
-    detectors = "detectors"
-    keypoints = "keypoints"
-    markers = "markers"
-    motions = "motions"
-    goals = "goals"
-    metrics = "metrics"
-    monitors = "monitors"
-    perturbations = "perturbations"
-    comparisons = "comparisons"
-
-
+Listed = Literal[
+    "scenarios",
+    "robots",
+    "effects",
+    "cameras",
+    "targets",
+    "features",
+    "laws",
+    "detectors",
+    "keypoints",
+    "markers",
+    "motions",
+    "goals",
+    "metrics",
+    "monitors",
+    "perturbations",
+    "comparisons",
+]
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", metavar="FILE.py|MODULE", help="Load a plugin, which adds kinds.")]
 _SET = {"metavar": "a.b=value", "autocompletion": complete.paths}
 Settings = Annotated[list[str] | None, typer.Option("--set", help="Change a field before it is checked.", **_SET)]
@@ -90,9 +89,9 @@ def list_(
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
-    for name in [room] if room else Listed:
+    for name in [room] if room else get_args(Listed):
         if room is None:
-            typer.echo(f"{name.value}:")
+            typer.echo(f"{name}:")
         entries = _entries(name)
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
@@ -101,20 +100,20 @@ def list_(
             typer.echo(f"{'' if room else '  '}{entry:{width}}  {text}")
 
 
-def _entries(room: Listed) -> list[tuple[str, str]]:
+def _entries(room: str) -> list[tuple[str, str]]:
     """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
     from vstestbed.scenario.load import text_of
     from vstestbed.scenario.validation import KINDS
     from vstestbed.scenario.yaml_marks import plain_mapping
 
-    if room is Listed.scenarios:  # as they are written: an arm's file may be in a package that is not installed
+    if room == "scenarios":  # as they are written: an arm's file may be in a package that is not installed
         return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
-    if room is Listed.comparisons:
+    if room == "comparisons":
         from vstestbed.studies.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
 
         return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]
-    return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room.value].members.items()]
+    return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room].members.items()]
 
 
 @tools.command()
@@ -189,29 +188,13 @@ def optical_flow(
         typer.echo(str(path))
 
 
-# The command `new`: one file for a kind of one's own, which runs as it is.
 news = typer.Typer()
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-class NewKind(str, Enum):
-    """What `new` has a file for; the value is the name of its template."""
-
-    law = "law"
-    feature = "feature"
-    robot = "robot"
-    detector = "detector"
-    keypoints = "keypoints"
-    lens = "lens"
-    target = "target"
-    motion = "motion"
-    metric = "metric"
-    noise = "noise"
-    effect = "effect"
-    monitor = "monitor"
-    task = "task"
-
-
+NewKind = Literal[
+    "law", "feature", "robot", "detector", "keypoints", "lens", "target", "motion", "metric", "noise", "effect", "monitor", "task"
+]
 ROOM_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
 """The room (`scenario.validation.KINDS`) of a kind, where it is not the plural of its word."""
 
@@ -226,7 +209,7 @@ def new(
     path = out or Path(f"{name}.py")
     _check_name(kind, name)
     _check_file(path, out)
-    text = text_of(kind.value, name, str(path))
+    text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
 
     write_whole(make_parents(path), text)
@@ -250,36 +233,68 @@ def commands_of(text: str) -> list[str]:
 
 
 def _check_name(kind: NewKind, name: str) -> None:
-    """Refuse a name that is no word of Python, or that a bundled kind has.
-
-    Raises:
-        ParameterError: it says what would be valid.
-    """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind.value}", name)
+        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind}", name)
     from vstestbed.scenario.validation import KINDS  # after the cheap check: it imports the whole package
 
-    members = KINDS[ROOM_OF.get(kind.value, f"{kind.value}s")].members
+    members = KINDS[ROOM_OF.get(kind, f"{kind}s")].members
     if name in members:
-        raise ParameterError("NAME", f"is bundled already ({kind.value}); take another, such as my_{name}", name)
+        raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
 
 
 def _check_file(path: Path, given: Path | None) -> None:
-    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out.
-
-    Raises:
-        ParameterError, OutputError: it says what would work.
-    """
+    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out."""
     if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
         raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
     if path.exists() or path.is_symlink():
         raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
-    _check_module(path, "NAME" if given is None else "--out")
-
-
-def _check_module(path: Path, option: str) -> None:
-    """Refuse a file that pytest could not import, since Python finds another of its name first; option: that gave the name."""
     if (taken := importlib.util.find_spec(path.stem)) is not None:
         other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
         words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
-        raise ParameterError(option, f"{words}; take another, such as {other}", path.stem)
+        raise ParameterError("NAME" if given is None else "--out", f"{words}; take another, such as {other}", path.stem)
+
+
+lives = typer.Typer()
+
+
+@lives.command("live")
+def live(
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO|RUN_DIR",
+            help="A bundled scenario's name, a YAML file, or a run's folder.",
+            autocompletion=complete.scenarios,
+        ),
+    ],
+    set_: Settings = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port on 127.0.0.1. [default: a free one]")] = None,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Do not open a browser.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """The run in a browser, with its gains under your fingers; a run's folder is played back. Ctrl-C ends it."""
+    if importlib.util.find_spec("viser") is None:
+        raise EnvironmentLackError("the live view needs viser, which is not installed", "pip install 'vstestbed[live]'")
+    from vstestbed.cli.progress import show_notes
+
+    show_notes(True)
+    folder = Path(what)
+    app: PlaybackApp | LiveApp
+    if (folder / "scenario.yaml").is_file():
+        if set_ or seed is not None:
+            raise ParameterError("--set" if set_ else "--seed", "is for a scenario; what a folder holds has run already")
+        from vstestbed.live import playback
+
+        app = playback.PlaybackApp(folder, port, plugin or [])
+    else:
+        from vstestbed.live import app as running
+        from vstestbed.live.run import Settings as LiveSettings
+
+        app = running.LiveApp(LiveSettings(what, settings_of(set_), seed, plugin or []), port)
+    typer.echo(f"{app.address}   (Ctrl-C ends it)", err=True)
+    if not no_open and sys.stderr.isatty():
+        import webbrowser
+
+        webbrowser.open(app.address)
+    app.serve()

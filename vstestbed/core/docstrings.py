@@ -30,12 +30,7 @@ _SOURCE = re.compile(r"References?: ")
 
 @dataclass(frozen=True)
 class FieldText:
-    """What is known of a field in words.
-
-    Attributes:
-        description: its sentence; "" where the docstring has none. unit: "1" for a pure number; "" for what is no number, and where
-            neither the type nor the docstring tells. example: YAML of a value; "" where the docstring has none.
-    """
+    """What is known of a field in words; "" what is not. unit: "1" for a pure number. example: YAML of a value."""
 
     description: str
     unit: str
@@ -44,12 +39,7 @@ class FieldText:
 
 @dataclass(frozen=True)
 class ClassText:
-    """A docstring in parts.
-
-    Attributes:
-        summary: its first paragraph, on one line. text: what follows up to the fields. sources: references, one a line.
-        fields: the text of each field.
-    """
+    """A docstring in parts. summary: its first paragraph, on one line. text: what follows up to the fields. sources: one a line."""
 
     summary: str
     text: str
@@ -93,7 +83,6 @@ def _sections(cls: type) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
 
 
 def _field_lines(lines: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, FieldText]]:
-    """Name of each field with its words, and the unit and the example in them."""
     for names, text in lines:
         example, words = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
         each = [name.strip() for name in names.split(",")]
@@ -126,7 +115,6 @@ def _unit_of(hint: Any, written: str) -> str:
 
 
 def _bases(hint: Any) -> Iterator[Any]:
-    """The types of numbers in a hint: float, int, or the words of a Literal that are numbers."""
     if hasattr(hint, "__metadata__"):
         yield from _bases(hint.__origin__)
     elif typing.get_origin(hint) is Literal:

@@ -36,13 +36,7 @@ def _unpickled(cls: type[VstestbedError], args: tuple[object, ...]) -> Vstestbed
 
 
 class ParameterError(VstestbedError, ValueError):
-    """A parameter outside its domain.
-
-    Args:
-        field: the parameter's name, as the user writes it.
-        problem: the rest of the sentence: what is wrong, and what is valid.
-        found: the given value; None where the message needs none.
-
+    """A parameter outside its domain: its name as the user writes it, the rest of the sentence, and the given value.
     With one argument alone, an error or its message, it says the same: so Gymnasium's vector environments raise a worker's error again.
     """
 
@@ -65,7 +59,6 @@ class Mistake:
     sentence: str
 
     def __str__(self) -> str:
-        """The form `FILE:LINE:COL: field: sentence`."""
         return f"{self.where}: {self.field}: {self.sentence}" if self.field else f"{self.where}: {self.sentence}"
 
 
@@ -100,7 +93,6 @@ class RunFolderError(VstestbedError):
 
 
 NOTHING_RAN = "the run ended before its first picture: run the scenario again, into a new folder"
-"""The remedy of a `RunFolderError` for a log without frames."""
 
 
 class SessionError(VstestbedError):

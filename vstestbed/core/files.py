@@ -34,11 +34,7 @@ NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # disk full, quota exceede
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn an OSError raised while something is written under `path` into an error with a remedy.
-
-    Raises:
-        EnvironmentLackError: no space left. OutputError: any other reason, such as a lack of permission.
-    """
+    """Turn an OSError while something is written under `path` into EnvironmentLackError (no space left) or OutputError, with a remedy."""
     try:
         yield
     except OSError as error:
@@ -48,14 +44,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 class PartFile:
-    """A file that grows under a temporary name until `keep` gives it its own; a context manager, which keeps or, on an error, discards.
-
-    Args:
-        path: the file's own name; what is there is replaced by `keep`. buffering: as of `open`.
-
-    Raises:
-        OSError: it cannot be made (see `writing`).
-    """
+    """A file that grows under a temporary name until `keep` gives it its own; a context manager, which keeps or, on an error, discards."""
 
     def __init__(self, path: Path, buffering: int = -1):
         self.path, self.part = path, temporary(path)
@@ -75,7 +64,6 @@ class PartFile:
         self.part.unlink(missing_ok=True)
 
     def __enter__(self) -> PartFile:
-        """The file itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -94,11 +82,7 @@ def temporary(path: Path) -> Path:
 
 
 def write_whole(path: Path, content: str | bytes) -> Path:
-    """Write a file atomically: it appears whole or not at all.
-
-    Raises:
-        EnvironmentLackError, OutputError: see `writing`.
-    """
+    """Write a file atomically: it appears whole or not at all. Raises EnvironmentLackError, OutputError: see `writing`."""
     with writing(path), PartFile(path) as part:
         part.file.write(content.encode() if isinstance(content, str) else content)
     return path
@@ -128,11 +112,7 @@ def flush_entries(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder inside one of results, unless it is there.
-
-    Raises:
-        OutputError: it is a link, and what is written there would replace files elsewhere. EnvironmentLackError: see `writing`.
-    """
+    """Make a folder inside one of results, unless it is there; OutputError for a link: its files would be replaced."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     if folder.is_symlink():
@@ -141,11 +121,7 @@ def make_folder(folder: Path) -> Path:
 
 
 def make_parents(path: Path) -> Path:
-    """Make the folders above a new file or folder that a person names, where they are not there; returns the path.
-
-    Raises:
-        EnvironmentLackError, OutputError: see `writing`.
-    """
+    """Make the folders above a new file or folder that a person names, where they are not there; returns the path."""
     # where a file stands in the place of a folder, what writes there says so
     with writing(path), contextlib.suppress(FileExistsError, NotADirectoryError):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -153,11 +129,7 @@ def make_parents(path: Path) -> Path:
 
 
 def read_file(path: Path, works: str) -> bytes:
-    """The content of a file of a results folder; `works`: what would work, for the message.
-
-    Raises:
-        RunFolderError: it is missing, is no plain file (a pipe would never end), or cannot be read.
-    """
+    """The content of a file of a results folder; RunFolderError with `works`, what would work, where it cannot be read."""
     try:
         if path.is_file():
             return path.read_bytes()
@@ -174,22 +146,14 @@ except ImportError:  # Windows has no flock
     fcntl = None
 
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
-"""Names that Windows keeps for devices, also with an ending."""
-Identity = tuple[int, int]
-"""Device and inode of a folder."""
-_held: dict[Identity, int] = {}
-"""How many nested holds this process has on each folder."""
+Identity = tuple[int, int]  # device and inode of a folder
+_held: dict[Identity, int] = {}  # how many nested holds this process has on each folder
 
 
 @contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Hold an existing folder as the only process that writes into it; holds of one process may be nested.
-
-    The lock is flock(2) on the folder itself: it leaves no file, and ends with its process however that dies. A file system or an
-    operating system without flock gives no protection.
-
-    Raises:
-        OutputError: another process holds the folder, which the message names; or there is no such folder.
+    """Hold an existing folder as the only process that writes into it, by flock(2) where there is one; holds of one process may be nested.
+    Raises OutputError: another process holds the folder, which the message names; or there is no such folder.
     """
     with writing(folder):
         found = folder.stat()
@@ -207,7 +171,6 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def _lock(folder: Path) -> int | None:
-    """The open handle that holds a folder's lock; None where there are no locks."""
     if fcntl is None:
         return None
     with writing(folder):
@@ -236,11 +199,7 @@ def _holder(inode: int) -> str:
 
 
 def must_be_new(out: Path, remedy: str) -> None:
-    """Refuse a place that holds something.
-
-    Raises:
-        OutputError: `out` is a file, or a folder with something in it; where another process is at work there, the message names it.
-    """
+    """OutputError for a file, or a folder that holds something; where another process is at work there, the message names it."""
     with writing(out):
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             if out.is_dir():
@@ -250,10 +209,8 @@ def must_be_new(out: Path, remedy: str) -> None:
 
 
 def file_word(text: str, most: int = 60) -> str:
-    """Any text, such as a scenario's name, as the name of a folder or a part of one: without separators, never `..`, not too long.
-
-    Args:
-        text: the text. most: bytes that its name may have; a longer one is cut, and a checksum keeps different texts distinct.
+    """Any text, such as a scenario's name, as the name of a folder or a part of one: without separators, never `..`, not over `most` bytes;
+    a checksum keeps different long texts distinct.
     """
     word = re.sub(r"[^\w.+-]+", "_", unicodedata.normalize("NFC", text)).strip("._") or "value"
     return allowed(word if len(word.encode()) <= most else f"{_cut(word, most - 12)}_{zlib.crc32(text.encode(errors='replace')):08x}")
@@ -271,10 +228,7 @@ def _cut(name: str, most: int) -> str:
 
 
 def distinct(words: Sequence[str]) -> list[str]:
-    """The words, with `_` at the end of those that stand there before: texts may differ in what a file name cannot hold alone.
-
-    Small and large letters count as equal, as on the file systems of Windows and macOS.
-    """
+    """The words, with `_` at the end of those that stand there before; small and large letters count as equal, as on Windows and macOS."""
     seen: dict[str, str] = {}
     for word in words:
         while (known := unicodedata.normalize("NFKC", word).casefold()) in seen:
@@ -284,11 +238,7 @@ def distinct(words: Sequence[str]) -> list[str]:
 
 
 def numbered(parent: Path) -> Path:
-    """Make the folder with the next free number in `parent`.
-
-    Raises:
-        OutputError: it cannot be made.
-    """
+    """Make the folder with the next free number in `parent`."""
     with writing(parent):
         parent.mkdir(parents=True, exist_ok=True)
         number = max((int(p.name) for p in parent.iterdir() if p.name.isdecimal()), default=0) + 1
@@ -303,11 +253,7 @@ def numbered(parent: Path) -> Path:
 
 
 def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -> Path:
-    """Make a folder for results: `out`, or the next free number in `parent`.
-
-    Raises:
-        OutputError: `out` holds something already, or cannot be made.
-    """
+    """Make a folder for results: `out`, or the next free number in `parent`. Raises OutputError: see `must_be_new` and `writing`."""
     if out is None:
         return numbered(parent)
     must_be_new(out, remedy)
@@ -319,9 +265,7 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
 @contextmanager
 def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
     """Make a folder that appears under its name when it is complete, or not at all; what it is given to be filled has a temporary name.
-
-    Raises:
-        OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: see `writing`.
+    Raises OutputError, EnvironmentLackError: see `must_be_new` and `writing`.
     """
     must_be_new(out, remedy)
     part = temporary(out)

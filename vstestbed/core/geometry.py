@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from spatialmath import SE3
 
 
-# Roll, pitch and yaw of a rotation matrix, R = Rz(yaw) Ry(pitch) Rx(roll), and back: the convention of `Pose`.
 def rotation_from_rpy(rpy: Array) -> Array:
     """R = Rz(yaw) Ry(pitch) Rx(roll) (..., 3, 3) of angles (roll, pitch, yaw) (..., 3) [rad]: the convention of `Pose`."""
     (cr, cp, cy), (sr, sp, sy) = np.moveaxis(np.cos(rpy), -1, 0), np.moveaxis(np.sin(rpy), -1, 0)
@@ -66,12 +65,9 @@ def _rpy_from_largest(R: list[list[float]]) -> Angles:
     return tuple(a * (180 / math.pi) for a in rad)  # pyright: ignore[reportReturnType] - three, as `rad` has
 
 
-Image = NDArray[np.uint8]
-"""A picture (H, W, 3), RGB."""
-DepthImage = NDArray[np.float32]
-"""Depths (H, W) [m] along the axis."""
+Image = NDArray[np.uint8]  # a picture (H, W, 3), RGB
+DepthImage = NDArray[np.float32]  # depths (H, W) [m] along the axis
 Images = tuple[Image | None, ...]
-"""The pictures of all panels of a camera; None of a panel that is not drawn."""
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 """From OpenGL's camera axes (z backward, y up) to those of computer vision (z forward, y down), and back: its own inverse."""
 
@@ -114,11 +110,7 @@ class Pose:
 
     @classmethod
     def of(cls, T: Array | SE3) -> Pose:
-        """The pose with the homogeneous matrix T (4, 4), or of a spatialmath object; at a pitch of 90 degrees roll is 0.
-
-        Raises:
-            ParameterError: it is no pose (`pose_matrix`).
-        """
+        """The pose with a homogeneous matrix (4, 4), or of a spatialmath object (`pose_matrix`); at a pitch of 90 degrees roll is 0."""
         matrix = pose_matrix(T, "T")
         return cls(xyz=tuple(matrix[:3, 3].tolist()), rpy_deg=rpy_of(matrix[:3, :3].tolist()))
 
@@ -293,10 +285,8 @@ def rotation_angle(R: Array) -> Array:
 
 
 def quaternion_wxyz(R: Array) -> Array:
-    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3).
-
-    The column of 4 q q^T with the largest diagonal element, normalised, which never divides by a small number.
-    Reference: Shepperd 1978, doi:10.2514/3.55767b.
+    """Unit quaternions (w, x, y, z) (..., 4), w >= 0, of rotation matrices (..., 3, 3). The column of 4 q q^T with the largest diagonal
+    element, normalised, which never divides by a small number. Reference: Shepperd 1978, doi:10.2514/3.55767b.
     """
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (np.moveaxis(row, -1, 0) for row in np.moveaxis(R, -2, 0))
     columns = [

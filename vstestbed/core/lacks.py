@@ -17,7 +17,6 @@ from vstestbed.core.errors import EnvironmentLackError
 MEMORY = re.compile(r"(?i)cannot allocate memory|could not allocate|insufficient memory|failed to map segment|bad_alloc|\bMemoryError\b")
 """What libraries say for want of memory: the loader of shared libraries, MuJoCo, OpenCV, C++, ctypes."""
 FILES = re.compile(r"(?i)too ?many ?open ?files")
-"""Likewise of open files: Python, and polars, which panics."""
 SPARE_BYTES, SPARE_FILES = 1 << 28, 8
 """What a process that is not short can still have: the largest library takes less memory to load."""
 
@@ -49,13 +48,10 @@ def shortage() -> EnvironmentLackError | None:
 
 
 def take_early() -> None:
-    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some.
-
-    What OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal.
-    One thread each: every further one would take 32 MiB.
-
-    Raises:
-        OSError: there is too little; `lack_of` tells it.
+    """Under a limit of memory (`ulimit -v`) load the libraries with an OpenBLAS, and have each take its memory, while there is some. What
+    OpenBLAS cannot have it asks for again without end, in C code that holds Python's lock: the process hangs, and serves no signal. One
+    thread each: every further one would take 32 MiB.
+    Raises OSError: there is too little; `lack_of` tells it.
     """
     if sys.platform == "win32":
         return
@@ -64,31 +60,14 @@ def take_early() -> None:
     if resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for load in (_numpy, _scipy, _opencv):
+    # By name: core computes nothing with OpenCV. What each is asked for makes its BLAS take memory.
+    for module, use in (("numpy.linalg", "inv"), ("scipy.linalg", "inv"), ("cv2", "SVDecomp")):
         mmap.mmap(-1, SPARE_BYTES).close()
-        load()
-
-
-def _numpy() -> None:
-    import numpy as np
-
-    np.linalg.inv(np.eye(64) @ np.eye(64))
-
-
-def _scipy() -> None:
-    from scipy.linalg import inv
-
-    inv([[2.0, 1.0], [1.0, 2.0]])
-
-
-def _opencv() -> None:
-    import numpy as np
-
-    import_module("cv2").SVDecomp(np.eye(64))  # core computes nothing with it, and names it nowhere else
+        eye = import_module("numpy").eye(64)
+        getattr(import_module(module), use)(eye @ eye)
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
-    """An error, and those that it was raised from, or while they were handled."""
     seen: set[int] = set()
     one: BaseException | None = error
     while one is not None and id(one) not in seen:
@@ -107,6 +86,5 @@ def _files(error: BaseException) -> EnvironmentLackError:
 
 
 def _said(error: BaseException) -> str:
-    """The first line of an error's words, in brackets."""
     words = str(error).strip().split("\n")[0]
     return f" ({words})" if words else ""

@@ -42,11 +42,7 @@ def is_there(path: Path) -> bool:
 
 
 def place_of_file(file: str) -> Path:
-    """The path of a file named absolutely or inside a package, which is not imported.
-
-    Raises:
-        ParameterError: the package is not installed, or the file is not there.
-    """
+    """The path of a file named absolutely or inside a package, which is not imported; ParameterError where it is not there."""
     path = Path(file)
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")
@@ -81,9 +77,8 @@ def _no_package(name: str, inside: str) -> str:
 
 
 def _inside(files: list[str], inside: str) -> tuple[str, str]:
-    """The folder of the package, of a distribution's files, that holds the end of a path, and the file's place in it; "" for none.
-
-    It is the outermost folder with an __init__.py, since packages of several distributions may share a namespace.
+    """The folder of the package, of a distribution's files, that holds the end of a path, and the file's place in it; "" for none. It is
+    the outermost folder with an __init__.py, since packages of several distributions may share a namespace.
     """
     packages = sorted((path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")), key=len)
     there = next((path for path in files if path.endswith(f"/{inside}")), "")
@@ -96,7 +91,6 @@ def kept_at(source: Path, what: str = "target") -> str:
     return f"assets/{what}/{source.name}"
 
 
-# The folders models/ and scenarios/: inside an installed package, or beside it in a checkout.
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -151,9 +145,7 @@ def module_of(path: Path) -> ModuleType | None:
 
 def load_file(path: Path) -> ModuleType:
     """The module of a file, loaded if it is not yet. Its folder joins Python's path, at the end, for what the file imports.
-
-    Raises:
-        ImportError: it is no Python file. Whatever the file raises while it is loaded.
+    Raises ImportError: it is no Python file. Whatever the file raises while it is loaded.
     """
     if (known := module_of(path)) is not None:
         return known

@@ -37,5 +37,4 @@ class Outcome(Enum):
         return self in (Outcome.timed_out, Outcome.unstable)
 
 
-Verdict = tuple[Outcome, str]
-"""An outcome with its reason, in words."""
+Verdict = tuple[Outcome, str]  # an outcome with its reason, in words

@@ -52,11 +52,7 @@ class GroundPose:
 
 
 def block_of(value: Any) -> Any:
-    """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other value as it is.
-
-    Raises:
-        ParameterError: it is none.
-    """
+    """A pose (SE3 or (4, 4)) or a place (SE2 or (3, 3)) as the plain block of a scenario; any other value as it is."""
     if not is_matrix(value) or (isinstance(value, np.ndarray) and value.shape not in ((3, 3), (4, 4))):
         return value
     return place_block(value) if class_of(value) == "SE2" or np.shape(value) == (3, 3) else pose_block(value)
@@ -107,9 +103,7 @@ def composed(place: Array, step: Array) -> Array:
 def arc(motion: Array, duration: float) -> Array:
     """The step (ahead, left, turn) (..., 3) of a constant motion (vx, vy, wz) in the vehicle frame: an exact arc.
 
-    With theta = wz t and the SE(2) exponential: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t,
-    a = sin(theta)/theta,  b = (1 - cos(theta))/theta.
-
+    With theta = wz t: (ahead, left) = [[a, -b], [b, a]] (vx, vy) t, a = sin(theta)/theta, b = (1 - cos(theta))/theta.
     Reference: Lynch & Park 2017, Modern Robotics, section 13.4 (odometry).
     """
     step = np.asarray(motion, dtype=float) * duration
@@ -124,12 +118,7 @@ def moved(place: Array, motion: Array, duration: float) -> Array:
 
 
 def motion_between(before: Array, now: Array, duration: float) -> Array:
-    """The constant motion (vx, vy, wz) (..., 3) between two places: the inverse of `arc`.
-
-    Args:
-        before, now: places, shape (..., 3); the turn between them is taken in [-pi, pi).
-        duration: [s], not 0.
-    """
+    """The constant motion (vx, vy, wz) (..., 3) between two places in a duration [s]: the inverse of `arc`, with a turn in [-pi, pi)."""
     dx, dy, theta = np.moveaxis(relative(np.asarray(before, dtype=float), np.asarray(now, dtype=float)), -1, 0)
     a, b = _chord(theta)
     # The inverse of the matrix [[a, -b], [b, a]] of `arc`; its determinant is 0 only for a full turn.

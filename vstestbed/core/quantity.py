@@ -20,12 +20,8 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 @dataclass(frozen=True)
 class Within:
-    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says why.
-
-    Args:
-        low, high: smallest and largest number.
-        unit: as messages show it; "" for a pure number, and where fields of several units share the type.
-        why: the reason, which ends the sentence.
+    """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says `why`.
+    unit: as messages show it; "" for a pure number, and where fields of several units share the type.
     """
 
     low: float
@@ -34,14 +30,12 @@ class Within:
     why: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: the type and the field's other bounds with their own errors, then these bounds with their sentence."""
         number = core_schema.int_schema if source is int else core_schema.float_schema
         words = f"must be {_shown(self.low)} to {_shown(self.high)}{self.unit and ' '}{self.unit} ({self.why})"
         bounds = core_schema.custom_error_schema(number(ge=self.low, le=self.high), "out_of_bounds", custom_error_message=words)  # pyright: ignore[reportArgumentType]
         return core_schema.chain_schema([handler(source), bounds])
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: the type and the field's other bounds, and these bounds."""
         inner = handler(schema)
         low, high = max(self.low, inner.get("minimum", self.low)), min(self.high, inner.get("maximum", self.high))
         return inner | {"minimum": low, "maximum": high}
@@ -57,7 +51,6 @@ class Narrower:
     le: float | None = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: the bounds join the type's, before those of `Within`."""
         schema: Any = handler(source)
         schema["steps"][0].update({name: bound for name, bound in vars(self).items() if bound is not None})
         return schema
@@ -68,11 +61,9 @@ class OneForAll:
     """For `Annotated` of a list with a value for each joint: a number alone stands for the list of it, which holds for all joints."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a number becomes a list of one first."""
         return core_schema.no_info_before_validator_function(self._listed, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: the list, or a number as it may be in one."""
         listed = handler(schema)
         return {"anyOf": [listed, listed["items"]]}
 
@@ -91,67 +82,46 @@ def _shown(bound: float) -> str:
 
 
 _FAR = "five times the 200 m at which a camera counts as diverged"
-Length = Annotated[float, Within(-1e3, 1e3, "m", _FAR)]
-"""A coordinate or an offset [m]."""
-Distance = Annotated[float, Ge(0), Within(0.0, 1e3, "m", _FAR)]
-"""A length that may be 0 [m]."""
+Length = Annotated[float, Within(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
+Distance = Annotated[float, Ge(0), Within(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
 PositiveLength = Annotated[float, Gt(0), Within(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
-"""A size [m], also a pixel's."""
 Position = Annotated[tuple[Length, ...], Len(3, 3)]
 """Three coordinates, amplitudes, or half widths of a box [m]."""
 
 _TURNS = "100 turns; beyond them an angle loses digits of its direction"
-Angle = Annotated[float, Within(-36e3, 36e3, "deg", _TURNS)]
-"""An angle [deg]."""
+Angle = Annotated[float, Within(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
 AngleWidth = Annotated[float, Ge(0), Within(0.0, 36e3, "deg", _TURNS)]
-"""Half the width of a range of angles [deg]."""
 PositiveAngle = Annotated[float, Gt(0), Within(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")]
-"""A tolerance or a field of view [deg]."""
-Angles = Annotated[tuple[Angle, ...], Len(3, 3)]
-"""Three angles [deg]."""
+Angles = Annotated[tuple[Angle, ...], Len(3, 3)]  # three angles [deg]
 
 _FAST = "in one second as far as any length"
-Speed = Annotated[float, Ge(0), Within(0.0, 1e3, "m/s", _FAST)]
-"""A speed that may be 0 [m/s]."""
+Speed = Annotated[float, Ge(0), Within(0.0, 1e3, "m/s", _FAST)]  # a speed that may be 0 [m/s]
 PositiveSpeed = Annotated[float, Gt(0), Within(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")]
-"""A speed [m/s]."""
 Velocity = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "m/s", _FAST)], ...], Len(3, 3)]
-"""The components of a velocity [m/s]."""
 PositiveRate = Annotated[float, Gt(0), Within(1e-6, 1e3, "rad/s", "up to 160 turns a second, more than any robot makes")]
-"""An angular speed [rad/s]."""
 PositiveRateDeg = Annotated[float, Gt(0), Within(1e-4, 36e3, "deg/s", "up to 100 turns a second, more than any robot makes")]
-"""An angular speed [deg/s]."""
 
 _AGES = "30 years, longer than any run"
-Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]
-"""A time or a duration that may be 0 [s]."""
+Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]  # a time or a duration that may be 0 [s]
 PositiveTime = Annotated[float, Gt(0), Within(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
-"""A duration or a time constant [s]."""
 Duration = Annotated[float, Gt(0), Within(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
-"""The simulated time of a run [s]."""
 _PERIOD = "a period of three hours to one of a millisecond, a physics step"
-Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]
-"""A frequency [Hz]."""
+Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]  # a frequency [Hz]
 Frequencies = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...], Len(3, 3)]
 """The frequency along each axis; a negative one runs backwards [Hz]."""
 
 _QUICK = "a time constant of a microsecond, a thousandth of a physics step"
 SignedGain = Annotated[float, Within(-1e6, 1e6, "", _QUICK)]
-"""A gain of either sign, in the unit of its field."""
 GainOrZero = Annotated[float, Ge(0), Within(0.0, 1e6, "", _QUICK)]
-"""A gain that may be 0, in the unit of its field."""
 PositiveGain = Annotated[float, Gt(0), Within(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
-"""A gain, in the unit of its field."""
 
 _STRONG = "a micronewton metre to a giganewton metre, more than any joint has"
 Torque = Annotated[float, Gt(0), Within(1e-6, 1e9, "", _STRONG)]
 """The torque of a hinge [Nm], or the force of a joint that slides [N]."""
 Stiffness = Annotated[float, Gt(0), Within(1e-9, 1e9, "", "more than any servo has")]
-"""A gain of a joint's servo, in the unit of its field."""
 
 _NOISE = "a larger error than any sensor's"
 Sigma = Annotated[float, Ge(0), Within(0.0, 1e3, "", _NOISE)]
-"""The standard deviation of a sensor's noise, in the unit of its field."""
 Bias = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "", _NOISE)], ...], Len(3, 3)]
 """The constant error of a sensor on each axis, in the unit of its field."""
 
@@ -159,17 +129,11 @@ _WIDE = "ten times the largest picture"
 Pixels = Annotated[float, Ge(0), Within(0.0, 1e5, "px", _WIDE)]
 """A length in a picture that may be 0 [px], an area [px^2], or a speed in it [px/s]."""
 PositivePixels = Annotated[float, Gt(0), Within(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
-"""A tolerance or a length in a picture [px], or a speed in it [px/s]."""
 PositiveGrey = Annotated[float, Gt(0), Within(1e-6, 255.0, "", "the range of a picture's grey levels")]
-"""A tolerance of a picture's luminance [grey levels]."""
 Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
 """A place in a picture (u, v), or the distance of two [px]."""
 
 Coefficient = Annotated[float, Within(-1e6, 1e6, "", "more than any calibrated lens has")]
-"""A coefficient of a lens's distortion."""
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
+GRAVITY = 9.81  # acceleration of free fall [m/s^2]
 Mass = Annotated[float, Gt(0), Within(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
-"""A mass [kg]."""
 Seed = Annotated[int, Ge(0), Within(0, 2**63 - 1, "", "what the tables of results hold")]
-"""The seed of all random numbers of a run."""

@@ -14,18 +14,11 @@ from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.registry import ROOMS, Room, blocks_in, fields_of, rooms_of, spec_named, to_mapping
 
-# Values that pydantic converts silently, such as a quoted number: they are refused, in a file and in a constructor alike.
-
-
 Key = tuple[str | int, ...]
 
 
 def refuse_conversions(made: Any, values: Mapping[str, Any]) -> None:
-    """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a text, or True for 1.
-
-    Raises:
-        ParameterError: it names the field and what it should have been.
-    """
+    """Refuse what pydantic has converted to a number or a truth value in a constructor in Python: a text, or True for 1."""
     for name, value in values.items():
         if _may_convert(value):
             for key, words in converted(value, to_mapping(getattr(made, name)), (name,)):
@@ -41,12 +34,8 @@ def _may_convert(value: Any) -> bool:
 
 
 def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
-    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1.
-
-    Pydantic's strict mode is no way out: it would also refuse the lists of YAML for fields that are tuples.
-
-    Args:
-        plain: what was given. built: what it has become (`to_mapping`). key: of both.
+    """Errors for values that pydantic silently converted to another type, such as a quoted number, or true for 1. Pydantic's strict mode
+    would also refuse the lists of YAML for fields that are tuples. built: what `plain` has become (`to_mapping`). key: of both.
     """
     if isinstance(plain, dict) and isinstance(built, dict):
         for name in plain:
@@ -59,22 +48,16 @@ def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
 
 
 def _expected_type(plain: Any, built: Any) -> str | None:
-    """The type that a scalar should have had; None where it was not converted."""
     if isinstance(built, bool):  # before int: a bool is one
         return None if isinstance(plain, bool) else "true or false"
     return "a number" if isinstance(built, int | float) and isinstance(plain, str | bool) else None
 
 
-UNKNOWN = "is an unknown field"
-"""How the sentence for one begins."""
+UNKNOWN = "is an unknown field"  # how the sentence for one begins
 
 
 def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
-    """The error of a constructor in Python: of an unknown field before all others, since that may be what another one misses.
-
-    Args:
-        error: pydantic's. cls: the spec class. values: what the constructor was given.
-    """
+    """The error of a constructor in Python, from pydantic's: of an unknown field before all others, since another one may miss that."""
     details = _details(error)
     inner = details[0].get("ctx", {}).get("error")
     if isinstance(inner, ParameterError) and not details[0]["loc"] and inner.field:
@@ -84,11 +67,7 @@ def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any
 
 
 def findings(error: pydantic.ValidationError, plain: Mapping[str, Any], cls: type) -> list[tuple[Key, str]]:
-    """The key and the sentence of each mistake.
-
-    Args:
-        error: pydantic's. plain: what was validated. cls: the spec class that it should become.
-    """
+    """The key and the sentence of each mistake that pydantic found in `plain`, which should become a `cls`."""
     return [_finding(detail, plain, cls) for detail in _details(error)]
 
 
@@ -98,7 +77,6 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
 
 
 def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
-    """The key and the sentence of one of pydantic's errors."""
     loc, inner = detail["loc"], detail.get("ctx", {}).get("error")
     # what is missing is a field, also where a kind has the same name
     key = (*_key_of(loc[:-1], plain), loc[-1]) if detail["type"] == "missing" else _key_of(loc, plain)
@@ -139,7 +117,6 @@ def _is_tag(part: int | str, here: Any, tagged: bool) -> bool:
 
 
 def _child(here: Any, part: int | str) -> Any:
-    """The value at a key of a mapping or an index of a list; None where there is none."""
     if isinstance(here, dict):
         return here.get(part)
     return here[part] if isinstance(here, list | tuple) and isinstance(part, int) and part < len(here) else None
@@ -169,7 +146,6 @@ _WORDS = {
 
 
 def _sentence(detail: Any, cls: type) -> str:
-    """The sentence for one of pydantic's errors, with the value found."""
     kind, found, loc = detail["type"], detail["input"], detail["loc"]
     if kind == "unexpected_keyword_argument":
         return _unknown(str(loc[-1]), *_block_at(loc[:-1], cls))
@@ -187,9 +163,7 @@ def _sentence(detail: Any, cls: type) -> str:
 
 
 def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> str:
-    """The sentence for what is no list, with an example or what its blocks are of; and for a list whose length is another than the only
-    valid one.
-    """
+    """The sentence for what is no list, or for a list whose length is another than the only valid one."""
     at = max(i for i, part in enumerate(loc) if isinstance(part, str))
     name, block = str(loc[at]), _block_at(loc[:at], cls)[0]
     if kind != "tuple_type":
@@ -206,7 +180,6 @@ def _a(noun: str) -> str:
 
 
 def _such_as(words: str, block: type, name: str) -> str:
-    """The words on a field that must be a list, with what its blocks are of, or an example."""
     if blocks := _choices(block, name):
         room, inner = blocks[0]
         return f"must be a list of blocks, each {_a(room.what) if room else f'of {_listed(inner)}'}"
@@ -224,7 +197,6 @@ def _list_like(block: type, name: str) -> str:
 
 
 def _only_length(block: type, name: str) -> int | None:
-    """The length that a list must have; None where several are valid, or any."""
     hint = _hint(block, name)
     for part in (hint, *typing.get_args(hint)):  # a list that may be None is one of two
         for bound in getattr(part, "__metadata__", ()):
@@ -273,7 +245,6 @@ def _meant(block: type, value: Any) -> list[str]:
 
 
 def _takes(block: type, name: str, value: Any) -> bool:
-    """Whether a block with this one field, of this value, would be valid."""
     try:
         block(**{name: value})
     except ParameterError:
@@ -282,7 +253,6 @@ def _takes(block: type, name: str, value: Any) -> bool:
 
 
 def _unknown(name: str, block: type, room: Room | None) -> str:
-    """The sentence for an unknown field: the kinds of the room that have it, or the nearest valid name."""
     able = [kind for kind, member in room.members.items() if name in fields_of(member)] if room else []
     if able and room:
         kind = next(kind for kind, member in room.members.items() if member is block)
@@ -309,19 +279,16 @@ def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, Room | None]:
 
 
 def _room_of_field(loc: Sequence[int | str], cls: type) -> Room | None:
-    """The room of whose kinds the field at a pydantic location must be; None where it is no block with kinds."""
     if not loc or isinstance(loc[-1], int):
         return None
     return next((room for room, _ in _choices(_block_at(loc[:-1], cls)[0], loc[-1])), None)
 
 
 def _choices(cls: type, name: str) -> list[tuple[Room | None, type]]:
-    """The blocks that a field may be, each with its room."""
     return list(blocks_in(_hint(cls, name)))
 
 
 def _hint(cls: type, name: str) -> Any:
-    """The type of a field; None where there is none."""
     try:
         return typing.get_type_hints(cls, include_extras=True).get(name)
     except NameError:  # of a class defined in a function, where pydantic alone knows the names

@@ -13,8 +13,7 @@ from vstestbed.core.errors import ParameterError, nearest
 
 SPECS: list[type] = []
 """Every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them."""
-ROOMS: list[Room] = []
-"""Every list of kinds."""
+ROOMS: list[Room] = []  # every list of kinds
 
 
 class Room:
@@ -25,9 +24,7 @@ class Room:
         number: (kind, field) for which a bare number is a shorthand; None where numbers are refused.
         default: the kind of a block without `kind`; None where `kind` is required.
         fields: the kind of a block without `kind` that has the given field, by field.
-
-    Attributes:
-        members: the spec class of each kind.
+    members: the spec class of each kind.
     """
 
     def __init__(self, what: str, number: tuple[str, str] | None, default: str | None, fields: Mapping[str, str] | None):
@@ -81,7 +78,6 @@ def is_list(hint: Any) -> bool:
     return "tuple[" in str(hint)
 
 
-# Specs as plain mappings, lists and scalars: with every default, or as people write them.
 def to_mapping(value: Any) -> Any:
     """A spec as plain mappings, lists and scalars with all defaults written out: the content of `resolved.yaml`."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -96,10 +92,7 @@ def to_mapping(value: Any) -> Any:
 
 
 def brief_mapping(value: Any) -> Any:
-    """A spec as people write it: without what is a default anyway, whole numbers without `.0`, with the shorthands of its rooms.
-
-    A spec may have `preset_values`, by field, which stand in place of defaults.
-    """
+    """A spec as people write it: without defaults and what `preset_values` stand for, whole numbers without `.0`, with shorthands."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return _brief_block(value)
     if isinstance(value, tuple | list):
@@ -110,7 +103,6 @@ def brief_mapping(value: Any) -> Any:
 
 
 def _brief_block(value: Any) -> Any:
-    """A spec as a mapping, or the word or number that stands for it."""
     preset = getattr(value, "preset_values", {})
     block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
     if not hasattr(value, "kind"):
@@ -127,9 +119,8 @@ def _brief_part(value: Any, preset: Any) -> Any:
 
 
 def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
-    """The fields that are not at their default, or at what a preset of the block fills in its place.
-
-    Of a block without a kind, which needs something in it, the first one at least.
+    """The fields that are not at their default, or at what a preset of the block fills in its place. Of a block without a kind, which needs
+    something in it, the first one at least.
     """
     fields = [f for f in dataclasses.fields(value) if f.init and f.name != "kind"]
     # What makes it this kind comes before what all kinds have, as people write it: a square's side before its pose.
@@ -140,7 +131,6 @@ def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
 
 
 def _with_kind(kind: str, block: dict[str, Any], rooms: list[Room]) -> Any:
-    """A block with its kind, where no field tells it; the number or the word that a room has for it."""
     if rooms and all(room.implied(block) == kind for room in rooms):
         return block
     for room in rooms:
@@ -150,7 +140,6 @@ def _with_kind(kind: str, block: dict[str, Any], rooms: list[Room]) -> Any:
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
-    """The default of a field; MISSING where it has none."""
     return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
 
 
@@ -159,12 +148,8 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 # A plugin that lacks a method would otherwise run until the loop first calls that method, and end with a traceback there.
 @dataclass(frozen=True)
 class Contract:
-    """What a class must have to be a member of a room.
-
-    Attributes:
-        protocol: the class (a `typing.Protocol`, or one with defaults) whose public methods and attributes every member must have.
-        base: a class with defaults for most of them, recommended by the error messages; None where the room has none.
-        words: the valid items of attributes that are tuples of words, by the attribute's name.
+    """What a class must have to be a member of a room: the public methods and attributes of `protocol`, which may have defaults.
+    base: a class with defaults for most of them, or None. words: the valid items of attributes that are tuples of words, by name.
     """
 
     protocol: type
@@ -172,14 +157,7 @@ class Contract:
     words: Mapping[str, Collection[str]] = field(default_factory=dict)
 
     def check(self, member: type) -> None:
-        """Refuse a class that breaks the contract.
-
-        Args:
-            member: a dataclass; its fields count as attributes.
-
-        Raises:
-            ParameterError: it names the class, what is missing or wrong, and what would be valid.
-        """
+        """Refuse a class that breaks the contract. member: a dataclass; its fields count as attributes."""
         required = _public_members(self.protocol)
         missing = [name for name in required if not self._has(member, name)]
         if missing:
@@ -206,7 +184,6 @@ class Contract:
 
 
 def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
-    """The public members of a protocol in the order of their definition: a method's function, None for an attribute."""
     found: dict[str, Callable[..., Any] | None] = {}
     for cls in reversed(protocol.__mro__):
         found |= dict.fromkeys(name for name in inspect.get_annotations(cls) if not name.startswith("_"))
@@ -215,7 +192,6 @@ def _public_members(protocol: type) -> dict[str, Callable[..., Any] | None]:
 
 
 def _shown(name: str, method: Callable[..., Any] | None) -> str:
-    """A member as messages show it: `depth`, or `step(memory, observation, goal, basis)`."""
     return name if method is None else f"{name}({', '.join(list(inspect.signature(method).parameters)[1:])})"
 
 
@@ -238,9 +214,8 @@ def _check_shape(member: type, name: str, method: Callable[..., Any] | None) -> 
 
 
 def _check_words(member: type, name: str, valid: Collection[str]) -> None:
-    """Refuse an unknown word in a tuple of words.
-
-    A property is read from an object made of the defaults alone; of a class that has none such, its words stay unchecked.
+    """Refuse an unknown word in a tuple of words. A property is read from an object made of the defaults alone; of a class that has none
+    such, its words stay unchecked.
     """
     words = getattr(member, name, ())
     if isinstance(words, property):

@@ -15,15 +15,12 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 """Signals that end a command as Ctrl-C does; its worker processes leave them to it. Windows has no SIGHUP."""
 
 
-HEARD_S = 0.2
-"""Longest time that a wait for other processes does not hear of Ctrl-C [s]."""
+HEARD_S = 0.2  # longest time that a wait for other processes does not hear of Ctrl-C [s]
 
 
 def some_done(futures: Collection[Future[Any]]) -> set[Future[Any]]:
-    """Wait until at least one of them is done; returns those that are.
-
-    It looks up every HEARD_S, since a lock that is waited for without an end does not hear of Ctrl-C on Windows, nor anywhere once polars
-    is imported: polars installs a handler of SIGINT with the flag SA_RESTART (its issue 21739), after which the wait goes on.
+    """Wait until at least one of them is done; returns those that are. It looks up every HEARD_S: without an end, a lock does not hear of
+    Ctrl-C on Windows, nor anywhere once polars has installed its handler of SIGINT with SA_RESTART (its issue 21739).
     """
     done: set[Future[Any]] = set()
     while futures and not done:

@@ -32,13 +32,8 @@ def is_matrix(value: object) -> bool:
 
 
 def pose_matrix(value: Any, name: str = "") -> Array:
-    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one.
-
-    Args:
-        value: the pose. name: the parameter's name, for messages.
-
-    Raises:
-        ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix that is no rigid motion.
+    """The homogeneous matrix (4, 4) of an SE3 of one pose, or of an array that is one. name: the parameter's, for messages.
+    Raises ParameterError: several poses, a place in the plane (SE2), a rotation alone, a matrix that is no rigid motion.
     """
     kind = class_of(value)
     if kind == "SE2":
@@ -50,9 +45,7 @@ def pose_matrix(value: Any, name: str = "") -> Array:
 
 def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
     """Place and heading (x [m], y [m], heading [deg]) of an SE2 (or its (3, 3)), or of an SE3 (or its (4, 4)) that stands on the floor.
-
-    Raises:
-        ParameterError: several places, a pose off the floor, a matrix that is no rigid motion.
+    Raises ParameterError: several places, a pose off the floor, a matrix that is no rigid motion.
     """
     if class_of(value) == "SE2" or (np.shape(value) == (3, 3) and not class_of(value)):
         T = _rigid(_one(value, class_of(value), 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name), name)
@@ -69,11 +62,7 @@ def heading_of(T: Array) -> float:
 
 
 def upright(value: Any, name: str = "") -> tuple[list[float], float]:
-    """Position [m] and heading [deg] of a pose whose z axis points up.
-
-    Raises:
-        ParameterError: it is tilted; see `pose_matrix`.
-    """
+    """Position [m] and heading [deg] of a pose whose z axis points up. Raises ParameterError: it is tilted; see `pose_matrix`."""
     T = pose_matrix(value, name)
     if max(abs(T[0, 2]), abs(T[1, 2])) > LEVEL or T[2, 2] < 0:
         axis = T[:3, 2].round(3).tolist()
@@ -92,11 +81,7 @@ def tidy_angles(angles_deg: tuple[float, ...]) -> list[float]:
 
 
 def twist_numbers(value: Any, name: str = "command") -> Any:
-    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is.
-
-    Raises:
-        ParameterError: several twists, or another object of spatialmath.
-    """
+    """The numbers (6,) of a Twist3, S = (v, w); any other value as it is. ParameterError for several twists, or another object."""
     kind = class_of(value)
     if not kind:
         return value
@@ -122,7 +107,6 @@ def as_twist3(S: Array) -> Twist3:
 
 
 def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
-    """The matrix (size, size) of one spatialmath object, or of an array."""
     if kind and len(value) != 1:
         raise ParameterError(name, f"must be one pose, and this {kind} holds {len(value)}; take one of them, as poses[0]")
     try:
@@ -135,7 +119,6 @@ def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
 
 
 def _rigid(T: Array, name: str) -> Array:
-    """A homogeneous matrix (n, n), refused where it is no rigid motion."""
     n = len(T) - 1
     if not np.isfinite(T).all():
         raise ParameterError(name, "must be finite, and some numbers of this pose are not")

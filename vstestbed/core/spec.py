@@ -37,9 +37,8 @@ from vstestbed.core.registry import ROOMS, SPECS, Contract, Room, blocks_in, fie
 
 
 def holders(rooms: Collection[str]) -> list[type]:
-    """The spec classes, in the order of definition, in which a block of one of these rooms (`Room.what`) may stand.
-
-    A class that holds one that does is one of them, too: pydantic compiles the validators of the parts into that of the whole.
+    """The spec classes, in the order of definition, in which a block of one of these rooms (`Room.what`) may stand. A class that holds one
+    that does is one of them, too: pydantic compiles the validators of the parts into that of the whole.
     """
     direct, inner = _blocks()
     found = {cls for cls, whats in direct.items() if not whats.isdisjoint(rooms)} | {cls for cls in SPECS if not _types(cls)}
@@ -49,7 +48,6 @@ def holders(rooms: Collection[str]) -> list[type]:
 
 
 def _blocks() -> tuple[dict[type, set[str]], dict[type, set[type]]]:
-    """Of each class the rooms of its own fields, and the classes of the blocks that may stand in them."""
     direct: dict[type, set[str]] = {}
     inner: dict[type, set[type]] = {}
     ahead = list(SPECS)
@@ -80,9 +78,8 @@ _GROWN: list[str] = []  # rooms that have got a kind since the validators were b
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
 def spec(cls: type[T]) -> type[T]:
-    """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values.
-
-    Raises (from the constructor): ParameterError with the field, what is valid, and the value given.
+    """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values. Raises (from the
+    constructor): ParameterError with the field, what is valid, and the value given.
     """
     made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
     _with_our_errors(made)
@@ -124,9 +121,8 @@ def needs_rebuild(room: str) -> None:
 
 
 def rebuild_specs(classes: Sequence[type] = SPECS) -> None:
-    """Rebuild the validators of specs in the order of definition; the next constructor does it after a `OneOf` has grown.
-
-    Pydantic compiles a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
+    """Rebuild the validators of specs in the order of definition; the next constructor does it after a `OneOf` has grown. Pydantic compiles
+    a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
     """
     _GROWN.clear()
     for cls in classes:
@@ -179,9 +175,7 @@ class OneOf(Room):
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
-
-        Raises:
-            ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
+        Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
         if self._add(member) and self._left_out - {kind_of(member)}:
             needs_rebuild(self.what)
@@ -192,7 +186,6 @@ class OneOf(Room):
         return _Without(self, kind)
 
     def _add(self, member: type) -> bool:
-        """Whether the member is new."""
         # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
         if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
@@ -231,7 +224,6 @@ class OneOf(Room):
         return {**block, "kind": kind}
 
     def _expanded(self, value: Any) -> Any:
-        """The block for which a bare word or number is a shorthand; any other value as it is."""
         if isinstance(value, str):
             return {"kind": value}
         # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
@@ -241,12 +233,10 @@ class OneOf(Room):
 
     @property
     def _needs(self) -> str:
-        """The rest of the message for a block without a kind."""
         words = f"a kind; valid kinds: {', '.join(sorted(self.members))}"
         return f"one of the fields {', '.join(self.fields)}, or {words}" if self.fields else words
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a union discriminated by `kind`, with bare words expanded to the block of that kind."""
         self._is_built()
         if not self.members:  # until a plugin adds one
             return core_schema.no_info_plain_validator_function(self._none)
@@ -263,7 +253,6 @@ class OneOf(Room):
         raise PydanticCustomError("block", "{words}", {"words": words})
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: a block of one of the kinds, or a shorthand (a bare word, a number)."""
         if not self.members:
             return {"not": {}}
         blocks = handler(schema)["oneOf"]
@@ -299,20 +288,14 @@ class _Without(OneOf):
 
 @dataclasses.dataclass(frozen=True)
 class Shorthand:
-    """For `Annotated` of a spec: a text stands for the block that has it in one field.
-
-    Attributes:
-        field: its name.
-    """
+    """For `Annotated` of a spec: a text stands for the block that has it in one field. field: its name."""
 
     field: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: a text is expanded to its block first."""
         return core_schema.no_info_before_validator_function(lambda v: {self.field: v} if isinstance(v, str) else v, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Pydantic's hook for the JSON Schema: the block, or a text."""
         return {"anyOf": [handler(schema), {"type": "string"}]}
 
 

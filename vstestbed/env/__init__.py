@@ -30,7 +30,6 @@ REMEDY = "pip install 'vstestbed[env]'"
 
 
 def _register() -> None:
-    """Register an id for each bundled scenario, and ANY, where Gymnasium is installed."""
     if find_spec("gymnasium") is None:
         return
     from gymnasium import register
@@ -42,15 +41,8 @@ def _register() -> None:
 
 
 def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict[str, Any], Any]:
-    """A Gymnasium environment of any scenario, `gymnasium.make` of the id ANY.
-
-    Args:
-        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
-        settings: as `GymServo` has them (observation, reward, render_mode, overrides, ...), or `gymnasium.make`.
-
-    Raises:
-        EnvironmentLackError: Gymnasium is not installed. ScenarioError: the scenario has mistakes.
-        ParameterError: a setting is none of the possible ones.
+    """A Gymnasium environment of any scenario (a YAML file, a bundled name, or a loaded one), `gymnasium.make` of the id ANY.
+    settings: as of `GymServo` or `gymnasium.make`. Errors: those of `GymServo`; EnvironmentLackError where Gymnasium is not installed.
     """
     if find_spec("gymnasium") is None:
         raise EnvironmentLackError("Gymnasium is not installed", REMEDY)
@@ -60,15 +52,9 @@ def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict
 
 
 def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: Any) -> DmServo:
-    """A dm_env environment of any scenario.
-
-    Args:
-        scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
-        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `rollout.rollout_of` has them.
-        seed: of the seeds that episodes get, one after the other; None: other ones each time.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    """A dm_env environment of any scenario (a YAML file, a bundled name, or a loaded one).
+    settings: as of `rollout.rollout_of`. seed: of the seeds that episodes get, one after the other; None: other ones each time.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
     from vstestbed.env.deepmind import DmServo
     from vstestbed.env.rollout import rollout_of

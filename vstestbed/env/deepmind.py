@@ -22,11 +22,8 @@ class DmServo(dm_env.Environment):
 
     A success or failure ends an episode with discount 0, a time-out with discount 1.
 
-    Attributes:
-        info: of the last step, see `Rollout`: truth, outcome, judged error. rollout: the episodes.
-
-    Args:
-        rollout: the episodes. seed: of the seeds that they get, one after the other; None: other ones each time.
+    info: of the last step, see `Rollout`: truth, outcome, judged error. rollout: the episodes.
+    seed: of the seeds that they get, one after the other; None: other ones each time.
     """
 
     def __init__(self, rollout: Rollout, seed: int | None = None):
@@ -46,11 +43,7 @@ class DmServo(dm_env.Environment):
         return dm_env.restart(step.observation)
 
     def step(self, action: NDArray[Any]) -> dm_env.TimeStep:
-        """One camera frame; after the end, or before the first episode, a new one, whatever the action.
-
-        Raises:
-            ParameterError: an action of another shape, or one that is not finite.
-        """
+        """One camera frame; after the end, or before the first episode, a new one, whatever the action. Errors: see `Rollout.step`."""
         if self._last:
             return self.reset()
         step = self.rollout.step(action)

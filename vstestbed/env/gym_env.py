@@ -27,9 +27,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         render_mode: None, or `rgb_array`, the scene from outside.
         settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `rollout.rollout_of` has them.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
@@ -62,11 +60,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         return step.observation, step.info
 
     def step(self, action: NDArray[Any]) -> Step:
-        """One camera frame: observation, reward, terminated, truncated, info.
-
-        Raises:
-            ParameterError: an action of another shape, or one that is not finite. SessionError: after the end.
-        """
+        """One camera frame: observation, reward, terminated, truncated, info. Errors: see `Rollout.step`."""
         return self._rollout.step(action)
 
     def expert(self) -> NDArray[Any]:

@@ -22,11 +22,9 @@ from vstestbed.report.video.quality import quality_of
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, in_a_frame
-
-# The reward of a learner: from the error by which the task is judged, and from its outcome.
-
 
 RewardKind = Literal["potential", "negative_error", "sparse"]
 WORST = 1e4
@@ -39,9 +37,6 @@ def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
         nearness = 1 - ln(1 + |error| / limit) / ln(1 + WORST),  phi = (view + nearness) / views
 
     Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
-
-    Args:
-        error: the judged error. view: number of the goal view that it belongs to. views: how many there are in turn.
     """
     ratio = WORST if math.isnan(error.value) else min(abs(error.value) / error.limit, WORST)
     return (view + 1.0 - math.log1p(ratio) / math.log1p(WORST)) / views
@@ -58,11 +53,8 @@ class Reward:
     all n steps that were left, -(discount + ... + discount^n): without this, to give up would cost less than to go to the goal.
     `sparse`: the bonus alone.
 
-    Args:
-        kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
-
-    Raises:
-        ParameterError: another kind, a discount out of its range, a bonus that is not finite.
+    kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
+    Raises ParameterError: another kind, a discount out of its range, a bonus that is not finite.
 
     Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory and application to reward shaping",
     ICML, pp. 278-287; that phi must be 0 after the end: Grzes 2017, "Reward shaping in episodic reinforcement learning", AAMAS,
@@ -75,7 +67,6 @@ class Reward:
     success_bonus: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no reward."""
         if self.kind not in get_args(RewardKind):
             raise ParameterError("reward", f"must be one of {', '.join(get_args(RewardKind))}", self.kind)
         if not 0 < self.discount <= 1:
@@ -85,53 +76,21 @@ class Reward:
 
     def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
         """The reward of a step between two potentials.
-
-        Args:
-            before, after: the potentials. terminated: the episode has ended, and not by the clock. success: the goal was reached.
-            left: how many steps the episode would still have had.
+        terminated: the episode has ended, and not by the clock. left: how many steps the episode would still have had.
         """
         bonus = self.success_bonus if success else 0.0
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
-            return after - 1.0 + bonus - (self._sum(left) if terminated and not success else 0.0)
+            g = self.discount  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
+            lost = float(left) if g == 1 else g * -math.expm1(left * math.log(g)) / (1.0 - g)
+            return after - 1.0 + bonus - (lost if terminated and not success else 0.0)
         return (0.0 if terminated else self.discount * after) - before + bonus
-
-    def _sum(self, n: int) -> float:
-        """A reward of 1 in each of the next n steps: discount + ... + discount^n."""
-        return float(n) if self.discount == 1 else self.discount * -math.expm1(n * math.log(self.discount)) / (1.0 - self.discount)
-
-
-# The picture of an environment from outside, as in the film of a run.
-class Overview:
-    """Draws one episode from outside, with the camera's own picture inset; the trail joins the frames that were drawn.
-
-    Args:
-        scenario: the episode's.
-
-    Raises:
-        EnvironmentLackError: OpenGL is asked for, and does not work here.
-    """
-
-    def __init__(self, scenario: Scenario):
-        quality = quality_of(scenario)
-        self._replay = replay_of(scenario, quality)
-        self._pictures = Pictures(scenario, "overview", self._replay, quality.size)
-
-    def picture(self, frame: Frame) -> Image:
-        """The picture (H, W, 3) uint8 RGB of a frame; the caller may keep it."""
-        return self._pictures.picture(FilmFrame.of_frame(frame))
-
-    def close(self) -> None:
-        """Free its scene."""
-        self._replay.close()
 
 
 ObservationMode = Literal["markers", "pixels", "both"]
-MOST = 1e6
-"""Bound of `agent_pos`: far beyond any reading in metres, radians or their rates."""
-MOST_SEED = 2**31 - 1
-"""Largest seed that an episode without a given one draws."""
+MOST = 1e6  # bound of `agent_pos`: far beyond any reading in metres, radians or their rates
+MOST_SEED = 2**31 - 1  # largest seed that an episode without a given one draws
 
 
 class Bounds(NamedTuple):
@@ -177,9 +136,7 @@ class Rollout:
         observation: the mode. reward: of a step. overrides: values by dotted path, as `vstestbed.load`.
         end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
         end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
     """
 
     def __init__(
@@ -204,7 +161,8 @@ class Rollout:
         self.scale = ActionScale.of(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
         self._frame: Frame | None = None
-        self._overview: Overview | None = None
+        self._replay: Replay | None = None
+        self._overview: Pictures | None = None
         self._phi, self._told, self._steps = 0.0, False, 0
 
     @property
@@ -237,9 +195,7 @@ class Rollout:
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
-
-        Raises:
-            ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
+        Raises ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
         """
         u = self.scale.velocities(self._checked(action))
         session, frame = self._running()
@@ -256,51 +212,40 @@ class Rollout:
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
 
     def expert(self) -> Array:
-        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration.
-
-        Raises:
-            SessionError: before `reset`.
-        """
+        """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration. SessionError without one."""
         return self.scale.action(self._running()[1].command.u)
 
     def recording(self) -> Recording:
-        """The episode so far, as `Session.recording`.
-
-        Raises:
-            SessionError: before `reset`, or after `close`.
-        """
+        """The episode so far, as `Session.recording`. Raises SessionError: before `reset`, or after `close`."""
         if self._session is None:
             raise SessionError("no episode has begun", "call reset() first")
         return self._session.recording()
 
     def render(self) -> Image:
-        """The scene from outside at the last frame, as in a film's draft.
-
-        Raises:
-            SessionError: before `reset`. EnvironmentLackError: it cannot be drawn here.
-        """
+        """The scene from outside at the last frame, as in a film's draft. SessionError before `reset`."""
         if self._frame is None or self._session is None:
             raise SessionError("nothing to draw", "call reset() first")
         if self._overview is None:
-            self._overview = Overview(self._episode.scenario)
-        return self._overview.picture(self._frame)
+            scenario = self._episode.scenario
+            quality = quality_of(scenario)
+            self._replay = replay_of(scenario, quality)
+            self._overview = Pictures(scenario, "overview", self._replay, quality.size)
+        return self._overview.picture(FilmFrame.of_frame(self._frame))
 
     def close(self) -> None:
         """Free the simulation; `reset` begins another one."""
-        session, overview, self._session, self._overview, self._frame = self._session, self._overview, None, None, None
-        if overview is not None:
-            overview.close()
+        session, replay, self._session, self._replay, self._overview, self._frame = self._session, self._replay, None, None, None, None
+        if replay is not None:
+            replay.close()
         if session is not None:
             session.close()
 
     @property
     def _episode(self) -> Any:
-        """The session's episode, which has begun."""
         assert self._session is not None and self._session.episode is not None
         return self._session.episode
 
     def _running(self) -> tuple[Session, Frame]:
-        """The session and its last frame, of an episode whose end has not been told."""
         if self._session is None or self._frame is None:
             raise SessionError("no episode has begun", "call reset() first")
         if self._told:
@@ -308,7 +253,6 @@ class Rollout:
         return self._session, self._frame
 
     def _checked(self, action: Array) -> Array:
-        """An action as numbers of its shape."""
         try:
             numbers = np.array(action, dtype=float)
         except (TypeError, ValueError):
@@ -320,7 +264,6 @@ class Rollout:
         return numbers
 
     def _observation(self, frame: Frame) -> dict[str, Any]:
-        """What a learner sees of a frame: measurements of the camera and of the robot, nothing of the frame's truth."""
         seen, exposure = frame.observation, self._episode.controller.before
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
         found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal)
@@ -333,7 +276,6 @@ class Rollout:
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:
-        """The judged error in a frame, and the potential."""
         scenario = self.scenario
         values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
         error = in_a_frame(scenario.goal.judged, scenario.stop, values)
@@ -368,9 +310,5 @@ def rollout_of(
     end_on_rest: bool = True,
     end_on_loss: bool = True,
 ) -> Rollout:
-    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`.
-
-    Raises:
-        ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
-    """
+    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`."""
     return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides, end_on_rest, end_on_loss)

@@ -12,22 +12,11 @@ from vstestbed.live.panel import RunPanel
 from vstestbed.live.run import LiveRun, Served, Settings
 from vstestbed.live.server import LocalServer
 
-IDLE_S = 0.2
-"""How long a view that rests waits for orders before it looks whether it has to end [s]."""
+IDLE_S = 0.2  # how long a view that rests waits for orders before it looks whether it has to end [s]
 
 
 class LiveApp(Served):
-    """A run in the browser.
-
-    Args:
-        settings: the scenario, and what is changed of it. port: to listen at; None for a free one.
-
-    Attributes:
-        run: what is shown. address: of the page.
-
-    Raises:
-        ParameterError: the port is taken.
-    """
+    """A run in the browser, at `address`. port: None for a free one. Raises ParameterError: the port is taken."""
 
     def __init__(self, settings: Settings, port: int | None = None):
         self.run = LiveRun(settings)
@@ -57,11 +46,6 @@ class LiveApp(Served):
             self.close()
 
     @property
-    def clients(self) -> tuple[int, ...]:
-        """Numbers of the pages that are connected."""
-        return tuple(self._server.get_clients())
-
-    @property
     def said(self) -> str:
         """The sentence that pages show."""
         return self._panel.status.message
@@ -73,7 +57,6 @@ class LiveApp(Served):
         self.run.close()
 
     def _once(self) -> None:
-        """Obey what was asked for, and make the next frame if it is due."""
         wait = self.run.wait_s()
         orders = self._inbox.take(IDLE_S if wait is None else min(wait, IDLE_S))
         for order in orders:
@@ -165,7 +148,6 @@ class LiveApp(Served):
 
 
 def _sentence(error: VstestbedError) -> str:
-    """What is refused, and why; of a setting without the word `--set`, which the page has not."""
     if isinstance(error, ScenarioError):
         return "; ".join(f"{m.field}: {m.sentence}" if m.field else m.sentence for m in error.mistakes)
     return str(error)

@@ -20,15 +20,10 @@ from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 
-# The scene of a run in the browser: robot, target, goal, camera with its picture, trail, floor.
-
-
 FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
-FLOOR_M, GRID_M = 400.0, 60.0
-"""Edges of the floor, and of the part of it with lines [m]."""
+FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 AMBIENT = 1.2
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
-"""Lights from afar: where they come from, and how bright they are."""
 REACH = 0.13
 """Length of the camera's frustum over its distance from the target, or from its goal, at the start."""
 REACH_OF_ROOM = 0.05
@@ -38,10 +33,8 @@ NEAR = 0.02
 """Near plane over the distance of what is looked at: the depth buffer must tell lines on the floor from the floor."""
 LAYER_M = 0.004
 """Distance of the grid under the floor of the simulation, and of the surface under the grid [m]."""
-GHOST = 0.3
-"""Opacity of the robot, or the target in the gripper, at its goal."""
-PLACES = 400
-"""Points of the trail: when there are more, every other one is dropped."""
+GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
+PLACES = 400  # points of the trail: when there are more, every other one is dropped
 PLATE_GREY = (115, 115, 120)
 
 
@@ -54,21 +47,14 @@ class _Placed:
 
 
 class SceneView:
-    """Shows samples of one run; a scenario with another scene needs another view.
-
-    Args:
-        server: of the pages. scenario: the experiment. replay: places its scene. first: the first sample.
-
-    Attributes:
-        reach_m: a length that suits the scene, for gizmos [m].
-    """
+    """Shows samples of one run; a scenario with another scene needs another view. reach_m: a length that suits the scene [m]."""
 
     def __init__(self, server: viser.ViserServer, scenario: Scenario, replay: Replay, first: Sample):
         self._scene, self._scenario, self._replay = server.scene, scenario, replay
-        film = first.film
+        film, aside = first.film, scenario.target.on_gripper
         ends = [film.T_world_target, *([] if first.T_world_goal is None else [first.T_world_goal])]
         far = max(float(np.linalg.norm(T[:3, 3] - film.T_world_camera[:3, 3])) for T in ends)
-        self.reach_m = float(np.clip((REACH_OF_ROOM if scenario.target.on_gripper else REACH) * far, SHORTEST_M, LONGEST_M))
+        self.reach_m = float(np.clip((REACH_OF_ROOM if aside else REACH) * far, SHORTEST_M, LONGEST_M))
         self._scene.reset()
         self._light()
         self._floor()
@@ -76,7 +62,7 @@ class SceneView:
         self._trail, self._spacing = np.zeros((0, 3)), self.reach_m / 12
         self._trail_lines = self._scene.add_line_segments("/trail", np.zeros((1, 2, 3)), OWN, thickness=2.5, thickness_units="screen")
         self._eye = self._frustum("/camera", OWN)
-        self._goal = self._frustum("/goal", GOAL) if not scenario.target.on_gripper else None
+        self._goal = self._frustum("/goal", GOAL) if not aside else None
         self._ghost = self._made_ghost(first)
         self.plate: viser.MeshHandle | None = None
         self._look_at(server, film.t, first.T_world_goal)
@@ -95,10 +81,10 @@ class SceneView:
         if self._goal is not None:
             self._goal.visible = sample.T_world_goal is not None
         if sample.T_world_goal is not None:
+            at = sample.T_world_goal
             if self._goal is not None:
-                _put(self._goal, sample.T_world_goal)
+                _put(self._goal, at)
             if self._ghost is not None:
-                at = sample.T_world_goal
                 _put(self._ghost, film.T_world_camera @ inverse(at) @ film.T_world_target if self._scenario.target.on_gripper else at)
 
     def clear(self) -> None:
@@ -117,10 +103,7 @@ class SceneView:
             self.plate.remove()
             self.plate = None
         if T_world_plate is not None and self.plate is None:
-            half = edge_m / 2
-            corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
-            faces = np.array([[0, 1, 2], [0, 2, 3]])
-            self.plate = self._scene.add_mesh_simple("/plate", corners, faces, color=PLATE_GREY, side="double")
+            self.plate = self._scene.add_mesh_simple("/plate", *_square(edge_m), color=PLATE_GREY, side="double")
         if T_world_plate is not None and self.plate is not None:
             _put(self.plate, T_world_plate)
 
@@ -134,10 +117,7 @@ class SceneView:
 
     def _floor(self) -> None:
         z = self._scenario.world.floor_z
-        half = FLOOR_M / 2
-        corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
-        faces = np.array([[0, 1, 2], [0, 2, 3]])
-        self._scene.add_mesh_simple("/floor", corners, faces, color=FLOOR, side="double", position=(0, 0, z - 2 * LAYER_M))
+        self._scene.add_mesh_simple("/floor", *_square(FLOOR_M), color=FLOOR, side="double", position=(0, 0, z - 2 * LAYER_M))
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
         self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - LAYER_M), **grid)
 
@@ -148,10 +128,8 @@ class SceneView:
         for body in dict.fromkeys(part.body for part in (*solids, *panes)):
             bodies[body] = _Placed(self._scene.add_frame(f"/body_{body}", show_axes=False), nowhere)
         for i, solid in enumerate(solids):
-            color = np.rint(255 * np.array(solid.rgb)).astype(np.uint8)
-            self._scene.add_mesh_simple(
-                f"/body_{solid.body}/{i}", solid.vertices, solid.faces, color=color, side="double", flat_shading=True
-            )
+            look = {"color": np.rint(255 * np.array(solid.rgb)).astype(np.uint8), "side": "double", "flat_shading": True}
+            self._scene.add_mesh_simple(f"/body_{solid.body}/{i}", solid.vertices, solid.faces, **look)
         for i, pane in enumerate(panes):
             shown = self._scene.add_image(f"/body_{pane.body}/print_{i}", pane.image, pane.width, pane.height, cast_shadow=False)
             _put(shown, pane.T_body_pane)
@@ -196,7 +174,6 @@ class SceneView:
         self._trail = trail
 
     def _look_at(self, server: viser.ViserServer, t: float, T_world_goal: Array | None) -> None:
-        """The view from which pages look at first: that of the film from outside."""
         T, middle, fovy = self._replay.outside_view(t, T_world_goal)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
@@ -204,24 +181,21 @@ class SceneView:
         camera.near = NEAR * float(np.linalg.norm(middle - T[:3, 3]))
 
 
+def _square(edge_m: float) -> tuple[Array, Array]:
+    return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+
+
 def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
     handle.position, handle.wxyz = T[:3, 3], quaternion_wxyz(T[:3, :3])
 
 
-# The servo camera's picture in the browser: reduced, with markers, goals and numbers drawn in, not more often than needed.
-WIDTH, EYE_HEIGHT = 400, 320
-"""The picture in the panel is at most as large [px]."""
-FRUSTUM_WIDTH = 160
-"""Width of the one in the frustum [px]."""
+WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px]
+FRUSTUM_WIDTH = 160  # width of the one in the frustum [px]
 JPEG_QUALITY = 70
 
 
 class Eye:
-    """The picture of a run.
-
-    Args:
-        gui: where it is added, in the container that is open. scenario: the experiment. replay: draws what the run did not.
-    """
+    """The picture of a run. gui: where it is added, in the container that is open. replay: draws what the run did not."""
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, replay: Replay):
         camera = scenario.camera
@@ -248,11 +222,9 @@ class Eye:
         self._shown.remove()
 
 
-# Curves that grow with a run: the judged error, the commanded twist, the joints; of bounded length.
 MOST = 1200
 """Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
-PLOT_HEIGHT = 150
-"""Of a plot [px]."""
+PLOT_HEIGHT = 150  # of a plot [px]
 THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width": 1}, "grid": {"width": 1, "stroke": "#e3e6ea"}}
 AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
 
@@ -262,7 +234,7 @@ class Curves:
 
     def __init__(self, columns: int):
         self._rows = np.empty((MOST, columns))
-        self._count, self._every, self._skipped = 0, 1, 0
+        self.clear()
 
     def add(self, row: Array) -> None:
         """One more row, the first number of which is the time; only every k-th is kept once the run is long."""
@@ -288,15 +260,10 @@ class Curves:
 
 
 class Plots:
-    """The plots of a run.
-
-    Args:
-        gui: where they are added, in the container that is open. scenario: the experiment. unit: of the judged error.
-    """
+    """The plots of a run. gui: where they are added, in the container that is open. unit: of the judged error."""
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, unit: str):
-        joints = len(scenario.robot.joints)
-        self._joints = joints
+        self._joints = joints = len(scenario.robot.joints)
         self._curves = Curves(8 + joints)
         self._error = _plot(gui, f"judged error [{unit}]", ["error"], [LINE_COLORS[0]], log=True)
         key = " · ".join(f'<span style="color:{color}">{axis}</span>' for axis, color in zip("xyz", AXIS_COLORS, strict=True))
@@ -355,17 +322,11 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
 
 SCENE_S, PLOTS_S = 1 / 30, 1 / 4
 """Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`."""
-VIEW_WIDTH, PANEL_WIDTH = 340, 330
-"""Widths of the panels beside the scene [px]."""
+VIEW_WIDTH = 340  # of the panel beside the scene [px]
 
 
 class LiveView:
-    """What pages show of a run besides its panel: scene, picture and plots.
-
-    Args:
-        server: of the pages. scenario: the experiment. first: the first sample.
-        recorded: the samples have no pictures; they are drawn again.
-    """
+    """What pages show of a run besides its panel: scene, picture and plots. recorded: pictures are drawn again."""
 
     def __init__(self, server: viser.ViserServer, scenario: Scenario, first: Sample, recorded: bool = False):
         self._server, self._recorded = server, recorded
@@ -384,7 +345,9 @@ class LiveView:
             self.eye.remove()
             self.plots.remove()
         scenario, self._unit = self._scenario, first.unit
-        self._replay = _replay_of(scenario)
+        parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
+        share = min(1.0, WIDTH / scenario.camera.width)  # the servo camera makes pictures as large as they are shown
+        self._replay = Replay(*parts, shadows=False, sights=scenario.sights, share=share)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:
             self.eye = Eye(self._server.gui, scenario, self._replay)
@@ -416,7 +379,7 @@ class LiveView:
         """Send what is due; `now`: everything. tell: writes what the page says of the sample, which goes with its picture alone."""
         if not self._server.get_clients() and not now:  # nobody looks
             return
-        pictured = now or self._has_picture(sample)
+        pictured = now or sample.film.image is not None or (self._recorded and self._due("picture", PICTURE_S))
         if pictured or self._due("scene", SCENE_S):
             with self._server.atomic():
                 self.scene.show(sample, self.eye.draw(sample) if pictured else None)
@@ -425,10 +388,6 @@ class LiveView:
         if now or self._due("plots", PLOTS_S):
             self.plots.draw()
             self.scene.draw_trail()
-
-    def _has_picture(self, sample: Sample) -> bool:
-        """Whether a sample has a picture, or one is to be drawn for it."""
-        return sample.film.image is not None or (self._recorded and self._due("picture", PICTURE_S))
 
     def _due(self, what: str, period_s: float) -> bool:
         """Whether something was not sent for a while; it is to be sent now."""
@@ -444,18 +403,8 @@ class LiveView:
             self._replay.close()
 
 
-def _replay_of(scenario: Scenario) -> Replay:
-    """The scene again, whose servo camera makes pictures as large as they are shown."""
-    parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
-    return Replay(*parts, shadows=False, sights=scenario.sights, share=min(1.0, WIDTH / scenario.camera.width))
-
-
 class Gizmo:
-    """A handle in the scene at which something is dragged.
-
-    Args:
-        server: of the pages. name: in the scene. T: pose (4, 4). size_m: its length. dragged: called with the pose, from another thread.
-    """
+    """A handle in the scene at which something is dragged. T: pose (4, 4). dragged: called with the pose, from another thread."""
 
     def __init__(self, server: viser.ViserServer, name: str, T: Array, size_m: float, dragged: Any):
         self._handle = server.scene.add_transform_controls(

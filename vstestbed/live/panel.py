@@ -20,9 +20,6 @@ from vstestbed.live.run import Inbox, LiveRun, Sample, Transport
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import read_value
 
-# The fields of a scenario that a page has controls for, found by the types and bounds of its own specs.
-
-
 Control = Literal["slider", "number", "choice", "switch"]
 BLOCKS = ("law", "camera", "robot", "timing", "noise", "calibration", "detector")
 """Blocks of a scenario whose fields get controls; the others define what the experiment is."""
@@ -50,19 +47,13 @@ HIGH = {
 }
 """Right ends of sliders: far over what is usual, far under what is valid."""
 GAIN_HIGH, GAIN_TIMES = 4.0, 4.0
-"""Right end of a gain's slider, at least this many times its value at the start."""
 DISTORTION_END = 0.4
 STEPS = 200
 
 
 @dataclass(frozen=True)
 class Field:
-    """One control: the path of its field, what it is, its value in force.
-
-    Attributes:
-        path: dotted, as `--set` takes it. control: what shows it. value: number, word or truth.
-        low, high, step: of a slider. choices: of a menu. whole: whether the number is a whole one. is_gain: of a law or a loop.
-    """
+    """One control. path: dotted, as `--set` takes it. value: in force. low, high, step: of a slider. is_gain: of a law or a loop."""
 
     path: str
     control: Control
@@ -107,7 +98,6 @@ def fields_of(scenario: Scenario) -> list[Field]:
 
 
 def _kinds(path: str, hint: Any, value: Any) -> list[Field]:
-    """The menu of a block's kinds, where there are several."""
     rooms = [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, OneOf)]
     if not rooms or len(rooms[0].members) < 2:
         return []
@@ -115,7 +105,6 @@ def _kinds(path: str, hint: Any, value: Any) -> list[Field]:
 
 
 def _inside(path: str, value: Any) -> Iterator[Field]:
-    """Controls of the fields of a block, and of the blocks in it."""
     hints = typing.get_type_hints(type(value), include_extras=True)
     for field in dataclasses.fields(value):
         inner = f"{path}.{field.name}"
@@ -124,7 +113,6 @@ def _inside(path: str, value: Any) -> Iterator[Field]:
 
 
 def _of(path: str, hint: Any, value: Any) -> Iterator[Field]:
-    """Controls of one field."""
     base, metadata = _opened(hint)
     if typing.get_origin(base) is Literal:
         yield Field(path, "choice", str(value), choices=tuple(str(word) for word in typing.get_args(base)))
@@ -143,7 +131,6 @@ def _of(path: str, hint: Any, value: Any) -> Iterator[Field]:
 
 
 def _opened(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A type without None and its metadata, and the metadata."""
     metadata: tuple[Any, ...] = ()
     while True:
         if typing.get_origin(hint) in (typing.Union, UnionType):
@@ -159,7 +146,6 @@ def _opened(hint: Any) -> tuple[Any, tuple[Any, ...]]:
 
 
 def _bounds(metadata: tuple[Any, ...]) -> tuple[float, float]:
-    """Smallest and largest number that a field's type allows."""
     lows, highs = [float("-inf")], [float("inf")]
     for m in metadata:
         if isinstance(m, Within):
@@ -183,34 +169,20 @@ def _number(path: str, value: float, metadata: tuple[Any, ...], whole: bool) -> 
         return Field(path, "number", value, whole=whole)
     low, top = _bounds(metadata)
     high = min(max(high, value), top)
-    step = _round_step(high / STEPS)
-    left = -high if low < 0 else min(step, value) if _positive(metadata) else 0.0
+    power = 10.0 ** int(f"{high / STEPS:e}".partition("e")[2])
+    step = next(m * power for m in (5, 2, 1) if m * power <= high / STEPS * (1 + 1e-9))
+    positive = any(isinstance(m, Gt) and float(m.gt) == 0 for m in metadata)  # pyright: ignore[reportArgumentType] - bounds of numbers
+    left = -high if low < 0 else min(step, value) if positive else 0.0
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
-def _positive(metadata: tuple[Any, ...]) -> bool:
-    return any(isinstance(m, Gt) and float(m.gt) == 0 for m in metadata)  # pyright: ignore[reportArgumentType] - bounds of numbers
-
-
-def _round_step(step: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not larger."""
-    power = 10.0 ** int(f"{step:e}".partition("e")[2])
-    return next(m * power for m in (5, 2, 1) if m * power <= step * (1 + 1e-9))
-
-
-# The controls of a scenario's fields: what they ask for goes to the inbox, what is in force comes back into them.
-Ask = Callable[[str, object], None]
-"""Ask for a setting: path and value."""
-DIGITS = 9
-"""To which a slider's number is rounded: the browser adds up steps."""
+Ask = Callable[[str, object], None]  # ask for a setting: path and value
+DIGITS = 9  # to which a slider's number is rounded: the browser adds up steps
 
 
 class Controls:
     """The controls of a scenario: those that a person turns first, and the others in folders, one a block, which are closed.
-
-    Args:
-        gui: where they are added, in the container that is open. scenario: the experiment. ask: told what a page sets, at once and
-            from another thread. waits: whether what was asked for a path is still to come.
+    ask: told what a page sets, at once and from another thread. waits: whether what was asked for a path is still to come.
     """
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, ask: Ask, waits: Callable[[str], bool]):
@@ -262,67 +234,49 @@ class Controls:
 
         async def asked(event: viser.GuiEvent[Any]) -> None:  # async: run at once and in order, not in a pool of threads
             if event.client is not None:
-                self._ask(field.path, _plain(field, event.target.value))
+                value = event.target.value
+                value = read_value(value) if field.control == "choice" else value
+                self._ask(field.path, round(value, DIGITS) if isinstance(value, float) and field.control != "choice" else value)
 
         handle.on_update(asked)
         self._handles[_key(field)] = field, handle
         return handle
 
 
-KIND_AND_NUMBER = {"law.gain"}
-"""Fields whose kind has a menu, and whose number a slider."""
+KIND_AND_NUMBER = {"law.gain"}  # fields whose kind has a menu, and whose number a slider
 
 
 def _key(field: Field) -> str:
     return f"{field.path}.kind" if field.control == "choice" else field.path
 
 
-def _plain(field: Field, value: Any) -> object:
-    if field.control == "choice":
-        return read_value(value)
-    return round(value, DIGITS) if isinstance(value, float) else value
-
-
 SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}
-LAW = "law"
-"""Of what is changed by hand, that which a scenario can repeat, though from the start alone."""
-SLOWER = 0.95
-"""Share of the asked pace under which the page says that the machine is slower."""
-PUSH_S = 0.2
-"""How long a push lasts [s]."""
+LAW = "law"  # of what is changed by hand, that which a scenario can repeat, though from the start alone
+SLOWER = 0.95  # share of the asked pace under which the page says that the machine is slower
+PUSH_S = 0.2  # how long a push lasts [s]
 
 
-class TransportPanel:
-    """Play, pause, step, reset, speed.
+def transport_panel(gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]) -> None:
+    """Play, pause, step, reset, speed."""
+    orders = {"play": lambda: transport.play(True), "pause": lambda: transport.play(False), "step": transport.step, "reset": reset}
+    buttons = gui.add_button_group("run", tuple(orders), hint="step: one frame, then pause; reset: from the start")
 
-    Args:
-        gui: where they are added. inbox: takes what pages ask for. transport: obeys it. reset: begins again.
-    """
+    async def clicked(event: viser.GuiEvent[Any]) -> None:
+        inbox.put(orders[event.target.value])
 
-    def __init__(self, gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset: Callable[[], None]):
-        orders = {"play": lambda: transport.play(True), "pause": lambda: transport.play(False), "step": transport.step, "reset": reset}
-        buttons = gui.add_button_group("run", tuple(orders), hint="step: one frame, then pause; reset: from the start")
+    buttons.on_click(clicked)
+    speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time")
 
-        async def clicked(event: viser.GuiEvent[Any]) -> None:
-            inbox.put(orders[event.target.value])
+    async def asked(event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            wanted = SPEEDS[event.target.value]
+            inbox.put(lambda: transport.set_speed(wanted), "speed")
 
-        buttons.on_click(clicked)
-        speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time")
-
-        async def asked(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                wanted = SPEEDS[event.target.value]
-                inbox.put(lambda: transport.set_speed(wanted), "speed")
-
-        speed.on_update(asked)
+    speed.on_update(asked)
 
 
 class StatusLine:
-    """The state of a run in words, and what was last refused or done.
-
-    Attributes:
-        message: what was last refused or done, in Markdown.
-    """
+    """The state of a run in words, and what was last refused or done (`message`, in Markdown)."""
 
     def __init__(self, gui: viser.GuiApi):
         self._state, self._hand, self._said = (gui.add_markdown("") for _ in range(3))
@@ -346,7 +300,6 @@ class StatusLine:
 
 
 def _told(by_hand: tuple[str, ...]) -> str:
-    """What a run has that its scenario has not."""
     if not by_hand:
         return ""
     if by_hand == (LAW,):
@@ -369,16 +322,12 @@ def _state(sample: Sample, transport: Transport) -> str:
 
 
 class HandPanel:
-    """What is done by hand: a push, the target at a gizmo, a plate before a marker.
-
-    Args:
-        gui: where it is added. inbox: takes what pages ask for. run: to which it is done. gizmo: shows or hides the target's and the
-            plate's gizmos (target, plate).
-    """
+    """What is done by hand: a push, the target at a gizmo, a plate before a marker. gizmo: shows or hides one (target, plate)."""
 
     def __init__(self, gui: viser.GuiApi, inbox: Inbox, run: LiveRun, gizmo: Callable[[str, bool], None]):
         with gui.add_folder("by hand", expand_by_default=False):
-            force = gui.add_vector3("force [N]", push_of(run), hint=f"along world axes, for {PUSH_S:g} s at the flange")
+            well = 0.0, round(run.session.weight_n / 2, 1), 0.0  # moves the robot, and breaks nothing
+            force = gui.add_vector3("force [N]", well, hint=f"along world axes, for {PUSH_S:g} s at the flange")
             on_click(gui.add_button("push the robot"), inbox, lambda: run.push(np.array(force.value), PUSH_S))
             target = gui.add_checkbox("drag the target", False)
             plate = gui.add_checkbox("hold a plate", False)
@@ -409,17 +358,8 @@ class HandPanel:
         return asked
 
 
-def push_of(run: LiveRun) -> tuple[float, float, float]:
-    """A force that moves the robot well and breaks nothing [N]."""
-    return (0.0, round(run.session.weight_n / 2, 1), 0.0)
-
-
 class RunPanel:
-    """The whole panel of a live run.
-
-    Args:
-        gui: where it is added. inbox: takes what pages ask for. run: obeys. set_, gizmo, reset, save: do what is asked for.
-    """
+    """The whole panel of a live run."""
 
     def __init__(
         self,
@@ -433,7 +373,7 @@ class RunPanel:
         save: Callable[[], None],
     ):
         self.status = StatusLine(gui)
-        TransportPanel(gui, inbox, run.transport, reset)
+        transport_panel(gui, inbox, run.transport, reset)
         self.controls = Controls(gui, run.settings.scenario, lambda path, value: inbox.put(lambda: set_(path, value), path), inbox.waits)
         with gui.add_folder("any other field", expand_by_default=False):
             field, value = gui.add_text("field", "goal.T_camera_target.xyz"), gui.add_text("value", "[0, 0, 0.8]")

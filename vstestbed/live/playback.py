@@ -13,7 +13,7 @@ import viser
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.live.app import IDLE_S
 from vstestbed.live.page import LiveView
-from vstestbed.live.panel import StatusLine, TransportPanel
+from vstestbed.live.panel import StatusLine, transport_panel
 from vstestbed.live.run import Sample, Served, Transport, sample
 from vstestbed.live.server import LocalServer
 from vstestbed.loop.columns import TWIST
@@ -22,19 +22,11 @@ from vstestbed.report.video.film import ending_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.dump import load_run
 
-SLIDER = "slider"
-"""Key of the orders of the time slider."""
+SLIDER = "slider"  # key of the orders of the time slider
 
 
 class Recorded:
-    """The samples of a recorded run.
-
-    Args:
-        folder: the run's. plugins: as `--plugin`.
-
-    Raises:
-        RunFolderError: no run, a damaged one, or one without frames.
-    """
+    """The samples of a recorded run. Raises RunFolderError: no run, a damaged one, or one without frames."""
 
     def __init__(self, folder: Path, plugins: Sequence[str] = ()):
         self.scenario = load_run(folder, plugins)
@@ -46,7 +38,6 @@ class Recorded:
         self.t = self._table[:, self._columns.index("t")]
 
     def __len__(self) -> int:
-        """Number of frames."""
         return len(self._table)
 
     def sample(self, i: int) -> Sample:
@@ -64,17 +55,7 @@ class Recorded:
 
 
 class PlaybackApp(Served):
-    """A recorded run in the browser.
-
-    Args:
-        folder: the run's. port: to listen at; None for a free one. plugins: as `--plugin`.
-
-    Attributes:
-        recorded: the run. i: number of the frame that is shown. transport: play, pause, step, speed. address: of the page.
-
-    Raises:
-        RunFolderError: no run, a damaged one, or one without frames. ParameterError: the port is taken.
-    """
+    """A recorded run in the browser, at `address`; i: number of the frame that is shown. Errors: those of `Recorded` and `LiveApp`."""
 
     def __init__(self, folder: Path, port: int | None = None, plugins: Sequence[str] = ()):
         self.recorded, self.i = Recorded(folder, plugins), 0
@@ -86,7 +67,7 @@ class PlaybackApp(Served):
         self._view = LiveView(self._server, self.recorded.scenario, self._sample, recorded=True)
         gui = self._server.gui
         self._status = StatusLine(gui)
-        TransportPanel(gui, self._inbox, self.transport, lambda: self.go_to(0))
+        transport_panel(gui, self._inbox, self.transport, lambda: self.go_to(0))
         last = float(self.recorded.t[-1])
         self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
         self._slider.on_update(self._asked)

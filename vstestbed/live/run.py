@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import functools
 import itertools
@@ -35,29 +36,14 @@ from vstestbed.targets.picture import TEXTURE, textures
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
-# The settings of a live run: a scenario and what was changed of it, checked as `--set` is.
-
-
 SEED = "seed"
 """The setting that draws start and noise as `--seed` does; None for the scenario's own start."""
 DISTORTION = "camera.distortion"
 TEXTS = {"name", "description", "plugins"}
-"""Blocks whose texts are none of the words that other fields may have."""
 
 
 class Settings:
-    """A scenario and the settings that replace values of it.
-
-    Args:
-        name: path of a YAML file, or a bundled scenario's name. overrides: settings from the start, by dotted path.
-        seed: as `--seed`. plugins: as `--plugin`.
-
-    Attributes:
-        scenario: with all settings in force. seed: in force.
-
-    Raises:
-        ScenarioError, PluginError: as `load`.
-    """
+    """A scenario, and the settings that replace values of it from the start, by dotted path; seed, plugins and errors as of `load`."""
 
     def __init__(
         self, name: str | Path, overrides: Mapping[str, object] | None = None, seed: int | None = None, plugins: Sequence[str] = ()
@@ -69,13 +55,8 @@ class Settings:
         self._given = frozenset(text for block, value in given.items() if block not in TEXTS for _, text in _texts(value, block))
 
     def change(self, path: str, value: object) -> Scenario:
-        """Set a field, and load the scenario again; what is refused changes nothing.
-
-        Args:
-            path: dotted, such as `law.gain`. value: as YAML would read it; a bare word for a block of that kind.
-
-        Raises:
-            ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text in it that may name a file.
+        """Set a field, and load the scenario again; what is refused changes nothing. value: as YAML would read it.
+        Raises ScenarioError: all mistakes that the new value makes, as `--set` tells them; a text in it that may name a file.
         """
         self._refuse_new_texts(path, value)
         overrides, seed = self._overrides, self.seed
@@ -89,21 +70,20 @@ class Settings:
         self._overrides, self.seed, self.scenario = overrides, seed, scenario
         return scenario
 
-    def copy(self) -> Settings:
-        """The same settings, which later changes leave alone."""
-        return copy.copy(self)  # `change` replaces its parts, and writes into none
-
     def _refuse_new_texts(self, path: str, value: object) -> None:
-        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named.
-
-        So a page can name no file, and run no code, that the command line did not name, whichever field it is in, also of a plugin.
+        """Refuse a text that is neither a word of vstestbed or of its plugins, nor in the scenario that the command line named: so a page
+        can name no file, and run no code, that the command line did not name, whichever field it is in, also of a plugin.
         """
         if path.split(".")[0] == "plugins":
             raise ScenarioError([Mistake("page", path, "can be given on the command line alone (--plugin)")])
         found = absolute_files({path: value}, Path.cwd())[path]  # as the scenario has the names of files
         block = path.rpartition(".")[2]
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
-            known = self._given | (_textures() if key in FILE_FIELDS else _words())
+            known = self._given | (
+                {f"{TEXTURE}{name}" for name in textures()}
+                if key in FILE_FIELDS
+                else _words(sum(len(room.members) for room in ROOMS), len(SPECS))
+            )
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
                 if block in TEXTS or not hint.startswith("did you mean"):
@@ -125,11 +105,7 @@ class Settings:
 
     def keep(self, note: str = "") -> Path:
         """Write the scenario that repeats these settings from the start, `runs/<scenario>/live/<number>/scenario.yaml`.
-
-        note: joins the description, such as what was changed by hand meanwhile.
-
-        Raises:
-            OutputError, EnvironmentLackError: it cannot be written.
+        note: joins the description, such as what was changed by hand meanwhile. Raises OutputError, EnvironmentLackError.
         """
         scenario = self.scenario.but(description=f"{self.scenario.description} {note}".strip()) if note else self.scenario
         return write_whole(numbered(Path("runs") / file_word(scenario.name) / "live") / GIVEN, given_text(scenario))
@@ -147,25 +123,14 @@ def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
         yield key, str(value)
 
 
-def _textures() -> frozenset[str]:
-    """The bundled textures, which every scenario may name."""
-    return frozenset(f"{TEXTURE}{name}" for name in textures())
-
-
-def _words() -> frozenset[str]:
-    """The kinds, and the words between which a field has the choice."""
-    return _words_with(sum(len(room.members) for room in ROOMS), len(SPECS))
-
-
 @functools.lru_cache(maxsize=1)
-def _words_with(kinds: int, specs: int) -> frozenset[str]:
-    """Those of so many kinds and specs: a plugin adds some."""
+def _words(kinds: int, specs: int) -> frozenset[str]:
+    """The kinds, and the words between which a field has the choice, of so many kinds and specs: a plugin adds some."""
     choices = {word for cls in SPECS for field in fields_of(cls) for word in _choices(hint_of(cls, field))}
     return frozenset(choices | {kind for room in ROOMS for kind in room.members})
 
 
 def _choices(hint: Any) -> Iterator[str]:
-    """The words of the choices in a type."""
     if typing.get_origin(hint) is Literal:
         yield from filter(lambda word: isinstance(word, str), typing.get_args(hint))
     else:
@@ -222,21 +187,15 @@ class Served:
         self._inbox.put(lambda: None)
 
 
-# Play, pause, single steps, and the pace: simulated time against the clock on the wall.
 LATE_S = 0.25
 """How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
-MEASURED_S = 2.0
-"""Time on the wall over which the pace is measured."""
+MEASURED_S = 2.0  # time on the wall over which the pace is measured
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What a page shows of one frame.
-
-    Attributes:
-        number: of the frame. film: poses, markers, picture. twist: commanded camera twist (6,), NaN where unknown.
-        judged: the error by which the task is judged, in `unit`. verdict: how the run ended with it; None while it goes on.
-        T_world_goal: the camera's pose (4, 4) at its goal, if it has one.
+    """What a page shows of one frame. twist: commanded (6,), NaN where unknown. judged: the error by which the task is judged, in `unit`.
+    T_world_goal: the camera's pose (4, 4) at its goal, if it has one. verdict: how the run ended with it; None while it goes on.
     """
 
     number: int
@@ -249,14 +208,7 @@ class Sample:
 
 
 class Transport:
-    """Whether time goes on, and how fast.
-
-    Attributes:
-        playing: frames follow each other by themselves. speed: simulated seconds a second; inf for as fast as the machine can.
-
-    Args:
-        clock: the time on the wall [s], monotonic.
-    """
+    """Whether time goes on (`playing`), and how fast: `speed` in simulated seconds a second, inf for as fast as the machine can."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
@@ -326,20 +278,11 @@ PLATE_RADII, LEAST_PLATE_M = 5.0, 0.06
 """Edge of the plate in reserve: so many radii of a marker, but at least so much [m]."""
 PICTURE_S, REST = 1 / 15, 2.5
 """Least time on the wall between two whole pictures [s], and over the time that a frame with one took."""
-NEAR_MARKER = 0.75
-"""Where the plate is held, as a share of the way from the camera to the marker."""
+NEAR_MARKER = 0.75  # where the plate is held, as a share of the way from the camera to the marker
 
 
 class LiveRun:
-    """A run that can be stopped, stepped, tuned and disturbed.
-
-    Args:
-        settings: the scenario, and what is changed of it.
-
-    Attributes:
-        transport: play, pause, step, speed. last: the last frame, as pages show it. frames: how many there were.
-        restarts: counts the episodes. session: of the present one.
-    """
+    """A run that can be stopped, stepped, tuned and disturbed. frames: how many there were. restarts: counts the episodes."""
 
     def __init__(self, settings: Settings):
         self.settings, self.transport = settings, Transport()
@@ -395,12 +338,8 @@ class LiveRun:
         self._show(frame)
 
     def change(self, path: str, value: object) -> bool:
-        """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one.
-
-        Raises:
-            VstestbedError: the setting is refused; everything stays as it was.
-        """
-        before = self.settings.copy()
+        """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one."""
+        before = copy.copy(self.settings)  # `change` replaces its parts, and writes into none
         now = self.settings.change(path, value)
         try:
             return self._put_in_force(before.scenario.resolved, now.resolved)
@@ -411,16 +350,11 @@ class LiveRun:
     def _put_in_force(self, before: Scenario, now: Scenario) -> bool:
         if now == before:
             return False
-        if not self.ended and replace(now, law=before.law) == before and self._retuned(now.law):
-            return False
+        if not self.ended and replace(now, law=before.law) == before:
+            with contextlib.suppress(ParameterError):  # of another kind or feature: its memory begins anew
+                self.session.retune(now.law)
+                return False
         self.restart()
-        return True
-
-    def _retuned(self, law: Any) -> bool:
-        try:
-            self.session.retune(law)
-        except ParameterError:  # of another kind or feature: its memory begins anew
-            return False
         return True
 
     def push(self, force: Array, duration_s: float) -> None:
@@ -458,20 +392,15 @@ class LiveRun:
             raise ParameterError("run", "has ended; reset it first")
 
     def _show(self, frame: Frame) -> None:
-        self.frame, self.last = frame, sample_of(self.scenario, frame)
+        s, film = self.scenario, FilmFrame.of_frame(frame)
+        values = dict(zip(s.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
+        self.frame, self.last = frame, sample(s, film, values, frame.timing.number, frame.twist, frame.goal.view, frame.verdict)
         self.frames += 1
         self.transport.passed(frame.t)
 
     def close(self) -> None:
         """Free the simulation."""
         self.session.close()
-
-
-def sample_of(scenario: Scenario, frame: Frame) -> Sample:
-    """A frame of a session as pages show it."""
-    film = FilmFrame.of_frame(frame)
-    values = dict(zip(scenario.own_columns, frame.row.tolist(), strict=True)) | {"error_px": frame.error.rms_px}
-    return sample(scenario, film, values, frame.timing.number, frame.twist, frame.goal.view, frame.verdict)
 
 
 def sample(scenario: Scenario, film: FilmFrame, values: dict[str, float], number: int, twist: Array, view: int, verdict: Any) -> Sample:

@@ -41,8 +41,7 @@ class Gate:
     names this machine (`Host`), and the scheme, host and port of its page (`Origin`), which browsers always state, are the very same;
     one to open a socket has to state them.
 
-    Attributes:
-        secret: of this start of the server. stands: whether a server asks it.
+    secret: of this start of the server. stands: whether a server asks it.
     """
 
     def __init__(self) -> None:
@@ -81,8 +80,6 @@ class Gate:
                 module.serve = serve
 
     def _before(self, answer: Callable[[ServerConnection, Request], Response | None]) -> Callable[..., Response | None]:
-        """Viser's answer to a request, for those who are served."""
-
         def answered(connection: ServerConnection, request: Request) -> Response | None:
             if (words := self.refusal(request)) is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{words}\n")
@@ -97,16 +94,8 @@ class Gate:
 
 
 class LocalServer(viser.ViserServer):
-    """A server on 127.0.0.1; never shared with other machines.
-
-    Args:
-        port: to listen at; None for a free one. label: title of the panel.
-
-    Attributes:
-        address: of the page, with the secret without which nothing is served.
-
-    Raises:
-        ParameterError: the port is taken, or may not be used. EnvironmentLackError: this version of viser cannot be guarded.
+    """A server on 127.0.0.1, never shared with other machines; `address` holds the secret without which nothing is served.
+    Raises ParameterError: the port is taken, or may not be used. EnvironmentLackError: this version of viser cannot be guarded.
     """
 
     def __init__(self, port: int | None, label: str):
@@ -133,7 +122,6 @@ class LocalServer(viser.ViserServer):
 
 
 def _parts(path: str) -> tuple[str, str]:
-    """The first part of a request's path, and the others."""
     first, _, others = path.partition("?")[0].removeprefix("/").partition("/")
     return first, others
 
@@ -151,7 +139,6 @@ def _told(handler: Callable[[ServerConnection], Awaitable[None]]) -> Callable[[S
 
 
 def _tell_failed(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Tell in a line what a message made fail, such as one with a text for a number."""
     if (error := context.get("exception")) is None:
         loop.default_exception_handler(context)
     else:

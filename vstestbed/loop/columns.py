@@ -15,18 +15,15 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST
 
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-Kept = Mapping[str, Any]
-"""The numbers and arrays of a frame that enter the log, by name; no picture."""
-Stacked = Mapping[str, Array]
-"""The same for n frames, stacked along the first axis."""
+Kept = Mapping[str, Any]  # the numbers and arrays of a frame that enter the log, by name; no picture
+Stacked = Mapping[str, Array]  # the same for n frames, stacked along the first axis
 Block = tuple[tuple[str, ...], Callable[[Stacked], Array]]
-"""Names of columns side by side, and their values (n, columns)."""
 
 
 def kept(frame: Frame) -> Kept:
     """The numbers and arrays of a frame from which `Layout.rows` makes a row."""
     seen, truth, goal = frame.observation, frame.truth, frame.goal
-    numbers: dict[str, Any] = {
+    numbers = {
         "t": frame.timing.t,
         "frame": frame.timing.number,
         "lost": frame.error.lost,
@@ -56,18 +53,15 @@ def kept(frame: Frame) -> Kept:
 class Layout:
     """The columns of a scenario's log, and how frames become rows of numbers.
 
-    Measurements and truth (act_, q_, ctrl_, ...) are those of the exposure at t. The command cmd_ was computed from that picture and
-    is in force from t_cmd on, when it reaches the robot. applied_ is the twist after the robot's joint limits
-    and singularity damping; scale is the product of the law's own scale factor and the robot's.
-    For a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and about it.
-    The robot's and the task's own columns follow (`Robot.log`, `Task.monitor`); then, of a law with `modes`, the number of the one
-    in which it was; last, the columns of time stamps and losses (`Timing.columns`), and of the exposure
-    (`Camera.columns`).
+    Measurements and truth (act_, q_, ctrl_, ...) are those of the exposure at t. The command cmd_ was computed from that picture and is in
+    force from t_cmd on. applied_ is the twist after the robot's joint limits and singularity damping; scale is the product of the law's
+    scale factor and the robot's. Of a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and
+    about it. The robot's and the task's columns follow, the number of the law's mode, time stamps and losses, and those of the exposure.
     """
 
     def __init__(self, scenario: Scenario):
         robot, goal = scenario.robot, scenario.goal
-        self._camera, self._believed = scenario.camera, scenario.believed_camera
+        self._camera, self._believed, self._rays = scenario.camera, scenario.believed_camera, len(scenario.camera.panels) > 1
         self._T_camera_base, self._planar = inverse(scenario.camera.mount.T), robot.base == "planar"
         exact = scenario.calibration.camera_exact and scenario.calibration.depth_exact
         # With a wrong calibration the law's goal is not the true one, from which errors count; along a path it is the one of its time.
@@ -81,12 +75,11 @@ class Layout:
     def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
         """All columns in their order, which existing logs fix."""
         robot = scenario.robot
-        rays = len(scenario.camera.panels) > 1
-        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if rays else ())
+        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if self._rays else ())
         markers = tuple(f"{name}_{i}" for i in range(scenario.rows) for name in per_marker)
         return (
             (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
-            (markers, self._markers_and_rays if rays else self._markers),
+            (markers, self._markers),
             (("error_px",), lambda k: k["error_px"][:, None]),
             (_named("cam", POSE) + _named("tgt", POSE), lambda k: _poses(k["T_camera"], k["T_target"])),
             (("position_error_m", "rotation_error_rad"), self._pose_errors),
@@ -113,11 +106,9 @@ class Layout:
         return np.concatenate([values(stacked) for _, values in self._blocks], axis=1)
 
     def _markers(self, k: Stacked) -> Array:
-        markers = (k["uv"], self._camera.project(k["p_camera"]), k["goal_uv"], k["depth"][..., None])
-        return np.concatenate(markers, axis=-1).reshape(len(k["t"]), -1)
-
-    def _markers_and_rays(self, k: Stacked) -> Array:
-        markers = (k["uv"], self._camera.project(k["p_camera"]), k["goal_uv"], k["depth"][..., None], angles(self._believed.ray(k["uv"])))
+        markers = [k["uv"], self._camera.project(k["p_camera"]), k["goal_uv"], k["depth"][..., None]]
+        if self._rays:
+            markers.append(angles(self._believed.ray(k["uv"])))
         return np.concatenate(markers, axis=-1).reshape(len(k["t"]), -1)
 
     def _pose_errors(self, k: Stacked) -> Array:

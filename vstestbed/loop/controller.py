@@ -31,24 +31,17 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision import Detector, Observer
 
-# The law's step with its result checked: a law that fails in a step orders rest from then on, and says why.
-
 
 class GuardedLaw:
-    """A law that has failed is not asked again: its robot must be stopped, whatever the law does next.
-
-    Attributes:
-        failure: what the law did, in words; "" while it works.
-    """
+    """A law that has failed is not asked again: its robot must be stopped, whatever it does next. `failure` says what it did, or is ""."""
 
     def __init__(self, law: Law[Any]):
         self._law, self.failure = law, ""
         self._mode = 0  # in which it failed: to fail is no switch
 
     def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
-        """One frame of the law; after a failure rest, with `failure` as its reason.
-
-        Whatever the law raises is its failure, a ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
+        """One frame of the law; after a failure rest, with `failure` as its reason. Whatever the law raises is its failure, a
+        ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
         """
         if not self.failure:
             stepped = self._asked(self._law.step, memory, seen, goal, basis)
@@ -65,7 +58,6 @@ class GuardedLaw:
         return memory if self.failure else made
 
     def _asked(self, method: Callable[..., Any], *given: Any) -> Any:
-        """What a method of the law returns; None where it raises, which is its failure."""
         try:
             return method(*given)
         except KeyboardInterrupt:
@@ -101,7 +93,6 @@ class GuardedLaw:
         return f"{Path(frame.f_code.co_filename).name}, line {line}"
 
 
-# The observer of a scenario.
 def observer_of(scenario: Scenario) -> Observer:
     """The observer of a scenario."""
     perturbed = scenario.perturbed()
@@ -124,7 +115,6 @@ def observer_of(scenario: Scenario) -> Observer:
 
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
-"""Why there is no measurement, where the law itself gives no reason."""
 GUESS = ": at the start they may be outside of it, hidden or too small"
 """What a robot may think of markers that it has never found; a judge that sees the truth says which it was (`lost_markers`)."""
 
@@ -137,8 +127,7 @@ def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str
 
 def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") -> str:
     """What the detector says (`why`), or which markers are not seen, by their names, in brackets; "" where they have none, or all are seen.
-
-    Where the detector has not found a single marker in any picture of the run (`found`), what may be wrong instead.
+    Where the detector has never found a marker in the run (`found`), what may be wrong instead.
     """
     if why:
         return f" ({why})"
@@ -164,8 +153,7 @@ def never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
-REST_S = 1e3
-"""Time after which a robot that stops has come to rest, whatever its way to stop [s]."""
+REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
 class Controller:
@@ -190,12 +178,8 @@ class Controller:
 
     To make one takes up to two seconds in a new process, since it imports what the first step needs; to `reset` it takes a millisecond.
 
-    Args:
-        scenario: the experiment.
-        goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
-
-    Raises:
-        ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
+    goal_images: pictures taken at its goal views, for a law or a detector that compares with them.
+    Raises ParameterError: `scenario` is not a Scenario, or it needs pictures of its goal views that are not given.
     """
 
     def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
@@ -223,17 +207,12 @@ class Controller:
 
     def reset(self) -> None:
         """Begin the task anew, as a new controller would: all memories, the clock, and a stop that was latched.
-
         The robot moves again with the next picture: call it when the cause is found, and nobody stands in its way.
-
-        Raises:
-            SessionError: another thread is in a call.
         """
         with self._alone():
             self._begin()
 
     def _begin(self) -> None:
-        """The state before the first picture."""
         s = self.scenario
         between, period = s.timing.interpolation, s.camera.period
         self.rng = s.rng(NOISE_STREAM)
@@ -283,56 +262,40 @@ class Controller:
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
-        Returns the cycle with its order: `stopped` with `reason`, or a velocity, as `setpoint` and as `twist`. It is due
-        `timing.command_latency_s` later, and with `timing.interpolation` is led to by whoever sends it (`timing.setpoints.Blend`).
-        `notes` tell of pictures that came late or twice, or did not come. A picture that comes twice changes nothing: the last cycle is
-        returned again, with the order now in force. So does one that is older than the last, where `timing` has `out_of_order` or
-        `camera_clock`.
+        Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with `reason`, or a velocity, as `setpoint` and as
+        `twist`, to which the sender leads with `timing.interpolation` (`timing.setpoints.Blend`). `notes` tell of pictures that came late or
+        twice, or did not come. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one, it is the last
+        cycle again.
 
-        Raises:
-            ParameterError: a picture of another size or kind, a reading of another robot or outside of its joints' ranges, a time that
-                goes back, a detector that needs the simulator's truth. Nothing has changed then, and the last order is still in force.
-            SessionError: another thread is in a call.
+        Raises ParameterError: a picture of another size or kind, a reading of another robot or outside of its joints' ranges, a time that
+        goes back, a detector that needs the simulator's truth. Nothing has changed then. SessionError: another thread is in a call.
         """
         with self._alone():
-            return self._step(picture, t, readings, arrived, depth)
-
-    def _step(
-        self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None, depth: DepthImage | None
-    ) -> Cycle:
-        depth = self.inputs.depth(depth)
-        (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
-        if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
-            self.refused += t < self._cycle.t
-            assert self._order is not None
-            return replace(self._cycle, order=self._order.copy(), notes=notes)  # since then, `without_picture` may have stopped it
-        at = t + self.scenario.camera.latency_s if arrived is None else arrived
-        images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
-        shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
-        self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
-        return self._cycle
+            depth = self.inputs.depth(depth)
+            (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
+            if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
+                self.refused += t < self._cycle.t
+                assert self._order is not None
+                return replace(self._cycle, order=self._order.copy(), notes=notes)  # since then, `without_picture` may have stopped it
+            at = t + self.scenario.camera.latency_s if arrived is None else arrived
+            images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
+            shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
+            self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
+            return self._cycle
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law from the next picture on; the memories of all parts stay.
-
-        law: of the same kind, feature, modes and source of depth, which the memories and the observer belong to.
-
-        Raises:
-            ParameterError: of another one, or a law that this scenario refuses. SessionError: another thread is in a call.
+        Raises ParameterError: a law of another kind, feature, modes or source of depth, or one that this scenario refuses.
         """
         with self._alone():
-            self._retune(law)
-
-    def _retune(self, law: Law[Any]) -> None:
-        for name in ("kind", "feature", "depth", "inputs", "modes"):
-            before, after = getattr(self.law, name), getattr(law, name)
-            if before != after:
-                raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's memory belongs to it")
-        self.scenario = replace(self.scenario, law=law)
-        failure = self.guarded.failure
-        self.law, self.guarded = law, GuardedLaw(law)
-        self.guarded.failure = failure  # one that has failed is not asked again
-        self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(self._start), self._start))
+            for name in ("kind", "feature", "depth", "inputs", "modes"):
+                if getattr(self.law, name) != getattr(law, name):
+                    raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's memory belongs to it")
+            self.scenario = replace(self.scenario, law=law)
+            failure = self.guarded.failure
+            self.law, self.guarded = law, GuardedLaw(law)
+            self.guarded.failure = failure  # one that has failed is not asked again
+            self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(self._start), self._start))
 
     def look(self) -> Look | None:
         """The detector's region of interest for the next picture; None for all of it."""
@@ -382,7 +345,6 @@ class Controller:
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
         """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
-
         command: a camera twist (6,), or velocities along the robot's motions (n,). A supervisor that has taken over is obeyed first.
         """
         assert self._at is not None
@@ -397,7 +359,6 @@ class Controller:
         return wanted, allocation, order
 
     def _ordered(self, t_cmd: float, order: Order) -> None:
-        """An order takes effect at t_cmd [s]."""
         self._order = order.copy()
         self.ordered.add(t_cmd, order.twist)
         if self._own_rates is not None:
@@ -407,7 +368,6 @@ class Controller:
         return mount_at(self.scenario, self.mount, q)
 
     def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
-        """The law's measurement from this picture."""
         s = self.scenario
         picture = shot.picture if s.detector.needs_image else None
         detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
@@ -429,7 +389,6 @@ class Controller:
         return self._completed(seen, shot, last, now)
 
     def _completed(self, seen: Observation, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
-        """The observation with what the law asks for besides the markers."""
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
         if self._needs_own_state:
@@ -447,7 +406,6 @@ class Controller:
         return float(np.linalg.norm(v)) * (t - before[0])
 
     def _allocate(self, command: Command, reading: Reading, mount: Mount) -> Allocation:
-        """The setpoint for a command, within the robot's limits."""
         robot, twist = self.scenario.robot, command.twist
         for share, free in command.free:
             twist = twist + share * robot.secondary_task(free, reading, mount)
@@ -477,12 +435,7 @@ class Controller:
 
     def without_picture(self, t: float, reading: Reading) -> Order:
         """The order at a time [s] at which the last picture is older than a command lasts (`timing.command_timeout_s`).
-
-        A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up.
-
-        Raises:
-            ParameterError: a time that goes back, a reading of another robot or outside of its joints' ranges.
-            SessionError: another thread is in a call.
+        A robot stops, and a craft holds; after `stop.lost_after_s` its supervisor gives the task up. Errors: as of `step`.
         """
         with self._alone():
             return self.lapsed(self.inputs.now(t), self.inputs.reading(reading))

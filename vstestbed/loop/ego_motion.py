@@ -16,16 +16,11 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.timing.setpoints import Between, Blend
 from vstestbed.vision.base import TruthView
 
-# What reaches the control step with a picture: the exposure, and the moment at which it arrives.
-
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """A picture, with the robot's sensor reading at its exposure.
-
-    Attributes:
-        number: counts frames. t: time of the exposure's middle [s]. picture: None where no detector asks for one.
-        reading: of the robot's sensors at that time. view: the truth for an oracle; None for every other detector.
+    """A picture, with the robot's sensor reading at its exposure. t: of the exposure's middle [s].
+    picture: None where no detector asks for one. view: the truth for an oracle; None for every other detector.
     """
 
     number: int
@@ -44,17 +39,13 @@ class Arrival:
     reading: Reading
 
 
-# The velocities that were ordered, integrated over time: what a robot without sensors of its motion knows about its own way.
 REMEMBERED = 500
 """Orders that are kept. The oldest time asked for is that of the last exposure but one, a few orders ago."""
 
 
 class CommandHistory:
-    """The velocities ordered so far, each in force from its time on until the next one.
-
-    Args:
-        size: number of velocities, 6 for a camera twist.
-        between: how the robot goes from one order to the next, which its controller knows (`setpoints.Blend`). over_s: in this time [s].
+    """The velocities ordered so far (size,), each in force from its time on until the next one.
+    between: how the robot goes from one order to the next (`setpoints.Blend`), in the time `over_s`.
     """
 
     def __init__(self, size: int = 6, between: Between = "hold", over_s: float = 0.0) -> None:
@@ -84,7 +75,6 @@ class CommandHistory:
         return self._orders[0][2]
 
 
-# The camera's own motion while a picture was under way, by the robot's own sensors.
 def since_exposure(robot: Robot, mount: Mount, ordered: CommandHistory, shot: Exposure, now: Arrival) -> Array:
     """How far the camera has gone since an exposure (6,), in its own frame [m, rad]; mount: as it is now."""
     # Integrated commands stand in for a robot without sensors of its motion.
@@ -94,7 +84,6 @@ def since_exposure(robot: Robot, mount: Mount, ordered: CommandHistory, shot: Ex
     return moved
 
 
-# The camera's mount as the controller believes it.
 def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     """The camera's mount; eye to hand, the camera's pose relative to the flange at the joints q (n,)."""
     if not scenario.target.on_gripper:
@@ -102,13 +91,8 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
     return Mount.facing(inverse(scenario.robot.flange_pose(q)) @ mount.T_flange_camera)
 
 
-# A robot's own velocities as its controller knows them: the model now, how far they led since the last picture, what was ordered.
 class OwnRates:
-    """Makes `Observation.robot`, and keeps the velocities that were ordered.
-
-    Args:
-        robot: the robot. period_s: time between pictures [s]. between: how it goes from one order to the next.
-    """
+    """Makes `Observation.robot`, and keeps the velocities that were ordered, one each `period_s`."""
 
     def __init__(self, robot: Robot, period_s: float, between: Between = "hold"):
         self._robot, self._period_s = robot, period_s
@@ -118,10 +102,7 @@ class OwnRates:
         self._J = np.zeros((6, 0))
 
     def model(self, last: Exposure, shot: Exposure, now: Arrival, mount: Mount) -> OwnModel:
-        """What the controller knows of its robot when a picture has arrived.
-
-        last, shot: the last exposure and this one. mount: of the camera now.
-        """
+        """What the controller knows of its robot when a picture has arrived, after the exposures `last` and `shot`."""
         model = self._robot.own_model(now.reading, mount)
         if self._ordered is None:
             self._ordered, self._last = CommandHistory(n := len(model.names), self._between, self._period_s), np.zeros(n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -35,22 +35,11 @@ from vstestbed.timing.clock import DelayLine
 from vstestbed.timing.link import directions
 from vstestbed.vision.base import goal_of_points, points_of
 
-# The witness: completes the controller's cycle to a frame, with the truth that the controller never sees.
-
-
-_NOWHERE = np.full(3, np.nan)
-"""Place and odometry of a robot that has none."""
+_NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 
 class Witness:
-    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller.
-
-    Attributes:
-        task: the task's monitor, which measures each frame.
-
-    Args:
-        scenario: the experiment. supervisor: the robot's.
-    """
+    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller."""
 
     def __init__(self, scenario: Scenario, supervisor: Supervisor):
         self.task, self._supervisor = scenario.goal.monitor(scenario.setup, supervisor), supervisor
@@ -75,7 +64,6 @@ class Witness:
         return frame
 
     def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
-        """Values of the robot's own columns."""
         if self._robot_log.columns == RobotLog.columns:
             return (self._supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
         seen, truth = frame.observation, frame.truth
@@ -84,18 +72,13 @@ class Witness:
         return self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
 
 
-PARTS = ("physics", "render", "detect", "law", "record", "video")
-"""Parts of a run's wall time."""
+PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
 class Episode:
     """One run under way: the plant, the controller, the judge, the log.
-
-    Attributes:
-        outcome: how it ended; None while it goes on. reason: in words. ended_s: simulated time of the verdict [s].
-        frame: the last frame; its command is not sent before the next `advance`.
-        plant, controller: of this run. closed: the simulation is freed.
-        by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
+    ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent before the next `advance`.
+    by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
     """
 
     def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
@@ -171,8 +154,12 @@ class Episode:
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
         took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
+        scenario = self.scenario
+        if self.by_hand:
+            words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
+            scenario = replace(scenario, description=f"{scenario.description} Changed by hand during the run: {words}.".strip())
         return Recording(
-            self._described(),
+            scenario,
             outcome,
             self.reason or outcome.value,
             rows,
@@ -192,14 +179,6 @@ class Episode:
         """Remember what a person changed, which no scenario file repeats."""
         t, times = self.by_hand.get(what, (self.frame.t if self.frame else 0.0, 0))
         self.by_hand[what] = t, times + 1
-
-    def _described(self) -> Scenario:
-        """The scenario; its description tells what was changed by hand."""
-        if not self.by_hand:
-            return self.scenario
-        words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
-        description = f"{self.scenario.description} Changed by hand during the run: {words}.".strip()
-        return replace(self.scenario, description=description)
 
     def retune(self, law: Law[Any]) -> None:
         """Go on with other parameters of the law."""
@@ -224,7 +203,6 @@ class Episode:
         self._note()
 
     def _note(self) -> None:
-        """The last frame is complete: into the log, and to the watchers."""
         assert self.frame is not None
         self._waits = False
         start = time.perf_counter()
@@ -246,7 +224,9 @@ class Episode:
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
             camera.act(step, controller.look)
-            for frame in self._arrivals(step):
+            for made in camera.line.pop_due(step):
+                if (frame := self._arrive(made, step)) is None:  # refused
+                    continue
                 silent_at = step + order_steps
                 yield frame
                 if frame.outcome is not None:
@@ -271,12 +251,6 @@ class Episode:
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
 
-    def _arrivals(self, step: int) -> Iterator[Frame]:
-        """The frames of the pictures that arrive at this step, one after the other, without those that are refused."""
-        for made in self._camera.line.pop_due(step):
-            if (frame := self._arrive(made, step)) is not None:
-                yield frame
-
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
         plant, shot = self.plant, made.shot
@@ -292,7 +266,10 @@ class Episode:
             cycle = replace(cycle, timing=replace(cycle.timing, t=shot.t, own={name: own[name] for name in columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
-        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, self._image(made))
+        image = shot.picture.image if shot.picture else None
+        if self._camera.whole and image is not None:
+            image = image.copy()  # the caller may keep it
+        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, image)
         judged = self.frame
         # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
         if self._commanded and before is not None:
@@ -310,8 +287,3 @@ class Episode:
             return {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
         control = self.scenario.camera.blurring
         return {} if control is None else dict(zip(("exposure_s", "gain"), control.first, strict=True))
-
-    def _image(self, made: Exposed) -> Image | None:
-        """The camera's own image of an exposure; a copy that the caller may keep where pictures are asked for."""
-        image = made.shot.picture.image if made.shot.picture else None
-        return image.copy() if self._camera.whole and image is not None else image

@@ -17,19 +17,13 @@ from vstestbed.robots.flight import FlightReading
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
-"""A robot's sensor readings: at the exposure, and when the picture has arrived."""
-MISSING = 1.5
-"""A picture is missing where two are further apart than this [camera periods]."""
+MISSING = 1.5  # a picture is missing where two are further apart than this [camera periods]
 OUTSIDE = 0.2
 """A joint reads outside of its range where it is this far beyond a limit [rad; m for one that slides]: no encoder is so far off."""
 
 
 class Inputs:
-    """Checks what a controller is given, and counts the pictures.
-
-    Attributes:
-        taken: number of pictures so far, each counted once.
-    """
+    """Checks what a controller is given, and counts the pictures (`taken`)."""
 
     def __init__(self, scenario: Scenario):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
@@ -40,11 +34,7 @@ class Inputs:
         self.taken = -1
 
     def reading(self, reading: Reading) -> Reading:
-        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays.
-
-        Raises:
-            ParameterError: a reading of another robot, numbers that are not finite, or a joint that is outside of its range.
-        """
+        """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays."""
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
             raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
@@ -70,11 +60,7 @@ class Inputs:
             raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
-        """A depth picture as float32 in metres, NaN in its holes, in an array of its own.
-
-        Raises:
-            ParameterError: it is missing where the law reads it, or of another size or kind.
-        """
+        """A depth picture as float32 in metres, NaN in its holes, in an array of its own; ParameterError where the law reads it."""
         if image is None and not self._reads_depth:
             return None
         wanted = self._camera.height, self._camera.width
@@ -93,31 +79,23 @@ class Inputs:
     def given(
         self, picture: Image | Sequence[Image], t: float, readings: Reading | Readings, arrived: float | None
     ) -> tuple[Readings, tuple[str, ...]]:
-        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before.
-
-        Raises:
-            ParameterError: see `Controller.step`.
-        """
+        """The readings, at the exposure and now, and what is unusual about a picture's time, in words: late, come twice, missing before."""
         if self._detector.needs_truth:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             raise ParameterError("detector", words, self._detector.kind)
         self._check_picture(picture)
-        both, t = self._both(readings), _seconds("t", "must be the time of exposure in seconds", t)
+        pair = readings if isinstance(readings, tuple) else (readings, readings)
+        if len(pair) != 2:
+            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(pair)}")
+        at_exposure = self.reading(pair[0])
+        both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
+        t = _seconds("t", "must be the time of exposure in seconds", t)
         late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
         notes = (*self._timed(t), *late)
         self._arrived = self._arrived if arrived is None else arrived
         return both, notes
 
-    def _both(self, readings: Reading | Readings) -> Readings:
-        """Readings at the exposure and now, of float64, in arrays of their own."""
-        given = readings if isinstance(readings, tuple) else (readings, readings)
-        if len(given) != 2:
-            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(given)}")
-        at_exposure = self.reading(given[0])
-        return at_exposure, at_exposure if given[1] is given[0] else self.reading(given[1])
-
     def _check_picture(self, picture: Image | Sequence[Image]) -> None:
-        """The panels' images have their number, sizes and type."""
         panels = self._camera.panels
         images = (picture,) if isinstance(picture, np.ndarray) else picture
         if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
@@ -130,7 +108,6 @@ class Inputs:
                 raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
 
     def _timed(self, t: float) -> tuple[str, ...]:
-        """Notes of a picture's time against the one before."""
         before = self._t
         if before is not None and t < before:
             if not self._refuses:
@@ -145,7 +122,6 @@ class Inputs:
         return (f"{missing} {'picture is' if missing == 1 else 'pictures are'} missing before this one",) if periods > MISSING else ()
 
     def _late(self, t: float, arrived: float | None) -> tuple[str, ...]:
-        """A note of a picture that arrived too late to be one."""
         if arrived is None:
             return ()
         words = f"must be a time after the exposure, {t:g} s"
@@ -157,7 +133,6 @@ class Inputs:
 
 
 def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Array:
-    """Finite numbers of a shape, as a new array; ParameterError with these words where they are not."""
     try:
         numbers = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -178,5 +153,4 @@ def _check_flight(reading: FlightReading) -> None:
 
 
 def _seconds(field: str, words: str, t: object) -> float:
-    """A finite time; ParameterError with these words where it is none."""
     return float(_finite(field, words, None if isinstance(t, str) else t, ()))

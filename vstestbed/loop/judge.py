@@ -26,19 +26,13 @@ from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, timed_out_words
 from vstestbed.tasks.monitors import Monitor
 from vstestbed.tasks.stop import Stop
 
-# Safety monitors, which end a run whatever its task: collision, divergence, a crossed target plane, joint limit, singularity.
-
-
-FAR_M = 200.0
-"""Distance from the target beyond which the camera has diverged [m]."""
+FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
 FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
 CROSSED_WORDS = "the camera crossed the plane of the target"
 BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it cannot see; start in front of it, or turn target.pose"
 TURNED_WORDS = "the target turned its back to the camera, or moved past it"
-BLOCKED_S = 1.0
-"""How long a limit must block the robot before the run ends [s]."""
-BLOCKED_SCALE = 0.02
-"""A command scaled to less than this is blocked by the limit."""
+BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
+BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
 
 
 class Collision:
@@ -69,9 +63,8 @@ class Divergence:
 
     def update(self, frame: Frame) -> Verdict | None:
         """Diverged, beyond FAR_M."""
-        if math.hypot(*_from_target(frame)) > FAR_M:
-            return Outcome.diverged, FAR_WORDS
-        return None
+        away = (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
+        return (Outcome.diverged, FAR_WORDS) if math.hypot(*away) > FAR_M else None
 
 
 class PlaneCrossed:
@@ -112,23 +105,15 @@ def _is_behind(frame: Frame, T_world_target: Array) -> bool:
     return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
 
 
-def _from_target(frame: Frame) -> list[float]:
-    """The camera's position from the target's origin, in world axes (3,) [m]."""
-    return (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
-
-
 def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[Monitor, ...]:
     """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
     return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided and stop.loss_ends else ()), LimitReached()
 
 
-# Where markers that are not seen were lost, by the truth: for the sentence of a run that ends as `target_lost`.
-SIDES = "left", "top", "right", "bottom"
-"""The borders of a picture, as `Camera.borders` has them."""
+SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
 SMALL = 1.5
 """A marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour."""
-POINTS = 32
-"""Points of a marker's rim."""
+POINTS = 32  # points of a marker's rim
 Before = Callable[[Array, Array], tuple[str, ...]]
 """What stands before each of points (N, 3) of a camera at a pose (4, 4) (`Plant.names_before`)."""
 
@@ -156,11 +141,7 @@ class Loss:
 
 
 class LostMarkers:
-    """Remembers of each marker that is not seen where it was lost.
-
-    Args:
-        scenario: the experiment. before: tells what stands before points.
-    """
+    """Remembers of each marker that is not seen where it was lost. before: tells what stands before points."""
 
     def __init__(self, scenario: Scenario, before: Before):
         self._scenario, self._before = scenario, before
@@ -218,7 +199,6 @@ class LostMarkers:
         return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
 
     def _loss(self, frame: Frame, i: int, name: str) -> Loss:
-        """Why marker i is not seen in a frame; name: what stands before it."""
         target, truth = self._scenario.target, frame.truth
         T_target_camera = inverse(truth.T_world_target) @ truth.T_world_camera
         if target.one_sided and T_target_camera[2, 3] >= 0:
@@ -274,7 +254,6 @@ def _minding(scenario: Scenario) -> str:
 
 
 def _takes(scenario: Scenario, law: Law[Any]) -> bool:
-    """Whether the scenario would be accepted with another law."""
     try:
         replace(scenario, law=law)
     except VstestbedError:
@@ -292,11 +271,8 @@ class Judge:
     Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
     that is reached, the safety monitors in their order, the scenario's own, a task that is missed.
 
-    Args:
-        task: the task's monitor, which has already measured the frame. stop: time limits.
-        target: the scenario's. supervisor: the robot's. own: the scenario's monitors.
-        stability: tells a run that would end as `timed_out`, and is unstable; None: no run is looked at so.
-        markers: tells where those are lost that are not seen; None: it is not said.
+    task: has already measured the frame. own: the scenario's monitors. stability: tells a run that would end as `timed_out`, and is
+    unstable. markers: tells where those are lost that are not seen.
     """
 
     def __init__(
@@ -330,9 +306,8 @@ class Judge:
         return verdict and self._told_apart(verdict)
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
-        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so.
-
-        Where the frames do not tell, the reason at least names a gain over the limit of theory.
+        """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so. Where
+        the frames do not tell, the reason at least names a gain over the limit of theory.
         """
         outcome, reason = verdict
         if self.stability is None or outcome not in (Outcome.timed_out, *DRIVEN_TO):
@@ -353,7 +328,6 @@ class Judge:
         return (Outcome.timed_out, timed_out_words(self._duration_s)) if t >= self._duration_s - 1e-9 else None
 
     def _after_abort(self, t: float, aborted: Verdict) -> Verdict | None:
-        """The abort's verdict, once the robot is at rest, or down, or the duration is over."""
         down = self._supervisor.down(t)
         if not (down or t >= self._duration_s - 1e-9):
             return None

@@ -27,22 +27,13 @@ WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into an
 PROBE_BYTES = 1_000_000
 """More than polars writes at once: a disk without room for that has none for this."""
 COMPRESSED: Final[dict[str, Any]] = {"compression": "zstd", "statistics": False, "row_group_size": BLOCK}
-"""How `log.parquet` is written."""
 HEAD = "float64: "
 """How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
 
 
 class FolderLog:
-    """The rows of a run's log in its folder (`Rows`).
-
-    Args:
-        folder: the run's. of_a_run: refuse times that do not go on, which no run logs, when they are read.
-
-    Attributes:
-        columns: names of the columns.
-
-    Raises:
-        RunFolderError: the folder has no log, or one that cannot be read.
+    """The rows of a run's log in its folder (`Rows`). of_a_run: refuse times that do not go on, which no run logs, when they are read.
+    Raises RunFolderError: the folder has no log, or one that cannot be read.
     """
 
     def __init__(self, folder: Path, of_a_run: bool = False):
@@ -65,7 +56,6 @@ class FolderLog:
 
     @property
     def _parquet(self) -> Path | None:
-        """`log.parquet`, if the run is finished."""
         whole = self._folder / "log.parquet"
         return whole if whole.is_file() else None
 
@@ -127,8 +117,10 @@ class FolderLog:
         wanted = self.columns if names is None else tuple(names)
         with self._reading():
             for block in self._parquet_blocks(self._parquet, wanted) if self._parquet else self._part_blocks(wanted):
-                if self._of_a_run:
-                    _must_be_of_a_run(block)
+                if self._of_a_run and "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
+                    raise ValueError("its times do not go on")
+                if self._of_a_run and "lost" in block and not np.isin(block["lost"], (0, 1)).all():
+                    raise ValueError("the column lost holds something else than 0 and 1")
                 yield block
 
     def frames(self, names: Sequence[str] | None = None) -> Iterator[polars.DataFrame]:
@@ -181,23 +173,9 @@ class FolderLog:
         self._part.unlink(missing_ok=True)  # only after log.parquet is complete
 
 
-def _must_be_of_a_run(block: Block) -> None:
-    """ValueError for what no run logs."""
-    if "t" in block and not (np.isfinite(block["t"]).all() and (np.diff(block["t"]) >= 0).all()):
-        raise ValueError("its times do not go on")
-    if "lost" in block and not np.isin(block["lost"], (0, 1)).all():
-        raise ValueError("the column lost holds something else than 0 and 1")
-
-
 def open_log(folder: Path, scenario: Scenario | None = None) -> FolderLog:
     """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off.
-
-    Args:
-        folder: a run's folder.
-        scenario: where given, the log must have the columns that runs of this scenario have.
-
-    Raises:
-        RunFolderError: neither is there, or neither can be read, or it is damaged or the log of another experiment.
+    Raises RunFolderError: neither can be read, or it is damaged, or lacks a column that runs of `scenario` have.
     """
     log = FolderLog(folder, of_a_run=scenario is not None)
     lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []

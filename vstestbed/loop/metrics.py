@@ -20,8 +20,7 @@ from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, OwnFigures, 
 # The parts of a run's metrics, each computed block by block: a log of a day needs no more memory than one of an hour.
 
 
-SATURATED = 0.999
-"""A command scaled under this counts as saturated."""
+SATURATED = 0.999  # a command scaled under this counts as saturated
 
 
 def side_by_side(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:
@@ -29,7 +28,7 @@ def side_by_side(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:
     return np.column_stack([log[f"{prefix}_{name}"] for name in names])
 
 
-class Counts:
+class _Counts:
     """Frames, and the values in the last one."""
 
     def __init__(self) -> None:
@@ -37,7 +36,6 @@ class Counts:
         self._last = {"t": 0.0, "error_px": math.nan, "position_error_m": math.nan, "rotation_error_rad": math.nan}
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         self._frames += len(log["t"])
         self._lost += int(log["lost"].sum())
         self._saturated += int((log["scale"] < SATURATED).sum())
@@ -45,7 +43,6 @@ class Counts:
         self._last |= {name: float(log[name][-1]) for name in names}
 
     def figures(self) -> Figures:
-        """See `Part`."""
         found: Figures = {
             "sim_time_s": self._last["t"],
             "frames": self._frames,
@@ -58,7 +55,7 @@ class Counts:
         return found | ({"final_error_grey": self._last["error_grey"]} if "error_grey" in self._last else {})
 
 
-class Convergence:
+class _Convergence:
     """Start of the last unbroken stretch in which the goal's conditions held, of a run that converged [s]."""
 
     def __init__(self, scenario: Scenario, outcome: Outcome):
@@ -66,7 +63,6 @@ class Convergence:
         self._since: float | None = None
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         if not self._asked:
             return
         over = np.flatnonzero(~_converged_frames(self._scenario, log))
@@ -77,7 +73,6 @@ class Convergence:
             self._since = float(after[0]) if len(after) else None
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return {"time_to_converge_s": self._since}
 
 
@@ -95,7 +90,7 @@ def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
     return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
 
 
-class CameraPath:
+class _CameraPath:
     """Length of the camera's path, its retreat and its turn; of a target in the gripper, of the camera relative to it."""
 
     def __init__(self, scenario: Scenario):
@@ -106,7 +101,6 @@ class CameraPath:
         self._R = np.eye(3)
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         s = self._scenario
         camera, target = side_by_side(log, "cam", ("x", "y", "z")), side_by_side(log, "tgt", ("x", "y", "z"))
         distance = np.linalg.norm(camera - target, axis=1)
@@ -123,7 +117,6 @@ class CameraPath:
         self._turn = float(np.maximum(self._turn, rotation_angle(self._R.T @ R).max()))
 
     def figures(self) -> Figures:
-        """See `Part`."""
         if self._last is None:
             nothing: Figures = {}
             return nothing | dict.fromkeys(("path_length_m", "path_ratio", "max_retreat_m", "max_rotation_deg"))
@@ -138,7 +131,7 @@ class CameraPath:
         }
 
 
-class ImagePaths:
+class _ImagePaths:
     """The paths of the true markers in the image: excursion, overshoot, margin to the border."""
 
     def __init__(self, scenario: Scenario):
@@ -150,7 +143,6 @@ class ImagePaths:
         self._margin = math.inf
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         if not self._names:
             return
         uv = np.stack([side_by_side(log, "u_true", self._names), side_by_side(log, "v_true", self._names)], axis=-1)
@@ -178,23 +170,21 @@ class ImagePaths:
         }
 
 
-class Peaks:
+class _Peaks:
     """Largest true speed and rate of the camera."""
 
     def __init__(self) -> None:
         self._peaks = np.full(2, -math.inf)
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         peaks = [np.linalg.norm(side_by_side(log, "act", names), axis=1).max() for names in (TWIST[:3], TWIST[3:])]
         self._peaks = np.maximum(self._peaks, peaks)
 
     def figures(self) -> Figures:
-        """See `Part`."""
         return {"peak_speed_mps": float(self._peaks[0]), "peak_rate_radps": float(self._peaks[1])}
 
 
-class Tracking:
+class _Tracking:
     """True errors of a moving target once settled."""
 
     def __init__(self, scenario: Scenario):
@@ -204,7 +194,6 @@ class Tracking:
         self._frames, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         settled = log["t"] >= self._settle_s
         if not (self._asked and settled.any()):
             return
@@ -215,17 +204,15 @@ class Tracking:
         self._largest = np.maximum(self._largest, [error.max() for error in errors])
 
     def figures(self) -> Figures:
-        """See `Part`."""
         names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
         if not self._frames:
             nothing: Figures = {}
             return nothing | dict.fromkeys(names)
         rms = np.sqrt(self._squares / self._frames)
-        values = (rms[0], self._largest[0], rms[1], self._largest[1])
-        return {name: float(value) for name, value in zip(names, values, strict=True)}
+        return dict(zip(names, map(float, (rms[0], self._largest[0], rms[1], self._largest[1])), strict=True))
 
 
-class Modes:
+class _Modes:
     """How a law with `modes` was switched: each change of the mode from one frame to the next is a switch."""
 
     def __init__(self, scenario: Scenario):
@@ -235,7 +222,6 @@ class Modes:
         self._switched_s: list[float] = []
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         if not self._words:
             return
         rows = np.vstack([self._last, np.column_stack([log["t"], log["law_mode"]])])
@@ -255,8 +241,7 @@ class Modes:
         }
 
 
-# Metrics of runs in which pictures come out of order, or pictures and commands are lost in bursts.
-class LinkFigures:
+class _LinkFigures:
     """Pictures that never arrived, pictures that were refused, commands that never arrived; none of a run without such effects."""
 
     def __init__(self, scenario: Scenario):
@@ -265,7 +250,6 @@ class LinkFigures:
         self._sent = 0
 
     def add(self, log: Columns) -> None:
-        """See `Part`."""
         self._used += len(log["t"])
         self._sent = max(self._sent, int(log["frame"].max()) + 1)
         if "refused" in self._columns:
@@ -274,7 +258,6 @@ class LinkFigures:
             self._commands += int(log["command_lost"].sum())
 
     def figures(self) -> Figures:
-        """See `Part`."""
         found: Figures = {"pictures_lost": max(0, self._sent - self._used - self._refused)} if self._counts_pictures else {}
         found |= {"pictures_refused": self._refused} if "refused" in self._columns else {}
         return found | ({"commands_lost": self._commands} if "command_lost" in self._columns else {})
@@ -339,18 +322,17 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
-    Args:
-        scenario: the experiment. outcome: how it ended. log: its rows, which are read a block at a time.
+    outcome: how it ended. log: its rows, which are read a block at a time.
     """
     parts: list[Part] = [
-        Counts(),
-        Convergence(scenario, outcome),
-        CameraPath(scenario),
-        ImagePaths(scenario),
-        Peaks(),
-        Tracking(scenario),
-        Modes(scenario),
-        LinkFigures(scenario),
+        _Counts(),
+        _Convergence(scenario, outcome),
+        _CameraPath(scenario),
+        _ImagePaths(scenario),
+        _Peaks(),
+        _Tracking(scenario),
+        _Modes(scenario),
+        _LinkFigures(scenario),
         Swinging(scenario),
     ]
     own = OwnFigures(scenario.metrics, scenario.setup)
@@ -362,9 +344,5 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
     ordered |= {name: figures[name] for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share") if name in figures}
-    return {name: _clean(value) for name, value in (ordered | own.figures()).items()}
-
-
-def _clean(value: object) -> object:
-    """NaN and infinity as None: JSON has neither."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    figures = (ordered | own.figures()).items()  # NaN and infinity as None: JSON has neither
+    return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in figures}

@@ -8,11 +8,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 
-import numpy as np
-
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Sight
 from vstestbed.scenario.noise import Noise, TargetNoise
 from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
@@ -44,15 +41,7 @@ def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     yield from _perturbing(noise, "picture")
 
 
-def effects_on_points(scenario: Scenario) -> Iterator[str]:
-    """The dotted paths of what a scenario does to measured points alone."""
-    noise = scenario.noise
-    yield from (f"noise.{name}" for name in ("pixel_sigma_px", "dropout") if getattr(noise, name) > 0)
-    yield from _perturbing(noise, "pixels")
-
-
 def _perturbing(noise: Noise, what: str) -> Iterator[str]:
-    """The kinds of `noise.perturb` that change this alone."""
     return (f"noise.perturb.{i}" for i, kind in enumerate(noise.perturb) if tuple(kind.changes) == (what,))
 
 
@@ -62,7 +51,8 @@ def warn_without_effect(scenario: Scenario) -> None:
     if not scenario.needs_image and (found := ", ".join(effects_on_pictures(scenario))):
         why = f"it changes pictures and detector {detector.kind} looks at none; works: a detector of pictures, such as blobs"
         _warn_once(found, why)
-    if detector.rows == 0 and (found := ", ".join(effects_on_points(scenario))):
+    on_points = [f"noise.{name}" for name in ("pixel_sigma_px", "dropout") if getattr(scenario.noise, name) > 0]
+    if detector.rows == 0 and (found := ", ".join([*on_points, *_perturbing(scenario.noise, "pixels")])):
         why = f"it changes measured points and detector {detector.kind} measures none; works: noise of the picture, noise.image_sigma"
         _warn_once(found, why)
 
@@ -74,31 +64,24 @@ def _warn_once(found: str, why: str) -> None:
 
 # The goal's pictures, taken by the simulated camera at each goal view before the run, as a robot is taught its goal by showing.
 def take_goal_images(scenario: Scenario, plant: Plant) -> tuple[Sight, ...]:
-    """The picture at each goal view; none where neither law nor detector needs them.
-
-    It is taken through the true lens, without noise and at rest, unless the scenario names a file, or other light (`GoalPicture`). The
-    plant is left in its state.
+    """The picture at each goal view; none where neither law nor detector needs them. It is taken through the true lens, without noise and
+    at rest, unless the scenario names a file, or other light (`GoalPicture`). The plant is left in its state.
     """
     if not scenario.needs_goal_image:
         return ()
     said = scenario.goal.pictures or (GoalPicture(),) * len(scenario.goal_poses)
     rng = scenario.rng(GOAL_STREAM)
-    return tuple(_pictured(scenario, plant, T, one, rng) for T, one in zip(scenario.goal_poses, said, strict=True))
-
-
-def _pictured(scenario: Scenario, plant: Plant, T_camera_target: Array, said: GoalPicture, rng: np.random.Generator) -> Sight:
-    """The file's picture, or the one from T_camera_target (4, 4) under the light of teaching."""
-    if said.source is not None:
-        return Sight(said.read(scenario.camera))
-    taken = _taken(scenario, plant, T_camera_target)
-    return replace(taken, image=said.under_its_light(taken.image, rng))
-
-
-def _taken(scenario: Scenario, plant: Plant, T_camera_target: Array) -> Sight:
-    """The picture from T_camera_target (4, 4), of the target where it is at the start; an arm stands as it will at the goal."""
-    T_world_flange = flange_for(scenario.camera, scenario.target, T_camera_target)
-    q = posture_at(scenario.robot, T_world_flange) if scenario.robot.base == "fixed" else None
-    return sight_of(plant.picture_from(T_world_flange, q))
+    sights: list[Sight] = []
+    for T_camera_target, one in zip(scenario.goal_poses, said, strict=True):
+        if one.source is not None:
+            sights.append(Sight(one.read(scenario.camera)))
+        else:
+            T_world_flange = flange_for(scenario.camera, scenario.target, T_camera_target)
+            # of the target where it is at the start; an arm stands as it will at the goal
+            q = posture_at(scenario.robot, T_world_flange) if scenario.robot.base == "fixed" else None
+            taken = sight_of(plant.picture_from(T_world_flange, q))
+            sights.append(replace(taken, image=one.under_its_light(taken.image, rng)))
+    return tuple(sights)
 
 
 def sight_of(picture: Picture) -> Sight:
@@ -110,22 +93,14 @@ def sight_of(picture: Picture) -> Sight:
     return Sight(whole.image.copy(), whole.depth)
 
 
-def _from_files(scenario: Scenario) -> tuple[Sight, ...]:
-    """The pictures of all goal views from their files; () where one has none."""
-    said = scenario.goal.pictures
-    return tuple(Sight(one.read(scenario.camera)) for one in said) if all(one.file is not None for one in said) else ()
-
-
 def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]:
-    """The goal views with their pictures.
-
-    Raises:
-        ParameterError: their number, or the size of one, is not that of the goal views and the camera.
-    """
+    """The goal views with their pictures; ParameterError where the number, or a size, is not that of the goal views and the camera."""
     views, camera = scenario.goal_views, scenario.camera
     if not scenario.needs_goal_image:
         return views
-    images = images or _from_files(scenario)
+    said = scenario.goal.pictures
+    if not images and all(one.file is not None for one in said):
+        images = tuple(Sight(one.read(camera)) for one in said)
     if len(images) != len(views):
         words = (
             f"must be {len(views)}, one of each goal view: detector {scenario.detector.kind} or law {scenario.law.kind} compares with it;"

@@ -38,8 +38,7 @@ class Watcher(Protocol):
         ...
 
 
-Block = dict[str, Array]
-"""Columns by name, of rows that follow each other."""
+Block = dict[str, Array]  # columns by name, of rows that follow each other
 BLOCK = 8_192
 """Rows of a block, and of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns."""
 
@@ -91,10 +90,8 @@ class MemoryRows:
 
 
 class Log:
-    """Frames become rows many at once, which costs a tenth of the time of one after the other.
-
-    No frame waits for more than PERIOD_S [s] of wall time, which is what a killed process may lose: rows are made when the next frame
-    would come too late for the oldest one that waits, if it took as long as the last one.
+    """Frames become rows many at once, which costs a tenth of the time of one after the other. No frame waits for more than PERIOD_S [s] of
+    wall time, which a killed process may lose: rows are made when the next frame, if it took as long as the last one, would come too late.
     """
 
     PERIOD_S: ClassVar[float] = 0.1
@@ -127,11 +124,10 @@ class Recording:
 
     Attributes:
         rows: the log; of a run with a folder it is on disk alone.
-        time_ms: wall time by part, in all [ms]: physics render detect law record video.
-        wall_time_s: wall time of the run [s]; loop_s: of its loop alone, without building and closing the scene [s].
+        time_ms: wall time by part, in all [ms]. wall_time_s: of the run; loop_s: without building and closing the scene [s].
         versions: of the packages and the renderer used.
         ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
-        goal_images: the pictures taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
+        goal_images: taken at the goal views, (H, W, 3) RGB each, where law or detector compared with them.
     """
 
     scenario: Scenario
@@ -158,16 +154,12 @@ class Recording:
         return self.rows.table()
 
     def __getitem__(self, name: str) -> Array:
-        """One column as a numpy array; KeyError names the column."""
         if name not in self.columns:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
         return WholeColumns(self.rows)[name]
 
     def camera_poses(self) -> SE3:
-        """The camera's true pose T_world_camera in each of the n frames, as one spatialmath SE3 of n.
-
-        Axes of the camera: x right, y down, z forward. Such an object multiplies, interpolates, prints, and has `plot` and `animate`.
-        """
+        """The camera's true pose T_world_camera (x right, y down, z forward) in each of the n frames, as one spatialmath SE3 of n."""
         return as_se3(self._poses("cam"))
 
     def target_poses(self) -> SE3:
@@ -177,12 +169,9 @@ class Recording:
     def goal_pose(self) -> SE3:
         """The pose T_world_camera where the camera was to be in each of the n frames, as one spatialmath SE3 of n.
 
-        T_world_target inverse(T_camera_target) with the goal in force: it moves with the target, from one via point to the next and
-        along a path. `camera_poses()[i].inv() * goal_pose()[i]` is what was left to go in frame i. For a camera that stands in the
-        room it is where that would have to stand.
-
-        Raises:
-            ParameterError: the goal is no single pose (a gap or a line to keep).
+        It is T_world_target inverse(T_camera_target) with the goal in force; `camera_poses()[i].inv() * goal_pose()[i]` was left to go in
+        frame i. For a camera in the room it is where that would have to stand. Raises ParameterError: the goal is no single pose (a gap, a
+        line).
         """
         s, views = self.scenario, self["view"].astype(int) if "view" in self.columns else np.zeros(len(self.rows), dtype=int)
         goals = [s.goal_pose_at(t, view) for t, view in zip(self["t"].tolist(), views.tolist(), strict=True)]
@@ -196,7 +185,6 @@ class Recording:
         return as_twist3(np.column_stack([self[f"act_{name}"] for name in TWIST]))
 
     def _poses(self, stem: str) -> Array:
-        """The poses (n, 4, 4) in the columns of a stem, `cam` or `tgt`."""
         columns = [self[f"{stem}_{name}"] for name in POSE]
         T = np.tile(np.eye(4), (len(self.rows), 1, 1))
         T[:, :3, 3] = np.column_stack(columns[:3])
@@ -208,13 +196,11 @@ class Recording:
         return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
 
     def _repr_html_(self) -> str | None:
-        """The report, where a Jupyter notebook shows the recording."""
         return Recording.shown_by(self)
 
     def summary(self) -> dict[str, object]:
-        """The metrics of the run, as in `summary.json`; `time_ms` is the mean wall time of a frame by part [ms].
-
-        With the gains of servos that were made for an arm of one's own (`Actuation.gains`).
+        """The metrics of the run, as in `summary.json`; `time_ms`: mean wall time of a frame by part [ms]. With the gains of servos that
+        were made for an arm of one's own (`Actuation.gains`).
         """
         figures = summarise(self.scenario, self.outcome, self.rows)
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
@@ -249,8 +235,7 @@ def to_frame(columns: Block) -> polars.DataFrame:
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.
-LARGEST = 2**63
-"""Whole numbers from here on fit no table."""
+LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
 
@@ -277,14 +262,7 @@ _Summary = create_model(
 
 
 def read_summary(folder: Path, works: str) -> dict[str, Any]:
-    """The summary of a run.
-
-    Args:
-        folder: the run's folder. works: what would work where the summary is damaged, for the message.
-
-    Raises:
-        RunFolderError: it is missing, cannot be read, is no JSON, or is not the summary of a run.
-    """
+    """The summary of a run; RunFolderError where it is none. works: what would work where the summary is damaged, for the message."""
     path = folder / "summary.json"
     content = read_file(path, works)
     fault, summary = _checked(content)

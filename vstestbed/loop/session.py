@@ -35,18 +35,16 @@ class Session:
                 frame = session.step()
         session.recording()
 
-    Sessions are independent of each other and of the thread that steps them, one at a time each.
+    Sessions are independent of each other and of the thread that steps them, one at a time each. All methods but `reset` and `close` raise
+    SessionError where there is nothing to step.
 
     Args:
-        scenario: the experiment.
+        scenario: the experiment; ParameterError where it is none.
         pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
             detector `tags`: a tag's texture drawn whole differs from one drawn in a window by a grey level, its corners by .001 px.
         watch: receive every frame, with the command that was sent.
         rows: where the rows of the log go, for one episode; into memory by default.
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
-
-    Raises:
-        ParameterError: `scenario` is not a Scenario.
     """
 
     def __init__(
@@ -67,23 +65,13 @@ class Session:
         self._motions = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints()).shape[1]
 
     def __reduce__(self) -> Any:
-        """Neither pickled nor copied.
-
-        Raises:
-            SessionError: always; it says what can be.
-        """
         raise SessionError("a session holds a running simulation and cannot be pickled or copied", "take its scenario, or its recording()")
 
     def reset(self, seed: int | None = None) -> Frame:
         """Begin an episode and simulate until its first picture has arrived. An episode that is under way ends unfinished.
-
-        Args:
-            seed: of the start and of all noise, as `run --seed`; None for the scenario's own start and seed.
-
-        Raises:
-            ParameterError: a seed for a scenario in which nothing is random.
-            EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
-            SessionError: no picture arrived before the end.
+        seed: of the start and of all noise, as `run --seed`; None for the scenario's own start and seed.
+        Raises ParameterError: a seed for a scenario in which nothing is random. EnvironmentLackError: a picture is needed that only OpenGL
+        can draw, and it does not work here. SessionError: no picture arrived before the end.
         """
         self.close()
         scenario = self._given if seed is None else seeded(self._given, seed)
@@ -105,40 +93,24 @@ class Session:
 
         Returns the next frame, or where the run ended without another picture the last one, with the outcome.
 
-        Raises:
-            ParameterError: a command of another shape, or one that is not finite.
-            SessionError: before `reset`, or after the end.
+        Raises ParameterError: a command of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
         """
         episode = self._running()
         return (episode.advance(None if command is None else self._checked(command)) or episode.ended()).protected()
 
     def take_pictures(self, on: bool) -> None:
-        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes.
-
-        Raises:
-            SessionError: nothing to step.
-        """
+        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes."""
         self._running().take_pictures(on and self._pictures)
 
     def retune(self, law: Law[Any]) -> None:
-        """Go on with other parameters of the law, such as its gain, from the next picture on; the run is not started again.
-
-        Like all that is changed by hand (`push`, `move_target`, `hold_plate`), it is told by the description of the recording's
-        scenario, and no scenario repeats it.
-
-        Args:
-            law: of the same kind, feature and source of depth.
-
-        Raises:
-            ParameterError: of another one, or a law that this scenario refuses. SessionError: nothing to step.
+        """Go on with other parameters of the law, such as its gain, from the next picture on. Like all that is changed by hand, the
+        recording's description tells it, and no scenario repeats it. Raises ParameterError: as `Controller.retune`.
         """
         self._running().retune(law)
 
     def push(self, force: Array, duration_s: float = 0.2) -> None:
         """Push the robot at its flange with a force (3,) along world axes [N], from now on, for a while.
-
-        Raises:
-            ParameterError: an ideal camera, which has no mass; a force or a duration that is none. SessionError: nothing to step.
+        Raises ParameterError: an ideal camera, which has no mass; a force or a duration that is none.
         """
         episode = self._running()
         episode.plant.push(force, duration_s)
@@ -150,20 +122,14 @@ class Session:
         return self.episode.plant.weight_n if self.episode is not None else 0.0
 
     def move_target(self, T_world_target: Array | SE3) -> None:
-        """Put the target at a pose, SE3 or (4, 4), now; one that moves goes on from there.
-
-        Raises:
-            ParameterError: no pose, or a target that is carried. SessionError: nothing to step.
-        """
+        """Put the target at a pose, SE3 or (4, 4), now; one that moves goes on from there. ParameterError for a target that is carried."""
         episode = self._running()
         episode.plant.move_target(pose_matrix(T_world_target, "T_world_target"))
         episode.changed_by_hand("target moved")
 
     def hold_plate(self, T_world_plate: Array | SE3 | None) -> None:
         """Hold an opaque plate at a pose of its middle, SE3 or (4, 4), across its z axis, or take it away (None). It touches nothing.
-
-        Raises:
-            ParameterError: no pose, or the session has no plate (`plate_m`). SessionError: nothing to step.
+        Raises ParameterError: no pose, or the session has no plate (`plate_m`).
         """
         episode = self._running()
         episode.plant.hold_plate(None if T_world_plate is None else pose_matrix(T_world_plate, "T_world_plate"))
@@ -171,9 +137,7 @@ class Session:
 
     def recording(self) -> Recording:
         """The episode so far: outcome, log, metrics; `interrupted` where it has not ended. The same bytes as `run` where the law drove.
-
-        Raises:
-            SessionError: before `reset`.
+        Raises SessionError: before `reset`.
         """
         if self.episode is None:
             raise SessionError("nothing has run", "call reset() first")
@@ -191,7 +155,6 @@ class Session:
         self.close()
 
     def _running(self) -> Episode:
-        """The episode that can be stepped."""
         episode = self.episode
         if episode is None:
             raise SessionError("nothing to step", "call reset() first")
@@ -204,7 +167,6 @@ class Session:
         return episode
 
     def _checked(self, command: ArrayLike | Twist3) -> Array:
-        """A command as numbers of a right shape."""
         n, command = self._motions, twist_numbers(command)
         try:
             numbers = np.array(command, dtype=float)
@@ -218,19 +180,11 @@ class Session:
         return numbers
 
 
-# run(scenario): a session turned to its end.
 def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None, *, pictures: bool = False) -> Recording:
-    """Simulate a scenario from its nominal start until an outcome.
+    """Simulate a scenario from its nominal start until an outcome (`Scenario.randomised` draws another start).
 
-    Args:
-        scenario: the experiment (`Scenario.randomised` draws another start).
-        watch: receive every frame. A KeyboardInterrupt ends the run with the outcome `interrupted`.
-        rows: where the rows of the log go; into memory by default.
-        pictures: take whole pictures for those who watch, see `Session`.
-
-    Raises:
-        ParameterError: `scenario` is not a Scenario.
-        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
+    watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. rows: where the rows of the log go; into
+    memory by default. pictures: take whole pictures for those who watch, see `Session`, whose errors it raises.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
@@ -242,11 +196,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = N
 
 
 def uninterrupted(recording: Recording) -> Recording:
-    """The recording of a run in a study, which ends as a whole where the run was interrupted.
-
-    Raises:
-        KeyboardInterrupt: the outcome is `interrupted`; without it the study would go on with its next run.
-    """
+    """The recording of a run in a study; KeyboardInterrupt for one that was interrupted, else the study would go on with its next run."""
     if recording.outcome is Outcome.interrupted:
         raise KeyboardInterrupt
     return recording

@@ -25,9 +25,6 @@ from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 from vstestbed.vision.base import TruthView
 
-# What an oracle sees through a rolling shutter: each marker when the row that it is in is exposed.
-
-
 ROUNDS = 12
 """Iterations to the time at which a marker is exposed. Each divides the error by H / (readout_s v'), v' the marker's speed down the
 picture [px/s]: 24 for one that crosses it in half a second while 20 ms are read out."""
@@ -40,8 +37,7 @@ class RowViews:
     of the marker's centre at t; its place is interpolated between the views. A marker that the lens cannot project is taken at the
     picture's time stamp, one beyond the picture at the begin or end of the readout.
 
-    Args:
-        camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
+    camera: the lens. times: of the views from the picture's time stamp (K,) [s], rising.
     """
 
     def __init__(self, camera: Camera, times: Array):
@@ -76,16 +72,11 @@ class RowViews:
 # Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
 READING_S = 0.002
 """Time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints."""
-KEPT_S = 10.0
-"""How long readings are kept [s]."""
+KEPT_S = 10.0  # how long readings are kept [s]
 
 
 class Stamps:
-    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp.
-
-    Args:
-        scenario: the experiment, with `timing.stamps`. plant: gives the readings.
-    """
+    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.stamps`)."""
 
     def __init__(self, scenario: Scenario, plant: Plant):
         timing = scenario.timing
@@ -116,7 +107,6 @@ class Stamps:
         return replace(shot, t=t, picture=picture, reading=self._reading(stamp)), stamp
 
     def _reading(self, stamp: float) -> Reading:
-        """The reading whose stamp is nearest to this one [s], of those that have come."""
         at = self._robot.true(stamp) / self._plant.step_s
         i = bisect_left(self._steps, at)
         if i == len(self._steps) or (i > 0 and at - self._steps[i - 1] <= self._steps[i] - at):
@@ -133,15 +123,8 @@ class Exposed:
 
 
 class CameraClock:
-    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency.
-
-    Attributes:
-        line: pictures in transit.
-        whole: whether the next exposures take whole pictures; may be changed at any time.
-
-    Args:
-        whole: take whole pictures, whatever the detector's regions of interest are.
-        link: may lose pictures; None for one that loses none.
+    """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency (`line`).
+    whole: take whole pictures, whatever the detector's regions of interest are; may be changed at any time. link: may lose pictures.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: BurstyLink | None = None):
@@ -203,7 +186,10 @@ class CameraClock:
         self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            self._send(planned, self.plant.developed(self.middle.shot.t), self._by_rows(self.middle))
+            made = self.middle
+            if self._row_views is not None:  # the truth itself stays that of the time stamp
+                made = replace(made, shot=replace(made.shot, view=self._row_views.taken()))
+            self._send(planned, self.plant.developed(made.shot.t), made)
 
     def _truth(self, is_middle: bool) -> Truth | None:
         """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
@@ -213,12 +199,7 @@ class CameraClock:
         self._row_views.add(TruthView(truth.p_camera, truth.hidden))
         return truth
 
-    def _by_rows(self, made: Exposed) -> Exposed:
-        """With what an oracle sees through a rolling shutter; the truth itself stays that of the time stamp."""
-        return made if self._row_views is None else replace(made, shot=replace(made.shot, view=self._row_views.taken()))
-
     def _shot(self, step: int, truth: Truth) -> Exposed:
-        """Truth and reading at an exposure, still without the picture."""
         # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
         view = TruthView(truth.p_camera, truth.hidden) if self._view else None
         return Exposed(Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth)

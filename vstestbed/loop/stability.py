@@ -13,7 +13,7 @@ A gain far too high has no clean period: limits of law and robot shorten the com
 Such a loop is known by its gain, near or over the limit of theory, and by commands that stay large, turn round often and lead nowhere,
 while the error does not fall.
 
-Reference: the limit of the gain and the period at it are those of this file.
+The limit of the gain and the period at it are those of `gain_limit` and `swing_frames`.
 """
 
 from __future__ import annotations
@@ -51,16 +51,13 @@ from vstestbed.tasks.metrics import TWIST, Figures
 
 Poles = NDArray[np.complexfloating]
 
-NO_LAG = (1.0,)
-"""Impulse response of a robot without lag."""
+NO_LAG = (1.0,)  # impulse response of a robot without lag
 
 
 def closed_form(delay_frames: float) -> float:
     """The largest stable g = gain * period of a robot without lag: 2 sin(pi / (2 (2 d + 1))).
 
-    There a pair of poles crosses the unit circle at the angle pi / (2 d + 1): the loop oscillates with a period of
-    2 (2 d + 1) frames.
-
+    There a pair of poles crosses the unit circle at pi / (2 d + 1): the loop oscillates with a period of 2 (2 d + 1) frames.
     Reference: Levin & May 1976, A note on difference-delay equations, doi:10.1016/0040-5809(76)90043-5.
     """
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
@@ -78,9 +75,8 @@ def led_form(delay_frames: int) -> float:
 
 def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
     """Impulse response of a loop without lag of the robot, whose commands are led to (see `led_form`) and whose pictures are old.
-
-    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time
-    stamp is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
+    late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time stamp
+    is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
     """
     whole, part = divmod(late_frames, 1.0)
     late = [0.0] * int(whole) + ([1 - part, part] if part else [1.0])
@@ -93,10 +89,8 @@ def swing_frames(delay_frames: float) -> int:
 
 
 def polynomial(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Array:
-    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,).
-
-    Of a delay of d + f frames with 0 < f < 1 a command begins at f of a frame: it is executed with 1 - f of each share in that frame, and
-    with f in the next one.
+    """Coefficients of the characteristic polynomial, highest power first, shape (n + 2,). Of a delay of d + f frames with 0 < f < 1 a
+    command begins at f of a frame: it is executed with 1 - f of each share in that frame, and with f in the next one.
     """
     whole, part = divmod(delay_frames, 1.0)
     d = int(whole)
@@ -115,9 +109,7 @@ def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Po
 
 def gain_limit(delay_frames: float, shares: Sequence[float] = NO_LAG) -> float:
     """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot without lag.
-
-    Raises:
-        ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
+    Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
     """
     if sum(shares) <= 0:
         raise ParameterError("shares", "must add up to more than 0: else no gain makes the error smaller", list(shares))
@@ -148,8 +140,7 @@ def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -
 
 FEWEST, MOST = 24, 2048
 """Frames that are looked at: with fewer, chance makes a period; with more a log of a day would not be kept in constant memory."""
-PERIODS = 4
-"""How many periods of a swing must fit in the frames that are looked at."""
+PERIODS = 4  # how many periods of a swing must fit in the frames that are looked at
 ALIKE, OPPOSITE = 0.75, -0.45
 """Cosine between the commands of a swing and those a period later, and at most that of commands in between; -0.5 for three frames."""
 LEAST_PX, LEAST_LIMITS = 1.0, 5.0
@@ -167,8 +158,7 @@ an arm without delay leaves it about half of that limit."""
 HELD_SHARE, NET_SHARE, TURNS = 0.5, 0.3, 4
 """Of such a loop: least share of limited commands (measured: 0.84 to 1), largest share of the way that it gets on (measured: 0.04 to
 0.25; a slow approach: 1), and least number of times that its command turns round."""
-GREW = 2.0
-"""Growth of an error that does not swing, over the frames, so that it counts as one."""
+GREW = 2.0  # growth of an error that does not swing, over the frames, so that it counts as one
 
 
 def period(x: Array) -> float:
@@ -189,12 +179,9 @@ def period(x: Array) -> float:
 
 
 class LastPart(NamedTuple):
-    """The last half of a run, n frames.
-
-    Attributes:
-        t: times (n,) [s]. error: in the image (n,) [px], or of a law of grey levels [grey levels]; NaN where nothing was measured.
-        twist: commands (n, 6). limited: those that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
-        away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
+    """The last half of a run, n frames. error: in the image (n,) [px], or of a law of grey levels; NaN where nothing was measured.
+    limited: commands that limits of law or robot shortened (n,). reference: of the goal in the world (n, m).
+    away: true distance [m] and angle [rad] of the camera from its goal, in the first frame and in the last (2, 2).
     """
 
     t: Array
@@ -204,15 +191,9 @@ class LastPart(NamedTuple):
     reference: Array
     away: Array
 
-    def measured(self) -> LastPart:
-        """The frames with a measurement."""
-        known = np.isfinite(self.error)
-        return self._replace(**{name: getattr(self, name)[known] for name in ("t", "error", "twist", "limited", "reference")})
-
-    def last_half(self) -> LastPart:
-        """The last half of it; `away` stays that of the whole."""
-        n = len(self.t) // 2
-        return LastPart(self.t[n:], self.error[n:], self.twist[n:], self.limited[n:], self.reference[n:], self.away)
+    def at(self, frames: Any) -> LastPart:
+        """Some of the frames; `away` stays that of all."""
+        return self._replace(**{name: getattr(self, name)[frames] for name in ("t", "error", "twist", "limited", "reference")})
 
 
 def swings(part: LastPart, least: float) -> float:
@@ -245,14 +226,11 @@ def turns(x: Array) -> int:
 
 
 def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -> int:
-    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another.
-
-    Only frames with a measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
-
-    Args:
-        part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
+    """How often the command turns round, of a loop with too high a gain that has no clean period; 0 for another. Only frames with a
+    measurement count: in the others the law rests. Over the limit of theory the commands need not be limited.
+    part: as for `swings`. least: error that counts. share: gain over the limit of theory [1]. first_error: at the start of the run.
     """
-    known = part.measured()
+    known = part.at(np.isfinite(part.error))
     third = len(known.t) // 3
     if share < NEAR_LIMIT or len(known.t) < FEWEST or np.ptp(part.reference, axis=0).any():
         return 0
@@ -267,7 +245,6 @@ def to_and_fro(part: LastPart, least: float, share: float, first_error: float) -
 
 
 def _median(error: Array) -> float:
-    """Of what was measured; NaN where nothing was."""
     known = error[np.isfinite(error)]
     return float(np.median(known)) if len(known) else math.nan
 
@@ -283,14 +260,10 @@ def grows(part: LastPart, least: float) -> bool:
 
 
 def sentence(scenario: Scenario, part: LastPart, first_error: float) -> str:
-    """How the loop is unstable, by what numbers, and what would help; "" for one that is not.
-
-    Where the last half of the run does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
-
-    Args:
-        scenario: the experiment. part: its last half. first_error: at the start of the run, in the unit of the part's.
+    """How the loop is unstable, by what numbers, and what would help; "" for one that is not. part: of the last half of its run.
+    Where that does not tell, its last quarter may: a loop that grows until it loses a marker begins again.
     """
-    return _how(scenario, part, first_error) or _how(scenario, part.last_half(), first_error)
+    return _how(scenario, part, first_error) or _how(scenario, part.at(slice(len(part.t) // 2, None)), first_error)
 
 
 def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
@@ -306,7 +279,7 @@ def _how(scenario: Scenario, part: LastPart, first_error: float) -> str:
     if late > first_error and grows(part, least):
         return f"{over} the error grew from {early:.3g} to {late:.3g} {unit}, and the command with it; {_cause(scenario)}"
     if turned := to_and_fro(part, least, _share_of_limit(scenario), first_error):
-        limited, blind = np.mean(part.measured().limited), np.mean(~np.isfinite(part.error))
+        limited, blind = np.mean(part.limited[np.isfinite(part.error)]), np.mean(~np.isfinite(part.error))
         held = f", at its limits in {limited:.0%} of the frames" if limited > LIMITED_SHARE else ""
         lost = f", {blind:.0%} of the frames had no measurement" if blind else ""
         return f"{over} the command turned round {turned} times{held}{lost}, and the error {how}; {_cause(scenario)}".replace("%", " %")
@@ -340,7 +313,6 @@ def _gain(law: Law[Any]) -> tuple[float | None, bool]:
 
 
 def _delay_s(scenario: Scenario) -> float:
-    """From the middle of a picture's exposure to the effect of its command [s]."""
     camera, timing = scenario.camera, scenario.timing
     return camera.latency_s + timing.command_latency_s + (timing.first_s(camera) + camera.readout_s) / 2
 
@@ -382,11 +354,7 @@ def window(scenario: Scenario) -> int:
 
 
 class Stability:
-    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`.
-
-    Args:
-        scenario: the experiment.
-    """
+    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`."""
 
     def __init__(self, scenario: Scenario):
         self._scenario, self._first, self._frames = scenario, math.nan, 0
@@ -424,10 +392,9 @@ class Stability:
 
 
 class Swinging:
-    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames.
-
-    It is a part of the metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for
-    PERIODS of the swing at the gain limit, of a robot that lags by a frame.
+    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames. It is a part of the
+    metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for PERIODS of the swing at
+    the gain limit, of a robot that lags by a frame.
     """
 
     LONG_SPANS = 2

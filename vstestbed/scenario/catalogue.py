@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import typing
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,11 +28,8 @@ from vstestbed.scenario.yaml_marks import plain_mapping, read_value
 
 @dataclass(frozen=True)
 class Entry:
-    """A block, or a list of kinds.
-
-    Attributes:
-        name: its full name. cls: its class; None for a list of kinds. room: the list of kinds that it is, or to which its kind belongs.
-        field: the field that holds it, `NAME[]` where it is one of a list.
+    """A block, or a list of kinds (its `cls` is None). room: the list of kinds that it is, or to which its kind belongs.
+    field: the field that holds it, `NAME[]` where it is one of a list.
     """
 
     name: str
@@ -43,11 +39,7 @@ class Entry:
 
 
 def catalogue(**roots: type) -> dict[str, Entry]:
-    """All entries by their full names, from the outside in.
-
-    Args:
-        roots: the blocks that are files of their own, by name; the fields of `scenario` go without that name.
-    """
+    """All entries by full name, from the outside in. roots: the blocks that are files; the fields of `scenario` go without that name."""
     found = {name: Entry(name, cls, None, name) for name, cls in roots.items()}
     waiting = deque(("" if name == "scenario" else name, cls) for name, cls in roots.items())
     while waiting:
@@ -89,16 +81,15 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
 
 
 def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
-    """The entry of a full name, of its last part where that is the name of one thing, or of a field as `--set` calls it, with or without
-    a kind: `law.depth`, `law.depth.pnp`. None where there is none.
-
-    Raises:
-        ParameterError: there are several: it has their full names.
+    """The entry of a full name, of its last part where only one thing has that, or of a field with or without a kind (`law.depth.pnp`);
+    None where there is none. Raises ParameterError: there are several: it has their full names.
     """
     if word in entries:
         return entries[word]
     if "." in word:
-        held = _held_in(word, entries) or _kind_held_in(word, entries)
+        field, _, kind = word.rpartition(".")  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        inner = (f"{room.name}.{kind}" for room in _held_in(field, entries))
+        held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
         return held[0] if len(held) == 1 else None
     by_name = [entry for entry in entries.values() if named(entry) == word]
     # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the field's name
@@ -120,9 +111,7 @@ def hint_of(cls: type, field: str) -> Any:
     return _hints(cls)[field]
 
 
-@functools.cache
-def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls, include_extras=True)
+_hints = functools.cache(functools.partial(typing.get_type_hints, include_extras=True))
 
 
 def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
@@ -138,30 +127,19 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
 
 
 def _kinds_of(entry: Entry) -> list[type]:
-    """The class of a block, or those of a list of kinds."""
     if entry.cls is not None:
         return [entry.cls]
     return [] if entry.room is None else list(entry.room.members.values())
 
 
-def _kind_held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
-    """The kinds at the end of a dotted path that the field before it may hold: `pnp` for `law.depth.pnp`."""
-    field, _, kind = path.rpartition(".")
-    return [entries[name] for room in _held_in(field, entries) if (name := f"{room.name}.{kind}") in entries]
-
-
 # Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
-MOST_NAMED = 6
-"""Most paths that a message lists of a word that is a field of many blocks."""
+MOST_NAMED = 6  # most paths that a message lists of a word that is a field of many blocks
 
 
 @dataclass(frozen=True)
 class FieldPlace:
     """A field in all the blocks that have it at one place of a scenario.
-
-    Attributes:
-        path: as it was asked for; of a name alone the path to it. name: its own.
-        owners: the classes that have it, by the names of their entries. settable: whether `--set` takes the path.
+    path: as it was asked for. owners: the classes that have it, by their entries. settable: whether `--set` takes the path.
     """
 
     path: str
@@ -171,11 +149,7 @@ class FieldPlace:
 
 
 def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
-    """A kind, a block or a field, by any of its names.
-
-    Raises:
-        ParameterError: there is none, or there are several: it has the nearest, or their names.
-    """
+    """A kind, a block or a field, by any of its names; ParameterError with the nearest where there is none, or several."""
     return entry_of(word, entries) or _at(word, entries)
 
 
@@ -184,7 +158,7 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
-    holders = {_name_of(cls, entries): cls for cls in _holders(path, before, entries)}
+    holders = {next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in _holders(path, before, entries)}
     if owners := {named_so: cls for named_so, cls in holders.items() if name in fields_of(cls)}:
         return FieldPlace(path, name, owners, _settable(before, entries))
     for named_so, cls in holders.items():
@@ -193,17 +167,8 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     raise _none_in(path, name, before, list(holders.values()))
 
 
-def _name_of(cls: type, entries: Mapping[str, Entry]) -> str:
-    """The name of a class's first entry."""
-    return next(entry.name for entry in entries.values() if entry.cls is cls)
-
-
 def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> list[type]:
-    """The classes of the blocks to which the parts of a path before its last one lead.
-
-    Raises:
-        ParameterError: one of them leads nowhere.
-    """
+    """The classes of the blocks to which the parts of a path before its last one lead. Raises ParameterError: one of them leads nowhere."""
     holders = [_scenario(entries)]
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
@@ -238,11 +203,7 @@ def _scenario(entries: Mapping[str, Entry]) -> type:
 
 
 def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
-    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name.
-
-    Raises:
-        ParameterError: it is no word at all.
-    """
+    """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name."""
     scenario = _scenario(entries)
     if word in fields_of(scenario):
         return list(_within([scenario], word))
@@ -260,7 +221,6 @@ def _within(holders: Sequence[type], part: str) -> Iterator[type]:
 
 @functools.cache
 def _kind(cls: type) -> str:
-    """The word of a kind; "" for a block that has none."""
     return next((str(f.default) for f in dataclasses.fields(cls) if f.name == "kind"), "")
 
 
@@ -276,7 +236,6 @@ def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
 
 
 def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
-    """The error for a part of a path that leads nowhere, behind the parts `before` it."""
     inside = {inner for cls in holders for inner in fields_of(cls) if inner != "kind"}
     if name in inside:
         return ParameterError(path, f"is no field of a scenario: {'.'.join((*before, name))} is no block, and has no fields")
@@ -290,15 +249,10 @@ def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
     return hint if hint.startswith("did you mean") else f"a scenario has {', '.join(fields_of(_scenario(entries)))}"
 
 
-# What the bundled scenarios and comparisons use: which kinds, which fields, and the values that people wrote there.
 @dataclass
 class Uses:
-    """What is written in bundled files.
-
-    Attributes:
-        files: names of the files that use a class, by class, in their order.
-        blocks: the field and the block in the first of them; the field is `NAME[]` where the block is one of a list.
-        values: what is written in each field, by the name of its class and its own, in the order of the files.
+    """What is written in bundled files. files: names of those that use a class. blocks: the field (`NAME[]` for one of a list) and the
+    block in the first of them. values: what is written in each field, by the name of its class and its own, in the order of the files.
     """
 
     files: dict[type, list[str]] = field(default_factory=dict)
@@ -321,9 +275,8 @@ class Uses:
 
 @functools.cache
 def bundled_uses() -> Uses:
-    """The uses in all bundled scenarios, and in comparisons of what no scenario has before.
-
-    A scenario with an arm's file inside a package is left out where that package is not installed.
+    """The uses in all bundled scenarios, and in comparisons of what no scenario has before. A scenario with an arm's file inside a package
+    is left out where that package is not installed.
     """
     uses = Uses()
     for name, path in bundled_scenarios().items():
@@ -363,8 +316,9 @@ def _in_scenario(key: str, written: Any, built: Any) -> Iterator[tuple[type, str
 def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or in a list of values."""
     what, kind = key.rpartition(".")[2], written.get("kind") if isinstance(written, Mapping) else written
-    if isinstance(kind, str) and kind in (members := _members(what)):
-        yield members[kind], what, written
+    room = next((room for room in KINDS.values() if room.what == what), None)
+    if isinstance(kind, str) and room is not None and kind in room.members:
+        yield room.members[kind], what, written
     if isinstance(written, Mapping):
         for name, value in written.items():
             yield from _in_comparison(str(name), value)
@@ -373,17 +327,11 @@ def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
             yield from _in_comparison(key, value)
 
 
-def _members(what: str) -> dict[str, type]:
-    """The kinds of a field; none where it has no kinds."""
-    return next((room.members for room in KINDS.values() if room.what == what), {})
-
-
 # JSON Schema with the words of the docstrings: a description, a unit and an example for every field.
 #
 # Editors show the description where the cursor is. `unit` is no word of JSON Schema, which leaves room for such: a reader that does not
 # know it passes over it.
-LONGEST_EXAMPLE = 100
-"""Longest example of a field, in characters of its YAML."""
+LONGEST_EXAMPLE = 100  # longest example of a field, in characters of its YAML
 _NOTHING = ({}, [], "", None)
 
 
@@ -415,7 +363,6 @@ class _Described(GenerateJsonSchema):
 
 
 def _annotations(cls: type, name: str, words: ClassText, uses: Uses) -> dict[str, Any]:
-    """Description, unit and examples of a field, as far as there are any."""
     if name == "kind":
         return {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
     field = words.fields[name]
@@ -442,15 +389,9 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
         yield read_value(example)
     elif (filled := _filled(default)) not in _NOTHING:
         yield filled
-    else:
-        yield from _block_example(typing.get_type_hints(cls, include_extras=True)[name], uses)
-
-
-def _block_example(hint: Any, uses: Uses) -> Iterator[Any]:
-    """Of a field that holds a block, or a list of them."""
-    for _, cls in itertools.islice(blocks_in(hint), 1):
-        block = example_block(cls, uses)
-        yield [block] if is_list(hint) else block
+    elif inner := next(blocks_in(hint_of(cls, name)), None):
+        block = example_block(inner[1], uses)
+        yield [block] if is_list(hint_of(cls, name)) else block
 
 
 def example_block(cls: type, uses: Uses) -> dict[str, Any]:

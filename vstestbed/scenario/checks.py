@@ -34,11 +34,7 @@ several times what any experiment here needs [m]. What lies beyond was meant in 
 
 
 def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
-    """Refuse a mount and a place of the target that are far beyond an experiment, as lengths in millimetres are.
-
-    Raises:
-        ParameterError: it names the field.
-    """
+    """Refuse a mount and a place of the target that are far beyond an experiment, as lengths in millimetres are."""
     _check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
     _check_length("target.pose", target.pose.T, MOST_PLACE_M)
     if robot.model is None:  # the ideal camera; a vehicle may be further, and its field has bounds of its own
@@ -59,22 +55,14 @@ def _check_length(field: str, T: Array, most_m: float) -> None:
 
 
 def check_clocks(robot: Robot, timing: Timing) -> None:
-    """Refuse stamps of readings for a robot that has none.
-
-    Raises:
-        ParameterError: it names the field.
-    """
+    """Refuse stamps of readings for a robot that has none."""
     if timing.robot_clock is not None and robot.model is None:
         words = f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the pictures' stamps: timing.camera_clock"
         raise ParameterError("timing.robot_clock", words)
 
 
 def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> None:
-    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken.
-
-    Raises:
-        ParameterError: with the limit.
-    """
+    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken."""
     if stop.duration_s * camera.rate_hz > MOST_FRAMES:
         most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
         words = f"must be at most {most}: a longer log is a table of more than 10 GB"
@@ -90,11 +78,7 @@ def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> 
 
 
 def check_step(robot: Robot, step_s: float) -> None:
-    """Refuse a physics step [s] at which a robot's vibrations would be those of the arithmetic.
-
-    Raises:
-        ParameterError: with the longest step that works.
-    """
+    """Refuse a physics step [s] at which a robot's vibrations would be those of the arithmetic."""
     if step_s > (1 + 1e-9) * robot.needed_step_s:
         words = f"must be at most {robot.needed_step_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
         raise ParameterError("physics.step_s", words, step_s)
@@ -110,17 +94,18 @@ def check_effects(robot: Robot) -> None:
 
 
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
-    """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
+    """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply."""
     if robot.model is None and robot.joints:
         words = f"{robot.kind} has joints and no body; let its `model` name an MJCF file"
         raise ParameterError("robot.kind", words)
-    if robot.base != "floating":
-        _check_without_flight(robot, world, derotation)
-    _check_level_trim(target, derotation, level_trim_s)
+    flies = robot.base == "floating"
+    if not flies and derotation != "none":
+        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
+    if not (flies or world.wind.still):
+        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
+    if level_trim_s and (derotation == "none" or target.moves):  # the target's own motion would be taken for a tilt
+        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
+        raise ParameterError("level_trim_s", words, level_trim_s)
     if world.floor_friction is not None and not robot.slips:
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
@@ -128,27 +113,8 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
 
 
-def _check_level_trim(target: Target, derotation: str, level_trim_s: float) -> None:
-    """Refuse a correction of the tilt where nothing is derotated, or where the target's own motion would be taken for a tilt."""
-    if level_trim_s and (derotation == "none" or target.moves):
-        words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
-        raise ParameterError("level_trim_s", words, level_trim_s)
-
-
-def _check_without_flight(robot: Robot, world: World, derotation: str) -> None:
-    """Refuse derotation and wind for a robot that does not fly."""
-    if derotation != "none":
-        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
-    if not world.wind.still:
-        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
-
-
 def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse a source of depth that this scenario has not got: the truth, a depth camera, or a vehicle's place on the floor.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
+    """Refuse a source of depth that this scenario has not got: the truth, a depth camera, or a vehicle's place on the floor."""
     if law.depth.true and not detector.needs_truth:
         words = "may be oracle only with detector: {kind: oracle}; with pixels use pnp, constant, goal, estimate or sensor"
         raise ParameterError("law.depth", words)
@@ -162,11 +128,7 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
 
 
 def check_carrier(target: Target) -> None:
-    """Refuse a route that the vehicle which carries the target cannot drive.
-
-    Raises:
-        ParameterError: a bend is tighter than its turning circle, or the speed higher than its top speed.
-    """
+    """Refuse a route that the vehicle which carries the target cannot drive: a bend too tight, or a speed too high."""
     if target.carrier is None:
         return
     by, route, speed = target.carrier.by, target.carrier.route, target.carrier.speed_mps
@@ -180,11 +142,7 @@ def check_carrier(target: Target) -> None:
 
 
 def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any], detector: Detector[Any]) -> None:
-    """Refuse pictures of the goal that nobody looks at, that cannot be read, and that lack the depth that the law needs.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
+    """Refuse pictures of the goal that nobody looks at, that cannot be read, and that lack the depth that the law needs."""
     for i, said in enumerate(goal.pictures):
         field = "goal.picture" if len(goal.pictures) == 1 else f"goal.views.{i}.picture"
         if not needed and (said.file is not None or said.other_light):
@@ -207,8 +165,7 @@ def check_mirror(camera: Camera, world: World) -> None:
 
 
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
-STEP = 1e-4
-"""Motions to both sides by which an outline's directions are differentiated [m, rad]."""
+STEP = 1e-4  # motions to both sides by which an outline's directions are differentiated [m, rad]
 LEAST_TOLD = 1e-6
 """Share of the largest singular value from which a motion counts as told: the differences are exact to some 1e-8."""
 
@@ -229,13 +186,10 @@ def called(target: Target) -> str:
 
 
 def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
-    """How many of a camera's motions the picture of the target's points tells at most, at a pose (4, 4): the rank of d directions / d u.
-
-    A feature is a function of that picture, whatever its own interaction matrix says: that of points takes each for fixed to the
-    target. All motions where the points have places of their own, as far as their features tell them.
-
-    Args:
-        basis: the robot's motions as twists of the camera in its own frame, (6, n).
+    """How many of a camera's motions the picture of the target's points tells at most, at a pose (4, 4): the rank of d directions / d u. A
+    feature is a function of that picture, whatever its own interaction matrix says: that of points takes each for fixed to the target. All
+    motions where the points have places of their own, as far as their features tell them.
+    basis: the robot's motions as twists of the camera in its own frame, (6, n).
     """
     if not runs_along(target):
         return basis.shape[1]
@@ -247,22 +201,15 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
 
 
 # Checks of what is measured against what the law and the task need: markers, a detector's own points, depths.
-BY_ESTIMATE = ("position_m", "rotation_deg")
-"""Conditions of convergence by the robot's own estimate."""
-FIRST_POSE = 4
-"""Fewest points that tell a pose by themselves."""
+BY_ESTIMATE = ("position_m", "rotation_deg")  # conditions of convergence by the robot's own estimate
+FIRST_POSE = 4  # fewest points that tell a pose by themselves
 ON_ONE_LINE = 1e-6
 """Ratio of the second to the first singular value of marker positions under which they count as collinear."""
 
 
 def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:
     """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
-
-    Args:
-        needs_pose: the task needs the target's pose, which not every depth source estimates.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
+    needs_pose: the task needs the target's pose, which not every depth source estimates.
     """
     _check_marker_kind(target.marker.kind, detector)
     _check_read(target, detector, law)
@@ -274,11 +221,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
 
 
 def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
-    """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers.
-
-    Raises:
-        ParameterError: it names the field, and what would work.
-    """
+    """Refuse what a detector of other points than the target's markers cannot serve; nothing for a detector of markers."""
     if not detector.needs_goal:
         return
     if len(camera.panels) > 1:
@@ -312,7 +255,6 @@ def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> N
 
 
 def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:
-    """The error for a law, or for its feature, that a detector of changing points cannot serve."""
     wanted = f"the same markers in every picture, and detector {detector} shows other points"
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
@@ -337,9 +279,6 @@ def _kept_inside(law: Any, detector: str) -> ParameterError:
 def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
     """Refuse conditions of convergence on what is not measured: markers without a detector, grey levels with a law of markers, a pose that
     an outline does not tell or the law does not take from it.
-
-    Raises:
-        ParameterError: it names the condition, and what would work.
     """
     goal, in_grey = stop.converged, "image" in law.inputs
     if goal.error_grey is not None and not in_grey:
@@ -355,7 +294,6 @@ def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[A
 
 
 def _untold_pose(target: Target, law: Law[Any]) -> str:
-    """Why the pose of an outline is not estimated, and what would work; empty where it is, and for markers."""
     if not target.outlined:  # of markers some detectors solve the pose themselves
         return ""
     if runs_along(target):
@@ -366,7 +304,6 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
 
 
 def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
-    """Refuse a kind of marker that the detector cannot detect; a detector that names none detects all."""
     seen = detector.markers
     if seen and marker not in seen:
         words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
@@ -375,12 +312,10 @@ def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
 
 
 def _of_markers() -> dict[str, type]:
-    """The detectors that find a target's markers, by their kinds."""
     return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
 
 
 def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse, with a law that reads nothing but the picture, points of the goal's picture and markers that are not drawn."""
     if set(law.inputs) != {"image"}:
         return
     if detector.needs_goal:
@@ -392,10 +327,6 @@ def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
 
 
 def _check_shown(target: Target, detector: Detector[Any]) -> None:
-    """Refuse a detector of markers where none are drawn and no picture shows any; a detector that names no kinds may see other things.
-
-    Refuse also a detector of the target's picture where there is none.
-    """
     if detector.needs_sheet and target.sheet is None:
         words = (
             f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
@@ -422,7 +353,6 @@ def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse fewer markers than the law needs for the motions that the robot can make."""
     points, basis = target.points, robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints())
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
@@ -432,18 +362,16 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
     if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"
-        less = _needed_on_floor(robot, law, basis)
+        less = None  # with depth `floor`, where that is an alternative to `pnp`
+        if robot.base == "planar" and isinstance(law.depth, PnP) and _has_depth(law):
+            less = replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field
         enough = less is not None and len(points) >= less
         raise ParameterError("target", words + (f"; with law.depth floor {less} will do" if enough else ""))
 
 
 def check_determined(robot: Robot, camera: Camera, target: Target, law: Law[Any], goal: Goal) -> None:
-    """Refuse a feature that tells fewer motions than the robot has, where the law does not leave motions open.
-
-    Features of all markers together may, and all features of an outline that looks alike from other places.
-
-    Raises:
-        ParameterError: it names the feature, and what would work.
+    """Refuse a feature that tells fewer motions than the robot has, where the law does not leave motions open. Features of all markers
+    together may, and all features of an outline that looks alike from other places.
     """
     for servo, own, seen, all_motions in _told(robot, camera, target, law, goal):
         told, alike, each = min(own, seen), seen < all_motions, servo.feature.rows_per_marker
@@ -491,7 +419,6 @@ def _leaves_pose_open(points: Array) -> bool:
 
 
 def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
-    """The error for markers that do not determine the pose."""
     if not _has_depth(law):
         words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
         return ParameterError("target", words)
@@ -502,12 +429,4 @@ def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> 
 
 
 def _has_depth(law: Law[Any]) -> bool:
-    """Whether the source of depth is a parameter of the law."""
     return any(field.name == "depth" for field in fields(law))
-
-
-def _needed_on_floor(robot: Robot, law: Law[Any], basis: Array) -> int | None:
-    """Markers that the law would need with depth `floor`, as a remedy in a message; None where `floor` is no alternative to `pnp`."""
-    if robot.base != "planar" or not isinstance(law.depth, PnP) or not _has_depth(law):
-        return None
-    return replace(law, depth=OnFloor()).markers_needed(basis)  # pyright: ignore[reportCallIssue] - it has the field

@@ -14,8 +14,7 @@ from vstestbed.core.spec import OneOf, spec
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
 """Blocks that no distribution may change: the seed decides what is drawn, and the others describe the experiment."""
-TRIES = 1000
-"""Largest number of draws until one lies within its bounds."""
+TRIES = 1000  # largest number of draws until one lies within its bounds
 Finite = Annotated[float, Ge(-1e9), Le(1e9)]
 Whole = Annotated[int, Ge(-(10**9)), Le(10**9)]
 Pair = Annotated[tuple[Finite, ...], Len(2, 2)]
@@ -49,7 +48,6 @@ class DistributionBase:
     field: str
 
     def __post_init__(self) -> None:
-        """Refuse a path to what cannot be drawn."""
         if self.field.split(".")[0] in NOT_DRAWN:
             raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
 
@@ -73,7 +71,6 @@ class Uniform(DistributionBase):
     uniform: Pair
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("uniform", self.uniform)
 
@@ -99,7 +96,6 @@ class Gaussian(DistributionBase):
     within: Pair | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a negative standard deviation, and bounds far from the mean."""
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
@@ -133,7 +129,6 @@ class LogUniform(DistributionBase):
     log_uniform: Annotated[tuple[Annotated[float, Gt(0), Le(1e9)], ...], Len(2, 2)]
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("log_uniform", self.log_uniform)
 
@@ -157,7 +152,6 @@ class Integer(DistributionBase):
     integer: Annotated[tuple[Whole, ...], Len(2, 2)]
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         super().__post_init__()
         _check_order("integer", self.integer)
 

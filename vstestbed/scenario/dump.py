@@ -8,7 +8,6 @@ import io
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import ParameterError
@@ -22,23 +21,16 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
 
-WIDTH, ON_ONE_LINE = 120, 110
-"""Columns of a line, and of a block that stands on one line."""
+WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
 
 
 def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool = False) -> str:
-    """The scenario as YAML, which `load` turns into an equal one; a scenario without a name gets that of the file.
+    """The scenario as YAML text, which `load` turns into an equal one; a scenario without a name gets that of the file.
 
-    Args:
-        scenario: the experiment.
-        path: a file to write, in place of one that is there; files in its folder, or below, are named relative to it.
-        defaults: write also every default.
-
-    Returns the text.
-
-    Raises:
-        ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`.
-        OutputError, EnvironmentLackError: the file cannot be written.
+    path: a file to write, in place of one that is there; files in its folder, or below, are named relative to it. defaults: write them,
+    too.
+    Raises ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`. OutputError,
+    EnvironmentLackError: the file cannot be written.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
@@ -58,7 +50,6 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
 
 
 def _brief(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as people write it, its files and plugins without reference to the current folder."""
     plain = absolute_files(brief_mapping(scenario), Path.cwd())
     if scenario.plugins:
         plain["plugins"] = [absolute(name, Path.cwd()) for name in scenario.plugins]
@@ -76,10 +67,8 @@ def given_mapping(scenario: Scenario) -> dict[str, Any]:
 
 
 def documents(scenario: Scenario) -> dict[str, str]:
-    """The two documents of a run's folder by name, which name the copies of files there (`kept_files`).
-
-    `scenario.yaml` is what was given, and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and
-    draw.
+    """The two documents of a run's folder by name, which name the copies of files there (`kept_files`). `scenario.yaml` is what was given,
+    and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and draw.
     """
     target, pictures = getattr(scenario.target, "file", None), [said.file for said in scenario.goal.pictures]
     copies = {file: place for file, place in zip((target, *pictures), _kept_at(scenario), strict=True) if file and place}
@@ -89,7 +78,6 @@ def documents(scenario: Scenario) -> dict[str, str]:
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """Plain values with other names of files."""
     if isinstance(value, dict):
         return {key: _renamed(inner, names) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -114,11 +102,7 @@ FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed"
 
 
 def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
-    """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both.
-
-    Raises:
-        ScenarioError, PluginError: as `load`.
-    """
+    """The scenario of a run's folder as it ran; its `given` is what was given. Folders of before have one file that is both."""
     path, record = folder / GIVEN, folder / RESOLVED
     text = text_of(path)
     if record.is_file():
@@ -138,10 +122,7 @@ def _without_former(value: Any) -> Any:
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:
-    """Plain mappings, lists and scalars as YAML.
-
-    brief: each block that fits on one line stands on one; otherwise the innermost alone do.
-    """
+    """Plain mappings, lists and scalars as YAML. brief: each block that fits on one line stands on one; else the innermost alone do."""
     import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
 
     libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -149,13 +130,11 @@ def as_yaml(plain: Any, brief: bool = False) -> str:
     class Dumper(libyaml):
         """PyYAML writes YAML 1.1, where `1e3` is text; it is read as YAML 1.2, where it is a number."""
 
-        def represent_mapping(self, tag: Any, mapping: Any, flow_style: Any = None) -> Any:
-            node = super().represent_mapping(tag, mapping, flow_style)
-            return _in_flow(node) if brief else node
-
-        def represent_sequence(self, tag: Any, sequence: Any, flow_style: Any = None) -> Any:
-            node = super().represent_sequence(tag, sequence, flow_style)
-            return _in_flow(node) if brief else node
+        def represent_data(self, data: Any) -> Any:
+            node = super().represent_data(data)
+            if brief and not isinstance(node.value, str):
+                node.flow_style = _width(node) <= ON_ONE_LINE  # the whole scenario never
+            return node
 
     def plain_or_quoted(dumper: Any, text: str) -> Any:
         return dumper.represent_scalar("tag:yaml.org,2002:str", text, "'" if text[:1] in "+-.0123456789" else None)
@@ -185,26 +164,15 @@ def _yaml_text(value: object, **style: Any) -> str:
     return out.getvalue()
 
 
-def _in_flow(node: Any) -> Any:
-    """A node of PyYAML, on one line if it fits; the whole scenario never."""
-    node.flow_style = _width(node) <= ON_ONE_LINE
-    return node
-
-
 def _width(node: Any) -> int:
-    """Columns that a node of PyYAML takes on one line."""
     if isinstance(node.value, str):
         return len(node.value) + 2
     return 2 + sum(sum(map(_width, item)) if isinstance(item, tuple) else _width(item) for item in node.value)
 
 
 def check_plugins(scenario: Scenario) -> None:
-    """Refuse a scenario with a kind of the user's own that a file of the scenario would lack.
-
-    Raises:
-        ParameterError: it names the class, and how it gets into a file.
-    """
-    foreign = {type(part): field for field, part in _parts(scenario) if not _is_ours(type(part).__module__)}
+    """Refuse a scenario with a kind of the user's own that a file of the scenario would lack."""
+    foreign = {type(part): field for field, part in _parts(scenario) if type(part).__module__.partition(".")[0] != "vstestbed"}
     if not foreign:
         return
     offered: Any = importlib.metadata.entry_points()
@@ -215,7 +183,6 @@ def check_plugins(scenario: Scenario) -> None:
 
 
 def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
-    """Each spec in a spec, with the dotted path of its field."""
     if isinstance(part, tuple):
         for i, item in enumerate(part):
             yield from _parts(item, f"{field}.{i}")
@@ -226,49 +193,30 @@ def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
                 yield from _parts(getattr(part, f.name), f.name if field == "scenario" else f"{field}.{f.name}")
 
 
-def _is_ours(module: str) -> bool:
-    return module.partition(".")[0] == "vstestbed"
-
-
 def _is_named(cls: type, plugins: tuple[str, ...], installed: set[str]) -> bool:
-    """Whether a class comes with one of the plugins, or with an installed package that offers kinds."""
     home = sys.modules.get(cls.__module__)
     packages = {name.partition(".")[0] for name in (*installed, *(p for p in plugins if not is_file_name(p)))}
     if cls.__module__.partition(".")[0] in packages:
         return True
     loaded = [module_of(Path(absolute(name, Path.cwd()))) for name in plugins if is_file_name(name)]
-    return any(m is home or _holds(m, (cls, home)) for m in loaded if m is not None)
-
-
-def _holds(module: ModuleType, wanted: tuple[object, ...]) -> bool:
-    """Whether a module has imported one of these objects."""
-    return any(value is one for value in vars(module).values() for one in wanted)
-
-
-def _file_of(cls: type) -> Path | None:
-    """The file in which a class is defined; None for a notebook, and for the program that runs."""
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    return None if file is None or cls.__module__ == "__main__" else Path(file).resolve()
+    return any(m is home or any(value is cls or value is home for value in vars(m).values()) for m in loaded if m is not None)
 
 
 def _how_to_name(cls: type) -> str:
-    """The rest of the sentence for a class that a file of the scenario would lack."""
-    file = _file_of(cls)
-    if file is None:
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    if file is None or cls.__module__ == "__main__":
         found = f"is {cls.__name__}, which is defined in the program that runs (a script, a notebook), where no scenario file finds it"
         return f"{found}; put the class into a file mine.py, import it from there, and give the scenario plugins=('mine.py',)"
-    return f"is {cls.__name__} of {file}, which the file would not name; give the scenario plugins=({str(file)!r},)"
+    file = str(Path(file).resolve())
+    return f"is {cls.__name__} of {file}, which the file would not name; give the scenario plugins=({file!r},)"
 
 
-# What was changed in a bundled scenario: the fields in which one differs from the bundled one of its name.
 OF_THE_RUN = ("name", "description", "plugins", "seed", "draw_start")
-"""Fields that name a run or are shown elsewhere."""
 
 
 def changes(scenario: Scenario) -> tuple[str, ...]:
-    """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake.
-
-    A block whose kind was changed is one field with its whole value. What a preset has filled is told by the preset's name.
+    """The changed fields with their values, as `--set` takes them: `("derotation=none",)`; () for one that has no bundled namesake. A block
+    whose kind was changed is one field with its whole value. What a preset has filled is told by the preset's name.
     """
     if scenario.name not in bundled_scenarios():
         return ()
@@ -289,7 +237,6 @@ def _own(robot: Robot) -> dict[str, Any]:
 
 
 def _different(given: Mapping[str, Any], bundled: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted paths and values of what is not the same in the bundled mapping."""
     for key, value in given.items():
         other = bundled.get(key)
         if isinstance(value, dict) and isinstance(other, dict) and value.get("kind") == other.get("kind"):

@@ -6,7 +6,7 @@ import dataclasses
 import io
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
 
 NAMED_FILES = ("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery"), ("world", "floor", "texture")
-"""Fields that name a file."""
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
@@ -32,11 +31,7 @@ SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
 
 
 def find(name: str | Path) -> Path:
-    """The file of a scenario given by path or by the name of a bundled one.
-
-    Raises:
-        ScenarioError: neither exists; names the nearest bundled scenario.
-    """
+    """The file of a scenario given by path or by the name of a bundled one; ScenarioError names the nearest where neither exists."""
     path, bundled = Path(name), bundled_scenarios()
     try:
         if path.is_file():
@@ -66,9 +61,7 @@ def load(
         seed: draw the start from the robot's random block, and all noise, from this seed.
         places: for messages, where each override stands: of its value and of the keys in it, relative to it; by default `overrides`.
         plugins: files (`mylaw.py`) or modules that add kinds, besides those that the file names under `plugins`.
-
-    Raises:
-        ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
+    Raises ScenarioError: all mistakes at once. PluginError: a plugin is not there or cannot be imported.
     """
     if not isinstance(overrides or {}, Mapping):
         raise ScenarioError([Mistake("overrides", "", f"must be a dictionary, such as {{'law.gain': 1.0}}, got {overrides!r}")])
@@ -109,7 +102,8 @@ def parse(
     plugins: Sequence[str] = (),
 ) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
-    plain, marks = plain_mapping(text, file, f"a scenario needs {_required()}")
+    *needed, last = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
+    plain, marks = plain_mapping(text, file, f"a scenario needs {', '.join(needed)} and {last}")
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
@@ -134,12 +128,9 @@ def parse(
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
 
 
-START = "robot.start.nominal"
-
-
 def _gives_start(dotted: str) -> bool:
-    """Whether an override of a path gives the nominal start, or a part of it."""
-    return f"{START}.".startswith(f"{dotted}.") or dotted.startswith(f"{START}.")
+    start = "robot.start.nominal."
+    return start.startswith(f"{dotted}.") or dotted.startswith(start)
 
 
 def _is_plain(value: object) -> bool:
@@ -150,12 +141,10 @@ def _is_plain(value: object) -> bool:
 
 
 def _part(overrides: Mapping[str, object], of_plugins: bool) -> dict[str, object]:
-    """The overrides of `plugins`, or all others."""
     return {path: value for path, value in overrides.items() if (path.split(".")[0] == "plugins") == of_plugins}
 
 
 def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> None:
-    """Refuse an override of a field that the seed draws, which would be without effect."""
     for i, one in enumerate(scenario.randomise):
         for dotted in overrides:
             if f"{dotted}.".startswith(f"{one.field}."):
@@ -166,10 +155,8 @@ def _refuse_drawn(scenario: Scenario, overrides: Mapping[str, object], places: M
 def _blame_settings(
     error: ScenarioError, text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]
 ) -> ScenarioError:
-    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone.
-
-    A contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override
-    at a time.
+    """The same mistakes, each with the position of the override that brings it; those that the file has by itself are left alone. A
+    contradiction between two fields names one of them, which may be the file's: so the file is read again with one more override at a time.
     """
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
@@ -184,8 +171,8 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
     mistakes = list(error.mistakes)
     for dotted, kind in overrides.items():
         block, _, last = dotted.rpartition(".")
-        given = [other for other in overrides if other != dotted]
-        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not _within(m.field, given)]
+        given = tuple(f"{other}." for other in overrides if other != dotted)
+        kept = [m for m in mistakes if m.field.startswith(f"{block}.") and UNKNOWN in m.sentence and not f"{m.field}.".startswith(given)]
         if last != "kind" or not kept:
             continue
         names = ", ".join(dict.fromkeys(m.field.removeprefix(f"{block}.") for m in kept))
@@ -193,11 +180,6 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
         mistakes = [m for m in mistakes if m not in kept]
         mistakes.append(Mistake(places.get(dotted, FROM_PYTHON)[()], dotted, words))
     return ScenarioError(mistakes)
-
-
-def _within(field: str, paths: Iterable[str]) -> bool:
-    """Whether a field is at one of some paths, or below it."""
-    return any(f"{field}.".startswith(f"{path}.") for path in paths)
 
 
 def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> dict[tuple[str, str], str]:
@@ -210,7 +192,6 @@ def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapp
 
 
 def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Field and sentence of each mistake in a scenario."""
     plain, marks = plain_mapping(text, file, "")
     plain = absolute_files(plain, Path(file).absolute().parent)
     put_over(plain, overrides, marks, {})
@@ -222,26 +203,16 @@ def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tup
 
 
 def seeded(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone.
-
-    Raises:
-        ParameterError: nothing is random, or no start was found with the target in view.
-    """
+    """The scenario with a start drawn from a seed, and all else that is random with it; without a random block that alone."""
     # A fixed start with noise is a fair experiment for many seeds; without either, every seed would give the same run.
     if scenario.robot.start.random is None and scenario.draws:
         return scenario.with_seed(seed)
     return scenario.randomised(seed)
 
 
-def _required() -> str:
-    needed = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
-    return ", ".join(needed[:-1]) + " and " + needed[-1]
-
-
 def for_another_folder(path: Path) -> str:
-    """The text of a scenario file for a copy elsewhere.
-
-    Its plugins and the files that it names are named absolutely; it names no schema, which an editor would not find there.
+    """The text of a scenario file for a copy elsewhere. Its plugins and the files that it names are named absolutely; it names no schema,
+    which an editor would not find there.
     """
     text, folder = SCHEMA_LINE.sub("", text_of(path)), path.absolute().parent
     plain = plain_mapping(text, str(path), "")[0]

@@ -42,11 +42,7 @@ class TargetNoise:
         return self.image_sigma == 0 and not self.perturb
 
     def check(self, target: Target) -> None:
-        """Refuse it for a target without a picture of its own, and kinds that change no picture.
-
-        Raises:
-            ParameterError: it names the field, and what would work.
-        """
+        """Refuse it for a target without a picture of its own, and kinds that change no picture."""
         if self.none:
             return
         if not hasattr(target, "repainted"):

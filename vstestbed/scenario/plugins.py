@@ -12,7 +12,6 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from vstestbed.core.errors import PluginError
@@ -27,15 +26,9 @@ _installed: list[str] = []  # rooms whose entry points are loaded
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
     """Load plugins, which register their kinds, and the entry points of installed packages; then rebuild the validators.
-
-    Args:
-        names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
-
-    Returns:
-        The names under which they are found again from any folder: absolute files, and modules.
-
-    Raises:
-        PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
+    names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
+    Returns the names under which they are found again from any folder: absolute files, and modules.
+    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
     """
     _load_installed()
     return _load_given(names)
@@ -46,14 +39,8 @@ def _load_given(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[str] = ()) -> None:
-    """Load the plugins that a mapping names under `plugins`, and those given beside it; `plain["plugins"]` then holds them all.
-
-    Args:
-        plain: the mapping of a YAML file, which is changed. marks, file: its positions and its name, as in `build`.
-        given: as in `load_plugins`. Each also takes the place of a file of the same name that is not there any more.
-
-    Raises:
-        PluginError: see `load_plugins`.
+    """Load the plugins that a file's mapping names under `plugins`, and those given beside it, each of which also takes the place of a file
+    of the same name that is not there any more; `plain["plugins"]` then holds them all. Raises PluginError: see `load_plugins`.
     """
     if len(_installed) < len(KINDS):
         _load_installed()
@@ -104,11 +91,8 @@ def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
-    """Load a plugin; returns the name under which it is found again.
-
-    Args:
-        name: of the plugin. folder: to which a file's name is relative. where, field: where it is named, for messages.
-        beside: plugins that are loaded already, one of which may be this one in its new place.
+    """Load a plugin; returns the name under which it is found again. folder: to which a file's name is relative. where, field: for
+    messages. beside: plugins that are loaded already, one of which may be this one in its new place.
     """
     if is_file_name(name):
         path = Path(absolute(name, folder))
@@ -124,7 +108,9 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
         refresh_specs()
     if known is None and _members() == before:
         del sys.modules[module.__name__]  # to be read again when it is corrected
-        raise PluginError(str(path), "adds no kind", _what_adds(module), field)
+        own = [cls.__name__ for cls in vars(module).values() if isinstance(cls, type) and cls.__module__ == module.__name__]
+        above = f"its class {own[0]}" if own else "a class in it"
+        raise PluginError(str(path), "adds no kind", f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {above}", field)
     if not is_file_name(name):  # by its own name, too, so that an import of it does not load the file again
         sys.modules.setdefault(name, module)
     return str(path)
@@ -134,14 +120,7 @@ def _members() -> int:
     return sum(len(room.members) for room in ROOMS)
 
 
-def _what_adds(module: ModuleType) -> str:
-    """What makes a kind of the first class of a plugin that adds none."""
-    own = [cls.__name__ for cls in vars(module).values() if isinstance(cls, type) and cls.__module__ == module.__name__]
-    return f"write @vs.LAWS.add (ROBOTS, TARGETS, ...) and @vs.spec above {f'its class {own[0]}' if own else 'a class in it'}"
-
-
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
-    """Import a module by its name."""
     origin = _origin(name)
     if origin is None and name not in sys.modules and (here := str(Path.cwd())) not in sys.path:
         sys.path.append(here)  # at the end: a file here named like an installed package must not replace it
@@ -167,7 +146,6 @@ def _origin(name: str) -> Path | None:
 
 
 def _moved(stem: str, beside: Sequence[str]) -> str | None:
-    """The plugin given beside a scenario that stands for one of this name, which is gone."""
     return next((name for name in beside if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem), None)
 
 
@@ -176,7 +154,6 @@ def _refuse(where: str, found: str, remedy: str, field: str) -> str:
 
 
 def _load_installed() -> None:
-    """Register the kinds of installed packages' entry points."""
     offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
     for room, kinds in KINDS.items():
         with _loading(f"an installed plugin of vstestbed.{room}", None), undone_on_error():

@@ -32,20 +32,17 @@ random walk, perturbations."""
 RGBD_STREAM, GOAL_STREAM, BODY_STREAM, LINK_STREAM, STAMP_STREAM, IMAGING_STREAM, RANDOMISE_STREAM, CLUTTER_STREAM = range(8, 16)
 """The depth camera, the goal's picture, what differs from one robot to the next of its kind, losses of the link, time stamps, the image
 sensor, the block `randomise`, clutter."""
-TARGET_STREAM = 16
-"""Changes of the target's own picture."""
+TARGET_STREAM = 16  # changes of the target's own picture
 
 
 def drawn(scenario: Scenario) -> Scenario:
-    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws.
-
-    Itself where it has them already.
-
-    Raises:
-        ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
+    """The scenario with the values of `randomise`, which is then empty, and the objects of `world.clutter` that its seed draws. Itself
+    where it has them already.
+    Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
     """
     if scenario.randomise:
-        scenario = _with(scenario, [one.draw(_rng(scenario.seed, one.field)) for one in scenario.randomise])
+        of_field = [np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()]) for one in scenario.randomise]
+        scenario = _with(scenario, [one.draw(rng) for one, rng in zip(scenario.randomise, of_field, strict=True)])
     clutter = scenario.world.clutter
     if clutter is None or clutter.placed or not clutter.count:
         return scenario
@@ -54,23 +51,14 @@ def drawn(scenario: Scenario) -> Scenario:
 
 
 def check_randomise(randomise: Sequence[Distribution]) -> None:
-    """Refuse two distributions of one field, or of a block and a field in it.
-
-    Raises:
-        ParameterError: it names the second one.
-    """
+    """Refuse two distributions of one field, or of a block and a field in it."""
     for i, one in enumerate(randomise):
         for j, other in enumerate(randomise[:i]):
             if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
                 raise ParameterError(f"randomise.{i}.field", f"is drawn by randomise.{j} already, as {other.field}", one.field)
 
 
-def _rng(seed: int, field: str) -> np.random.Generator:
-    return np.random.default_rng([seed, RANDOMISE_STREAM, *field.encode()])
-
-
 def _with(scenario: Scenario, values: list[Any]) -> Scenario:
-    """The scenario with a value for each of its distributions."""
     plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
     if "robot.realism" in fields:  # it fills what is not given
         plain["robot"] = brief_mapping(scenario.robot)
@@ -79,11 +67,8 @@ def _with(scenario: Scenario, values: list[Any]) -> Scenario:
         return build(type(scenario), plain, {}, "")
     except ScenarioError as error:
         mistake = error.mistakes[0]
-        i = next((i for i, field in enumerate(fields) if _touches(field, mistake.field)), 0)
+        wrong = f"{mistake.field}."  # it is of the drawn field, of one in it, or of its block
+        touched = (i for i, field in enumerate(fields) if wrong.startswith(f"{field}.") or (wrong != "." and f"{field}.".startswith(wrong)))
+        i = next(touched, 0)
         words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
         raise ParameterError(f"randomise.{i}", words) from None
-
-
-def _touches(field: str, mistaken: str) -> bool:
-    """Whether a mistake is of this field, of one in it, or of its block."""
-    return f"{mistaken}.".startswith(f"{field}.") or (mistaken != "" and f"{field}.".startswith(f"{mistaken}."))

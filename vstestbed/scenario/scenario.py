@@ -53,11 +53,7 @@ from vstestbed.vision import DETECTORS, Blobs, Detector
 from vstestbed.vision.derotate import Derotation
 from vstestbed.vision.perturb import Perturbed
 
-# Whether a start sees the target.
-
-
-VIEW_MARGIN_PX = 10.0
-"""Margin round each whole marker in the picture of a random start [px]."""
+VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 
 def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World) -> bool:
@@ -77,8 +73,7 @@ def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any
     return bool(faces and (whole if goal.counted is None else whole[goal.counted]).all())
 
 
-TRIES = 1000
-"""Largest number of random starts drawn until the target is in view."""
+TRIES = 1000  # largest number of random starts drawn until the target is in view
 DISPLACEMENT_STEPS = 12
 """Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
 
@@ -143,7 +138,6 @@ class Scenario:
     randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not belong together."""
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
         check_clocks(self.robot, self.timing)
@@ -304,9 +298,7 @@ class Scenario:
 
         The start stands in `robot.start.nominal`, drawn again until the target is in view; the body in the robot's blocks, whose lists take
         the place of the standard deviations; what `randomise` draws in its fields, clutter in `world.clutter.placed`.
-
-        Raises:
-            ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
+        Raises ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
         """
         made = drawn(self)
         robot = made.robot.drawn(made.rng(BODY_STREAM))
@@ -319,7 +311,6 @@ class Scenario:
         return made
 
     def _start_of(self, robot: Robot) -> Robot:
-        """The robot at a start drawn from the seed."""
         rng = self.rng(START_STREAM)
         for _ in range(TRIES):
             started = robot.randomised(rng)
@@ -348,21 +339,13 @@ class Scenario:
         return made if known is None else made.loaded_from({**values, **known, **values})  # what is new stands first
 
     def with_seed(self, seed: int) -> Scenario:
-        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise.
-
-        Raises:
-            ParameterError: a drawn value is refused.
-        """
+        """The same experiment with another seed; its start is the given one, unless `draw_start` says otherwise. Errors: see `resolved`."""
         made = self.given.but(seed=seed)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
 
     def randomised(self, seed: int) -> Scenario:
-        """The same experiment with this seed and a start drawn from it (`draw_start`).
-
-        Raises:
-            ParameterError: the robot has no random block, or no start in it sees the target.
-        """
+        """The same experiment with this seed and a start drawn from it (`draw_start`). Errors: see `resolved`."""
         made = self.given.but(seed=seed, draw_start=True)
         made.resolved  # noqa: B018 - refuses what it draws
         return made
@@ -370,11 +353,8 @@ class Scenario:
     def displaced(self, by: Pose, of: Literal["camera", "target"]) -> Scenario:
         """The same experiment, begun at a displacement D from its goal view: the robot's start is found by inverse kinematics.
 
-        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in
-        its own frame at the goal, T_camera_target = T* D.
-
-        Raises:
-            UnreachableError: the robot does not get there. ParameterError: it is neither an arm nor the free camera.
+        of: `camera`, displaced in the frame of the camera at its goal, T_camera_target = D^-1 T*; or `target`, seen displaced in its own
+        frame at the goal, T_camera_target = T* D. Raises UnreachableError. ParameterError: the robot is neither an arm nor the free camera.
         """
         T = self.goal_poses[-1]
         q = posture_at(self.robot, flange_for(self.camera, self.target, T))

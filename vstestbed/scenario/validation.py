@@ -56,17 +56,11 @@ KINDS: dict[str, OneOf] = {
     "perturbations": PERTURBATIONS,
     "distributions": DISTRIBUTIONS,
 }
-"""Every list of kinds; a plugin may add to each."""
 
 
 def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
-    """An object of the spec class `cls` from a plain mapping.
-
-    Args:
-        cls: the spec class. plain: the YAML as plain values. marks: position of each key. file: the file's name in messages.
-
-    Raises:
-        ScenarioError: all mistakes at once, each with its position in the file.
+    """An object of the spec class `cls` from the YAML as plain values, with the positions of its keys and the file's name for messages.
+    Raises ScenarioError: all mistakes at once, each with its position in the file.
     """
     refresh_specs()  # kinds may have been registered since the last scenario was built
     try:
@@ -86,20 +80,9 @@ def _reading_order(mistake: Mistake) -> tuple[int, ...]:
     return tuple(int(n) for n in place) if len(place) == 2 else (1 << 31,)
 
 
-# Values by dotted path put over a scenario's mapping: `--set`, `overrides` in Python, a comparison's settings, what a seed draws.
 def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
-    """Put values over a mapping, in place and in their order.
-
-    Args:
-        plain: the scenario, which is changed. values: by dotted path, such as `law.gain`. marks: positions of its keys, which are changed,
-            too. places: positions of the values, and of the keys in them, by dotted path.
-
-    Raises:
-        ScenarioError: a path goes through a value, or to an item that a list does not have.
+    """Put values over a scenario's mapping, in place and in their order, by dotted path. marks: positions of its keys, also
+    changed. places: of the values, and of the keys in them. Raises ScenarioError: see `override`.
     """
     for path, value in values.items():
-        override(plain, path, value, marks, _is_kind, places.get(path, FROM_PYTHON))
-
-
-def _is_kind(word: str) -> bool:
-    return any(word in room.members for room in ROOMS)
+        override(plain, path, value, marks, lambda word: any(word in room.members for room in ROOMS), places.get(path, FROM_PYTHON))

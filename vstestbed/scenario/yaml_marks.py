@@ -20,23 +20,16 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
 """The position of each key, `FILE:LINE:COL`, or the option or argument that it comes from."""
-FROM_OPTION: Mapping[Key, str] = {(): "--set"}
-"""Position of a value that comes from the command line."""
+FROM_OPTION: Mapping[Key, str] = {(): "--set"}  # position of a value that comes from the command line
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
-"""Position of a value that comes from the argument `overrides` in Python."""
 DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
 "billion laughs") cannot fill the memory."""
 
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
-    """The mapping in YAML text, and the position of its keys.
-
-    Args:
-        text: YAML 1.2. file: the file's name in messages. needs: the required content, for messages.
-
-    Raises:
-        ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
+    """The mapping in YAML 1.2 text, and the position of its keys. needs: the required content, for messages.
+    Raises ScenarioError: it is not YAML, empty, no mapping, or larger than any scenario.
     """
     found = _mapping(text, file)
     if found is None:
@@ -80,7 +73,6 @@ class _Constructor(RoundTripConstructor):
 
 
 def _tree(text: str, file: str) -> Any:
-    """Ruamel's tree of YAML text; its errors as ScenarioError."""
     # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
     yaml = YAML(typ="rt")
     yaml.Composer, yaml.Constructor = _Composer, _Constructor
@@ -101,16 +93,11 @@ def _tree(text: str, file: str) -> Any:
         where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
         words = f"is not YAML: unacceptable character #x{error.character:04x}; delete it"
         raise ScenarioError([Mistake(where, "", words)]) from None
-    except (YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
-        raise ScenarioError([Mistake(_place(yaml, file), "", _without_mark(error))]) from None
-
-
-def _without_mark(error: Exception) -> str:
-    """The sentence for an error of ruamel that has no position of its own."""
-    words = " ".join(str(error).split())
-    if isinstance(error, YAMLError | ValueError):
-        return f"is not YAML: {words}"
-    return f"holds YAML beyond plain mappings, lists and values ({words})"  # a list as a key, a tag on the wrong kind of node
+    except (YAMLError, ValueError) as error:
+        raise ScenarioError([Mistake(_place(yaml, file), "", f"is not YAML: {' '.join(str(error).split())}")]) from None
+    except (TypeError, AttributeError, LookupError) as error:  # a list as a key, a tag on the wrong kind of node
+        words = f"holds YAML beyond plain mappings, lists and values ({' '.join(str(error).split())})"
+        raise ScenarioError([Mistake(_place(yaml, file), "", words)]) from None
 
 
 def _place(yaml: YAML, file: str) -> str:
@@ -140,22 +127,14 @@ def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:
     if isinstance(node, TaggedScalar):
         words = f"has the tag {node.tag}; a scenario holds plain values only"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
-    return _scalar(node)
+    # A scalar without ruamel's wrapper, which keeps how a number was written; bool before int: a bool is one.
+    return next((scalar(node) for scalar in (bool, int, float, str) if isinstance(node, scalar)), node)
 
 
 def _check_size(key: Key, marks: Marks, file: str) -> None:
-    """Refuse a file that is nested too deeply, or that has grown too large by its aliases."""
     if len(key) > DEEPEST or len(marks) > MOST_VALUES:
         words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
-
-
-def _scalar(node: Any) -> Any:
-    """A scalar without ruamel's wrapper, which keeps how a number was written; null and dates as they are."""
-    for scalar in (bool, int, float, str):  # bool before int: a bool is one
-        if isinstance(node, scalar):
-            return scalar(node)
-    return node
 
 
 def _position_of_item(position: Callable[[Any], tuple[int, int]], item: object, file: str) -> str | None:
@@ -178,15 +157,9 @@ def read_value(text: str) -> object:
 def override(
     plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_PYTHON
 ) -> None:
-    """Set the value at a dotted path; missing blocks on the path are created, a bare kind becomes a block.
-
-    Args:
-        plain: the mapping, which is changed. dotted: the path, such as `law.gain`. value: the new value.
-        marks: positions of the keys, which are changed, too. is_kind: whether a word is a kind of some block.
-        own: position of the value, and of the keys in it relative to it.
-
-    Raises:
-        ScenarioError: the path goes through a value, or to an item that a list does not have.
+    """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare kind (`is_kind`) becomes a block.
+    marks: positions of the keys, which are changed, too. own: of the value, and of the keys in it relative to it.
+    Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """
     parts, where = dotted.split("."), own[()]
     if not all(parts):
@@ -199,8 +172,8 @@ def override(
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
             marks[key] = where
-        block = _as_block(child, is_kind)
-        if block is None:
+        block = {} if child is None else {"kind": child} if isinstance(child, str) and is_kind(child) else child
+        if not isinstance(block, dict | list):
             raise ScenarioError([Mistake(where, dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
         here[step] = block
         here = block
@@ -210,15 +183,6 @@ def override(
     for old in [k for k in marks if k[: len(key) + 1] == (*key, last)]:
         del marks[old]
     marks.update({(*key, last, *inner): place for inner, place in own.items()})
-
-
-def _as_block(child: Any, is_kind: Callable[[str], bool]) -> dict[str, Any] | list[Any] | None:
-    """A value on a dotted path as the block or list that the path can enter: {} for a missing one, None for a scalar."""
-    if child is None:
-        return {}
-    if isinstance(child, str) and is_kind(child):
-        return {"kind": child}
-    return child if isinstance(child, dict | list) else None
 
 
 def _step(here: Any, part: str, dotted: str, where: str) -> str | int:
@@ -236,16 +200,12 @@ def from_option(paths: Iterable[str]) -> dict[str, Marks]:
     return {path: dict(FROM_OPTION) for path in paths}
 
 
-def place_of(key: Key, marks: Mapping[Key, str], file: str) -> str:
-    """The position of a key, or of the nearest block above it."""
-    return _nearest(key, marks, f"{file}:1:1")
-
-
-def _nearest(key: Key, marks: Mapping[Key, str], otherwise: str) -> str:
-    return next((marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks), otherwise)
+def place_of(key: Key, marks: Mapping[Key, str], file: str, otherwise: str = "") -> str:
+    """The position of a key, or of the nearest block above it, else the file's first line."""
+    return next((marks[key[:n]] for n in range(len(key), -1, -1) if key[:n] in marks), otherwise or f"{file}:1:1")
 
 
 def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
     """The positions of a value and of the keys in it, relative to it; `--set` where no file has it."""
     inner = {k[len(key) :]: place for k, place in marks.items() if k[: len(key)] == key}
-    return {(): _nearest(key, marks, FROM_OPTION[()])} | inner
+    return {(): place_of(key, marks, "", FROM_OPTION[()])} | inner
