@@ -97,7 +97,7 @@ class PoseMemory:
 class PoseController(LawBase):
     """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
 
-    The equations and their stability are at the head of this file. With `direction: auto` the vehicle drives forward or in
+    The equations and their stability are at the head of `laws.pose_controller`. With `direction: auto` the vehicle drives forward or in
     reverse, depending on which end faces the goal at the start. Nearer than `rest_m` it stands still for good; also within
     `pass_m` once the goal is abeam or behind, where it has just been missed and the law would drive round for another attempt.
 

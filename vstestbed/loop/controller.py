@@ -263,7 +263,7 @@ class Controller:
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
         Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with `reason`, or a velocity, as `setpoint` and as
-        `twist`, to which the sender leads with `timing.interpolation` (`timing.setpoints.Blend`). `notes` tell of pictures that came late or
+        `twist`, to which the sender leads with `timing.interpolation` (`setpoints.Blend`). `notes` tell of pictures that came late or
         twice, or did not come. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one, it is the last
         cycle again.
 
