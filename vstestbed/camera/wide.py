@@ -123,12 +123,11 @@ KNOTS, ROUNDS = 257, 8
 class Fisheye(Radial):
     """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
-    With k = 0 it is the equidistant lens m = theta. The numbers of OpenCV's `fisheye` calibration fit as they are
-    (f = fx = fy; no skew), and here they go on beyond 90 degrees.
+    The numbers of OpenCV's `fisheye` calibration fit as they are (f = fx = fy; no skew), and here they go on beyond 90 degrees.
 
     Args:
         fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
-        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1].
+        coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1]; all 0: the equidistant lens m = theta.
 
     Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f, doi:10.1109/TPAMI.2006.153.
     """

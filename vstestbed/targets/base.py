@@ -213,10 +213,7 @@ class Target:
         return self.points_at(inverse(T_target_camera))
 
     def by_size(self, ray: Array) -> Array | None:
-        """Marker centres (N, 3) in the camera's frame [m] from their unit rays (N, 3), NaN where one is not seen, and its known size.
-
-        None where the size alone does not tell: markers with places of their own have a pose (`depth: pnp`).
-        """
+        """Marker centres (N, 3) [m] from their unit rays (N, 3), NaN where unseen, and the known size; None where it does not tell."""
         return None
 
     @property

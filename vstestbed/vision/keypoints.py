@@ -311,11 +311,14 @@ class KeypointsMemory:
 class Keypoints(DetectorBase):
     """Points of the scene itself, found again by their surroundings: no markers are needed, and the target's are not looked for.
 
-    Key points (`features`) of the picture taken at the goal and of this one are matched by their descriptors, if each is the other's
-    nearest. They are others in every picture, so the detection holds the goal's view of the points in its `best` rows; empty rows are NaN.
-    Where fewer than `least` are found, nothing is reported, and the law rests, or coasts where it can. With `subpixel` the patch round each
-    point of the goal's picture is laid over this one, with its scale, turn and perspective from the homography: 0.02 px in place of 0.1
-    (SIFT) to 1 px (ORB). Points whose patch is not alike, or is cut by a picture's border, are replaced by the next ones.
+    The points are others in every picture, so the detection holds the goal's view of the points in its `best` rows; empty rows are NaN.
+    Where fewer than `least` are found, nothing is reported, and the law rests, or coasts where it can.
+
+    - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
+    - With `ransac: homography` those pairs count that agree with one plane.
+    - The best of them, or well spread ones, are chosen.
+    - With `subpixel` the patch round each point of the goal's picture is laid over this one, with its scale, turn and perspective from
+    the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Patches that are not alike, or cut by a border, are replaced.
 
     Depths in the goal's view are those of the target's plane, or of a depth camera. Of points beyond the target, such as the floor's,
     the plane's are wrong, hence `within: board`.
