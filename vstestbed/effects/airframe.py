@@ -22,10 +22,8 @@ from vstestbed.effects.vibration import Vibration
 class BodyState(NamedTuple):
     """The truth of a robot's base at one instant.
 
-    Attributes:
-        air: velocity of its origin against the air, base axes (3,) [m/s]. rates: angular velocity, base axes (3,) [rad/s].
-        act: activations of its actuators (nu,).
-        below: how far straight below each of `Airframe.probes` something is, inf over nothing [m].
+    air: velocity of its origin against the air, base axes (3,) [m/s]. rates: angular velocity, base axes (3,) [rad/s].
+    act: activations of its actuators (nu,). below: how far straight below each of `Airframe.probes` something is, inf over nothing [m].
     """
 
     air: Vector
@@ -37,8 +35,7 @@ class BodyState(NamedTuple):
 class Effort(NamedTuple):
     """What the imperfections do for one control period.
 
-    Attributes:
-        force, torque: on the base, about its origin, base axes (3,) [N, Nm]. orders: what reaches the actuators (nu,).
+    force, torque: on the base, about its origin, base axes (3,) [N, Nm]. orders: what reaches the actuators (nu,).
     """
 
     force: Vector
@@ -77,8 +74,7 @@ class _Blocks(Protocol):
 class FlightEffects(EffectBase):
     """All of a craft's blocks together: the thrust of a rotor is multiplied by several of them.
 
-    Attributes:
-        craft: its parameters. blocks: its blocks.
+    craft: its parameters. blocks: its blocks.
     """
 
     craft: _Craft
@@ -229,11 +225,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class OnBase(Actor):
-    """A floating robot with its imperfections.
-
-    Args:
-        body: the robot, with the free joint `root`. airframe: its imperfections.
-    """
+    """A floating robot with its imperfections. body: the robot, with the free joint `root`. airframe: its imperfections."""
 
     def __init__(self, body: RobotBody, airframe: Airframe):
         model, data = body.model, body.data

@@ -107,9 +107,7 @@ class RobotModel:
 class RobotBody:
     """A robot in the running scene, where all its names have the prefix `robot/`. It is the truth: an effect is no part of the controller.
 
-    Attributes:
-        model, data: MuJoCo's. at: where its joints and actuators are. step_s: of the physics [s].
-        joints, actuators: names without the prefix.
+    model, data: MuJoCo's. at: where its joints and actuators are. step_s: of the physics [s]. joints, actuators: names without the prefix.
     """
 
     model: mujoco.MjModel
@@ -163,9 +161,8 @@ class Remedy(NamedTuple):
 class Effect(Protocol):
     """An imperfection of a robot's body or its drives; `EffectBase` has defaults for everything, which do nothing.
 
-    Attributes:
-        columns: of the log, with the values of `Actor.row`; no two effects of a robot may have the same.
-        uneven: the robot stands as the ground tilts it, which is no plane.
+    columns: of the log, with the values of `Actor.row`; no two effects of a robot may have the same.
+    uneven: the robot stands as the ground tilts it, which is no plane.
     """
 
     columns: ClassVar[tuple[str, ...]]

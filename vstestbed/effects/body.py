@@ -12,8 +12,7 @@ Factors = tuple[float, float, float]
 class Set:
     """Sets a field of one element; of an array field the first `len(value)` entries.
 
-    Attributes:
-        kind: of the element (`body`, `geom`, ...). name, field: as MuJoCo's MjSpec calls them. value: in the unit of the file.
+    kind: of the element (`body`, `geom`, ...). name, field: as MuJoCo's MjSpec calls them. value: in the unit of the file.
     """
 
     kind: Literal["body", "geom", "joint", "site", "actuator"]
@@ -26,8 +25,7 @@ class Set:
 class Scale:
     """Multiplies a field of all elements of a kind, of the geoms or joints of one body, or of one body or actuator.
 
-    Attributes:
-        kind, field: as in `Set`. factor: of all entries, or one for each of the first. of: the body, or the actuator; "" for all.
+    kind, field: as in `Set`. factor: of all entries, or one for each of the first. of: the body, or the actuator; "" for all.
     """
 
     kind: Literal["body", "geom", "joint", "actuator"]
@@ -40,8 +38,7 @@ class Scale:
 class Stretch:
     """Stretches the geoms of a body about its origin, p -> factors p + shift: places, sizes of boxes, vertices of meshes, no radii.
 
-    Attributes:
-        body: its name. factors: along x, y, z. shift: along x, y, z [m].
+    body: its name. factors: along x, y, z. shift: along x, y, z [m].
     """
 
     body: str
@@ -53,8 +50,7 @@ class Stretch:
 class Couple:
     """Sets the polynomial by which one joint follows another (`equality/joint`).
 
-    Attributes:
-        joint: the one that follows. coefficients: (5,), of powers 0 to 4.
+    joint: the one that follows. coefficients: (5,), of powers 0 to 4.
     """
 
     joint: str
@@ -65,8 +61,7 @@ class Couple:
 class Loosen:
     """Play between a joint and all that follow it: they follow a new joint `<joint>_output`, which is free within the play.
 
-    Attributes:
-        joint: the one that moves them. width: of the play, from one end to the other [rad].
+    joint: the one that moves them. width: of the play, from one end to the other [rad].
     """
 
     joint: str

@@ -32,8 +32,7 @@ MilliSeconds = Annotated[float, Ge(0), Le(0.1)]
 def each(field: str, given: Sequence[float], slides: NDArray[np.bool_], turns: bool = True) -> Array:
     """A value for each joint (n,): one that is given alone holds for all hinges, and of an angle (`turns`) not for joints that slide.
 
-    Raises:
-        ParameterError: another number of values, or an angle for a joint that slides.
+    Raises ParameterError: another number of values, or an angle for a joint that slides.
     """
     n = len(slides)
     if len(given) not in (1, n):
@@ -74,8 +73,7 @@ class Gears:
     def play(self, k: Array, slides: NDArray[np.bool_]) -> Array:
         """Play (n,) [rad] of joints of stiffness k (n,), of which some slide; one that is given alone holds for the elastic ones.
 
-        Raises:
-            ParameterError: another number of values, or play in a rigid joint.
+        Raises ParameterError: another number of values, or play in a rigid joint.
         """
         play = np.radians(each("gears.backlash_deg", self.backlash_deg, slides))
         if len(self.backlash_deg) > 1 and play[k == 0].any():
@@ -90,8 +88,7 @@ class Ripple:
 
     tau = (1 + share sin(cycles theta)) tau_servo + cogging_nm sin(cycles theta), all on the joint's side of the gears.
 
-    Reference: Jahns & Soong 1996, Pulsating torque minimization techniques for permanent magnet AC motor drives,
-    doi:10.1109/41.491356.
+    Reference: Jahns & Soong 1996, Pulsating torque minimization techniques for permanent magnet AC motor drives, doi:10.1109/41.491356.
 
     Args:
         cogging_nm: amplitude of the cogging torque of each joint, one for all or one for each [Nm]; e.g. `0.5`.
@@ -203,13 +200,12 @@ def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
 class ElasticJoints(EffectBase):
     """`Gears` of an arm of n joints in plain numbers.
 
-    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that
-    grows is a tendon more, whose rest lengths reach to the stage's beginning. Armature, friction, torque limit and actuators of an elastic
-    joint go to the side of its rotor, the joint `rotor_<joint>`.
+    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that grows
+    is a tendon more, whose rest lengths reach to the stage's beginning. Armature, friction, torque limit and actuators of an elastic joint
+    go to the side of its rotor, the joint `rotor_<joint>`.
 
     Attributes:
-        joints: names in the file.
-        stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.
+        joints: names in the file. stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.
         stages: (n, m, 2), beyond which torsion the stiffness of a gear grows by how much [rad, Nm/rad]; in the order of the torsion.
         rotors: inertia of the motors' rotors on the joint's side (n,) [kg m^2]; None: as the file has it.
     """
@@ -279,8 +275,7 @@ def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
 
     det([[K, -K], [-K, K]] - w^2 [[M, 0], [0, J]]) = 0; a rigid joint's rotor is part of its link.
 
-    Args:
-        M: inertia of the links (n, n). rotors: J, (n,). stiffness: diagonal of K, (n,), 0 for a rigid joint.
+    M: inertia of the links (n, n). rotors: J, (n,). stiffness: diagonal of K, (n,), 0 for a rigid joint.
     """
     soft = np.flatnonzero(stiffness > 0)
     if not len(soft):
@@ -307,9 +302,8 @@ DRIVES_STEP_S = 0.001
 class Motors(EffectBase):
     """`Ripple` and `CurrentLoops` of an arm of n joints in plain numbers.
 
-    Attributes:
-        cogging, cycles: amplitude of the cogging torque and cycles in a turn of the joint (n,) [Nm, 1]. ripple: of the torque [1].
-        loops: the current loops; None: the torque follows at once.
+    cogging, cycles: amplitude of the cogging torque and cycles in a turn of the joint (n,) [Nm, 1]. ripple: of the torque [1].
+    loops: the current loops; None: the torque follows at once.
     """
 
     cogging: Array

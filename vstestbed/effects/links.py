@@ -63,11 +63,7 @@ class GeometryError:
         return GeometryError(offsets=tuple(Pose(xyz=tuple(p), rpy_deg=tuple(a)) for p, a in zip(xyz, rpy, strict=True)))
 
     def displacements(self, n: int) -> Array | None:
-        """D_i (n, 4, 4); None without any.
-
-        Raises:
-            ParameterError: another number of links.
-        """
+        """D_i (n, 4, 4); None without any. Raises ParameterError: another number of links."""
         if not self.offsets:
             return None
         if len(self.offsets) != n:
@@ -79,8 +75,7 @@ class GeometryError:
 class DisplacedLinks(EffectBase):
     """`GeometryError` of an arm in plain numbers.
 
-    Attributes:
-        joints: names in the file. D: displacement of the next joint, or the flange, in the frame of each link (n, 4, 4).
+    joints: names in the file. D: displacement of the next joint, or the flange, in the frame of each link (n, 4, 4).
     """
 
     joints: tuple[str, ...]
@@ -89,8 +84,7 @@ class DisplacedLinks(EffectBase):
     def edit(self, robot: RobotModel) -> None:
         """Displace the body of each joint but the first by D of the link before it, in the frame of that link, and the flange.
 
-        Raises:
-            ParameterError: the file has a joint whose place cannot be changed alone.
+        Raises ParameterError: the file has a joint whose place cannot be changed alone.
         """
         import mujoco
 

@@ -67,9 +67,8 @@ class RotorInertia:
 def inertia_torque(J: float, rates: Vector, speeds: Four, accelerations: Four) -> Vector:
     """The torque (3,) [Nm] on the body.
 
-    Args:
-        J: of one rotor [kg m^2]. rates: of the body, body axes (3,) [rad/s].
-        speeds, accelerations: of the rotors, front right back left, without sign (4,) [rad/s, rad/s^2].
+    J: of one rotor [kg m^2]. rates: of the body, body axes (3,) [rad/s].
+    speeds, accelerations: of the rotors, front right back left, without sign (4,) [rad/s, rad/s^2].
     """
     a, b, c, d = speeds
     h = J * (a - b + c - d)

@@ -75,8 +75,7 @@ class StrainWave:
     def curves(self, slides: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Stiffness at rest (n,) [Nm/rad], and the stages (n, 2, 2): beyond which torsion [rad] it grows by how much [Nm/rad].
 
-        Raises:
-            ParameterError: another number of sizes, or one that the catalogue has not.
+        Raises ParameterError: another number of sizes, or one that the catalogue has not.
         """
         sizes = each("strain_wave.sizes", self.sizes, slides)
         k, stages = np.zeros(len(slides)), np.zeros((len(slides), 2, 2))

@@ -76,8 +76,7 @@ class Tyres(EffectBase):
     def deflected(self, u: Pair, sliding: Pair, speed: float, friction: float, dt: float) -> Pair:
         """The deflection [m] after dt [s]: the exact solution of du/dt for constant velocities, within what a sliding patch has.
 
-        Args:
-            u: present one [m]. sliding: V_s [m/s]. speed: V >= 0 [m/s]. friction: mu [1]. dt: [s].
+        u: present one [m]. sliding: V_s [m/s]. speed: V >= 0 [m/s]. friction: mu [1]. dt: [s].
         """
         a = speed * dt / self.relaxation_m
         keep = math.exp(-a)
@@ -91,8 +90,7 @@ class Tyres(EffectBase):
     def force(self, u: Pair, sliding: Pair, speed: float, friction: float, load: float) -> Pair:
         """The force of the floor on a wheel, along and across it [N]: the brush's, and the damper's at low speed, mu F_z at most.
 
-        Args:
-            u: deflection [m]. sliding, speed, friction: as in `deflected`. load: F_z [N].
+        u: deflection [m]. sliding, speed, friction: as in `deflected`. load: F_z [N].
         """
         most = friction * load
         slip = math.hypot(*u) / self.relaxation_m
@@ -119,8 +117,7 @@ class TyreForces(Actor):
 
     The load of a wheel is the force of constraints on the slide of its spring, in the last step: that of its contact.
 
-    Args:
-        body: the vehicle. tyres: of all its wheels.
+    body: the vehicle. tyres: of all its wheels.
     """
 
     def __init__(self, body: RobotBody, tyres: Tyres):

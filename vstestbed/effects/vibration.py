@@ -43,8 +43,7 @@ class Vibration:
     def at(self, angles: Four, W: Four, hover: float, noise: list[float]) -> tuple[Vector, Vector]:
         """What is added to the accelerometer (3,) [m/s^2] and to the gyro (3,) [rad/s].
 
-        Args:
-            angles, W: of the rotors, (4,) [rad] and squared speeds [(rad/s)^2]. hover: W at hover. noise: six normal numbers.
+        angles, W: of the rotors, (4,) [rad] and squared speeds [(rad/s)^2]. hover: W at hover. noise: six normal numbers.
         """
         x = y = z = 0.0
         for phi, share in zip(angles, W, strict=True):

@@ -73,8 +73,7 @@ class Wind(EffectBase):
 class WindField(Actor):
     """Mean and gusts by the clock, turbulence u with du = -u dt/T + sigma sqrt(2/T) dW, discretised exactly.
 
-    Args:
-        wind: parameters. model: receives it as `opt.wind`. rng: generator of the turbulence.
+    wind: parameters. model: receives it as `opt.wind`. rng: generator of the turbulence.
     """
 
     with_controller: ClassVar[bool] = True

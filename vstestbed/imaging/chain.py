@@ -125,9 +125,8 @@ def imaging_of(camera: _Imaged, rng: np.random.Generator | None) -> Imaging | No
 class Chain:
     """All that becomes of a rendered picture; `next` has it in the order in which light and numbers pass.
 
-    Args:
-        imaging: lens, exposure, sensor and stream; None where the camera has none of them.
-        noise, drift: of the scenario. changed: gives further changes of each next picture.
+    imaging: lens, exposure, sensor and stream; None where the camera has none of them.
+    noise, drift: of the scenario. changed: gives further changes of each next picture.
     """
 
     def __init__(

@@ -81,9 +81,8 @@ class DepthSensor(ABC):
     def measured(self, z: DepthImage, xy: Array, f: float, rng: np.random.Generator | None) -> DepthImage:
         """The depth picture (H, W) [m], NaN in holes.
 
-        Args:
-            z: true depths (H, W) [m], inf where there is nothing. xy: normalised coordinates of the pixels, (H, W, 2).
-            f: focal length [px]. rng: of this picture; None for its holes and steps without noise.
+        z: true depths (H, W) [m], inf where there is nothing. xy: normalised coordinates of the pixels, (H, W, 2).
+        f: focal length [px]. rng: of this picture; None for its holes and steps without noise.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             theta = incidence(z, xy, f)
@@ -232,11 +231,10 @@ DEPTH_SENSORS = OneOf("depth_sensor", Ideal, Stereo, StructuredLight, TimeOfFlig
 def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:
     """Angle (H, W) [rad] between each pixel's ray and the normal of the surface that it meets.
 
-    On a plane 1 / Z is linear in x and y: with its gradient (a, b) the normal is along (a, b, 1 / Z - a x - b y), whose product with
-    the ray (x, y, 1) is 1 / Z. Of the differences to both neighbours the smaller counts: the other one may be of another surface.
+    On a plane 1 / Z is linear in x and y: with its gradient (a, b) the normal is along (a, b, 1 / Z - a x - b y), whose product with the
+    ray (x, y, 1) is 1 / Z. Of the differences to both neighbours the smaller counts: the other one may be of another surface.
 
-    Args:
-        z: depths (H, W) [m], inf where there is nothing. xy: normalised coordinates (H, W, 2). f: focal length [px].
+    z: depths (H, W) [m], inf where there is nothing. xy: normalised coordinates (H, W, 2). f: focal length [px].
     """
     w, x, y = (np.asarray(part, np.float32) for part in (1 / z, xy[..., 0], xy[..., 1]))
     a, b = (np.float32(f) * _slope(w, axis) for axis in (1, 0))

@@ -72,11 +72,7 @@ class AutoExposure:
         return -math.expm1(-period_s / self.lag_s)
 
     def check(self, period_s: float) -> None:
-        """Refuse a delay with which it is not stable.
-
-        Raises:
-            ParameterError: with the least lag.
-        """
+        """Refuse a delay with which it is not stable. Raises ParameterError: with the least lag."""
         most = 2 * math.sin(math.pi / (2 * (2 * self.delay_pictures + 1)))
         if self.share(period_s) >= most:
             least = -period_s / math.log1p(-most)
@@ -104,9 +100,8 @@ class AutoExposure:
 class ExposureSetting:
     """How a picture is exposed.
 
-    Attributes:
-        light: of the scene, relative to the rendered one [1]. time_s: exposure time [s]. gain: of the amplifier [1].
-        nominal_s: exposure time for which the scene is rendered [s].
+    light: of the scene, relative to the rendered one [1]. time_s: exposure time [s]. gain: of the amplifier [1].
+    nominal_s: exposure time for which the scene is rendered [s].
     """
 
     light: float = 1.0
@@ -187,9 +182,8 @@ class ExposureControl:
 class ExposureLoop:
     """The exposure of one run's pictures, in their order.
 
-    Args:
-        control: as the camera has it; None for the rendered exposure. period_s: of the camera [s].
-        black: level of a picture without light, which the camera knows [grey levels].
+    control: as the camera has it; None for the rendered exposure. period_s: of the camera [s].
+    black: level of a picture without light, which the camera knows [grey levels].
     """
 
     def __init__(self, control: ExposureControl | None, period_s: float, black: float = 0.0):

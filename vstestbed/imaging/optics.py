@@ -87,10 +87,8 @@ class Optics:
     def check(self, flat: bool, focal_length_m: float | None) -> None:
         """Refuse what the camera's lens cannot have.
 
-        flat: it is a perspective lens. focal_length_m: the camera's [m]; None where it has a field of view instead.
-
-        Raises:
-            ParameterError: it names the field, and what would work.
+        flat: it is a perspective lens. focal_length_m: the camera's [m]; None where it has a field of view instead. Raises ParameterError:
+        it names the field, and what would work.
         """
         for field, given in (("cos4", self.cos4), ("defocus", self.defocus is not None)):
             if given and not flat:
@@ -148,11 +146,7 @@ class _Lens(Protocol):
 
 
 class LensEffects:
-    """Applies a lens's errors to pictures.
-
-    Args:
-        camera: with the size, the principal point and the rays of the picture. optics: its errors.
-    """
+    """Applies a lens's errors to pictures. camera: with the size, the principal point and the rays of the picture. optics: its errors."""
 
     def __init__(self, camera: _Lens, optics: Optics):
         self._camera, self._optics = camera, optics

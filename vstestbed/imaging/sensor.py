@@ -32,8 +32,7 @@ Electrons = Annotated[float, Ge(0), Le(1e6)]
 class FixedPattern:
     """What differs from pixel to pixel of one camera, and stays.
 
-    Attributes:
-        offset: of the dark signal (H, W, 3) [e-]. response: relative to the mean one (H, W, 3) [1].
+    offset: of the dark signal (H, W, 3) [e-]. response: relative to the mean one (H, W, 3) [1].
     """
 
     offset: Floats
@@ -177,8 +176,7 @@ def plain(light: Floats, setting: ExposureSetting) -> NDArray[np.uint8]:
 class Mosaic:
     """The filters before a sensor's pixels, and their inverse as far as there is one.
 
-    Args:
-        pattern: colours of the first two pixels of the first row, and of the second row. demosaic: `linear` or `edge_aware`.
+    pattern: colours of the first two pixels of the first row, and of the second row. demosaic: `linear` or `edge_aware`.
     """
 
     def __init__(self, pattern: str, demosaic: str):
@@ -253,9 +251,7 @@ NO_DRIFT = Drift()
 class ImageNoise:
     """Gaussian noise of an image sensor, drawn anew for each picture.
 
-    Args:
-        sigma: standard deviation on each channel [grey levels of 255].
-        rng: source of the noise; None for none.
+    sigma: standard deviation on each channel [grey levels of 255]. rng: source of the noise; None for none.
     """
 
     def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
@@ -275,8 +271,7 @@ class ImageNoise:
 class PictureNoise:
     """The noise of one picture: a function of pixel and panel alone, whichever of them are drawn, and however often.
 
-    Attributes:
-        sigma: standard deviation [grey levels]. seed: of this picture; None for no noise.
+    sigma: standard deviation [grey levels]. seed: of this picture; None for no noise.
     """
 
     sigma: float

@@ -37,8 +37,7 @@ Rows = tuple[int, int]
 class Contribution:
     """What the scene at one instant contributes to a picture.
 
-    Attributes:
-        draws: brightness of the lamps and weight of each image of it that is drawn.
+    draws: brightness of the lamps and weight of each image of it that is drawn.
     """
 
     draws: tuple[tuple[float, RowWeight], ...]

@@ -31,11 +31,7 @@ class VideoStream(ABC):
     """Whether width and height must be even where colours have half the size."""
 
     def check(self, width: int, height: int) -> None:
-        """Refuse a size [px] that it cannot have.
-
-        Raises:
-            ParameterError: with one that it can.
-        """
+        """Refuse a size [px] that it cannot have. Raises ParameterError: with one that it can."""
         if self.pairs and self.colours == "half" and (width % 2 or height % 2):
             field, size = ("width", width) if width % 2 else ("height", height)
             raise ParameterError(field, f"must be even for stream {self.kind} with colours: half", size)
@@ -128,11 +124,7 @@ class JpegTrip:
 class H264Trip:
     """H.264: the encoder remembers the pictures before.
 
-    Args:
-        stream: its settings. rate_hz: pictures per second, for the bit rate.
-
-    Raises:
-        EnvironmentLackError: PyAV has no x264 here.
+    stream: its settings. rate_hz: pictures per second, for the bit rate. Raises EnvironmentLackError: PyAV has no x264 here.
     """
 
     def __init__(self, stream: H264Stream, rate_hz: float):

@@ -23,8 +23,7 @@ class Allocation:
     Attributes:
         setpoint: of the actuators or the onboard controller (joint velocities [rad/s], or a twist).
         twist: the camera twist (6,) that the setpoint realises by the robot's own model.
-        scale: factor in [0, 1] by which the whole command was scaled to stay within limits.
-        limit: the limit that scaled it ("" for none).
+        scale: factor in [0, 1] by which the whole command was scaled to stay within limits. limit: the limit that scaled it ("" for none).
         rates: the robot's own velocities (n,) that the setpoint orders (`OwnModel`); None: those of `twist`.
     """
 
@@ -39,9 +38,7 @@ class Allocation:
 class Mount:
     """Where the camera sits on the robot, with the twist transforms between flange and camera, computed once.
 
-    Attributes:
-        T_flange_camera: pose (4, 4).
-        to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @ twist_camera and back.
+    T_flange_camera: pose (4, 4). to_flange, to_camera: adjoints (6, 6), twist_flange = to_flange @ twist_camera and back.
     """
 
     T_flange_camera: Array
@@ -68,10 +65,8 @@ class Mount:
 class Servo:
     """The servo of one joint, told its speed.
 
-    Attributes:
-        joint: its name. speed: largest one it is told [rad/s, m/s].
-        torque: largest one [Nm, N]; None for the file's own servo.
-        kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain.
+    joint: its name. speed: largest one it is told [rad/s, m/s]. torque: largest one [Nm, N]; None for the file's own servo.
+    kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain.
     """
 
     joint: str

@@ -33,14 +33,9 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     (the largest damping equals the threshold, so the gain along the weakest direction is s_min / threshold^2).
     With fewer than six joints the twist is met in the least-squares sense, with more dq is the smallest.
 
-    Args:
-        J: Jacobian, shape (6, n), rows (v, w).
-        twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
-        unit_m: length that makes metres and radians comparable [m].
-        threshold: smallest singular value of Js that is left undamped.
-
-    Returns:
-        dq (n,) [rad/s, m/s]; `J @ dq` is the realised twist.
+    J: Jacobian, shape (6, n), rows (v, w). twist: (vx, vy, vz, wx, wy, wz) of the flange in the Jacobian's frame, [m/s, rad/s].
+    unit_m: length that makes metres and radians comparable [m]. threshold: smallest singular value of Js that is left undamped. Returns dq
+    (n,) [rad/s, m/s]; `J @ dq` is the realised twist.
 
     Reference: Nakamura & Hanafusa 1986, doi:10.1115/1.3143764; this law of lambda from Maciejewski & Klein 1988,
     doi:10.1002/rob.4620050603, as written by Chiaverini, Siciliano & Egeland 1994, doi:10.1109/87.294335.
@@ -93,16 +88,14 @@ def joints_at(
     """Joint positions (n,) [rad, m] of a flange pose (4, 4).
 
     q <- clip(q + J^+ log(T(q)^-1 T) + N inward(q)), with the damped inverse J^+ of `resolved_rate`, without the columns of joints that
-    stand at a limit and would move beyond it, and N the null space of J for more than six joints.
+    stand at a limit and would move beyond it, and N the null space of J for more than six joints. Raises UnreachableError: the arm does not
+    get there; with how near it comes.
 
     Args:
         kinematics: T_world_flange (4, 4) and the flange's Jacobian (6, n) of joints (n,). T_world_flange: the pose that is wanted.
         near: joints to begin at: of several postures the one that Newton's steps reach from there is found.
         limits: lowest and highest position of each joint (n, 2). unit_m: length that makes metres and radians comparable [m].
         inward: motion of the joints (n,) away from their limits, in the null space of a seventh joint.
-
-    Raises:
-        UnreachableError: the arm does not get there; with how near it comes.
 
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
     """

@@ -1,18 +1,17 @@
 """Attitude estimation: the complementary filter of Mahony et al. for gyro and accelerometer, on the sphere of directions.
 
-The estimate is z, the world's up in body axes, unit: (-sin pitch, cos pitch sin roll, cos pitch cos roll).
-An IMU has no reference for heading, which is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
+The estimate is z, the world's up in body axes, unit: (-sin pitch, cos pitch sin roll, cos pitch cos roll). An IMU has no reference for
+heading, which is left out. With the gyro's reading w, its bias b and the measured up a / |a|:
 
     e = a / |a| x z,   z_dot = z x (w - b + k_p e),   b_dot = -k_i e.
 
-An accelerometer measures specific force, a = up g + acceleration, which in flight is nearly the thrust alone. It indicates the
-tilt only averaged over times in which accelerations cancel; hence a low gain. Where a velocity is measured, its rate is first
-subtracted from a (`acceleration`): without that a step to 2 m/s disturbs the estimate by 5 degrees, and the velocity, levelled with
-it, overshoots by a quarter.
+An accelerometer measures specific force, a = up g + acceleration, which in flight is nearly the thrust alone. It indicates the tilt only
+averaged over times in which accelerations cancel; hence a low gain. Where a velocity is measured, its rate is first subtracted from a
+(`acceleration`): without that a step to 2 m/s disturbs the estimate by 5 degrees, and the velocity, levelled with it, overshoots by a
+quarter.
 
-Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction;
-Martin & Salaun 2010, doi:10.1109/ROBOT.2010.5509980, on what an accelerometer measures;
-Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
+Reference: Mahony, Hamel & Pflimlin 2008, doi:10.1109/TAC.2008.923738, the passive filter on one direction; Martin & Salaun 2010,
+doi:10.1109/ROBOT.2010.5509980, on what an accelerometer measures; Hua 2010, doi:10.1016/j.conengprac.2010.01.016, on the use of a velocity.
 """
 
 from __future__ import annotations
@@ -76,11 +75,8 @@ class Attitude(NamedTuple):
 def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float) -> Attitude:
     """One step of the filter.
 
-    Args:
-        gyro: angular velocity in body axes (3,) [rad/s].
-        force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
-        acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known.
-        dt: [s].
+    gyro: angular velocity in body axes (3,) [rad/s]. force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
+    acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known. dt: [s].
     """
     (x, y, z), (bx, by, bz) = memory
     (fx, fy, fz), (kx, ky, kz), (gx, gy, gz) = force, acceleration, gyro

@@ -55,9 +55,8 @@ STANDS_RADPS = 0.02
 class Supervisor:
     """Passes the law's order on, until the target has been out of sight for too long, or the law has failed: then it stops the robot.
 
-    Attributes:
-        lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own sensors [m], without a measurement.
-        aborted: why the task was aborted; None while it goes on. mode: see FOLLOWS, ...
+    lost_after_s, lost_after_m: longest time [s], and longest way of the camera by the robot's own sensors [m], without a measurement.
+    aborted: why the task was aborted; None while it goes on. mode: see FOLLOWS, ...
     """
 
     DOWN: ClassVar[tuple[str, str]] = "the robot stands", "the robot was still moving when the time ran out"
@@ -77,9 +76,7 @@ class Supervisor:
         Args:
             t: time of exposure [s].
             blind: why the law has no measurement ("" while it has one). Without one it may command motion by what it knew.
-            reading: the robot's sensor reading.
-            order: the law's, after allocation.
-            basis: camera twists (6, n) of the robot's motions.
+            reading: the robot's sensor reading. order: the law's, after allocation. basis: camera twists (6, n) of the robot's motions.
             moved_m: way of the camera since the last frame, by the robot's own sensors [m]; it counts while blind.
         """
         if (why := self._look(t, blind, moved_m)) and not self.aborted:
@@ -142,11 +139,10 @@ class RobotState:
 class RobotLog:
     """The columns that only this robot has in a log, and their values frame by frame.
 
-    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or goes on by what it knew), 2 stops
-    for good. Each run makes its own: it may hold the last frame's state.
+    Here `supervisor` alone: 0 follows the law, 1 holds (the law has no measurement: it rests, or goes on by what it knew), 2 stops for
+    good. Each run makes its own: it may hold the last frame's state.
 
-    Args:
-        supervisor: the robot's.
+    supervisor: the robot's.
     """
 
     columns: tuple[str, ...] = ("supervisor",)

@@ -53,9 +53,8 @@ STANDSTILL = 1e-6
 class BicycleLimits:
     """Limits of a car.
 
-    Attributes:
-        speed_mps, steering_rad: largest sizes of speed and steering angle.
-        acceleration_mps2, steering_rate_radps: largest changes of both; infinity for a car that obeys at once.
+    speed_mps, steering_rad: largest sizes of speed and steering angle.
+    acceleration_mps2, steering_rate_radps: largest changes of both; infinity for a car that obeys at once.
     """
 
     speed_mps: float = 1.0
@@ -79,18 +78,12 @@ def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Arr
 def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits) -> tuple[Array, Array]:
     """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
 
-    A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates,
-    with the sign of the arc's curvature, and the speed stays as commanded. A car that is to stand, or to turn on the spot, keeps its
-    steering angle `held`.
+    A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates, with
+    the sign of the arc's curvature, and the speed stays as commanded. A car that is to stand, or to turn on the spot, keeps its steering
+    angle `held`.
 
-    Args:
-        v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...).
-        held: the present steering angle, shape (...), [rad].
-        wheelbase: L [m].
-        limits: of the speed and of the steering angle.
-
-    Returns:
-        (v, gamma): speed [m/s] and steering angle [rad], shape (...) each.
+    v, w: commanded speed [m/s] and yaw rate [rad/s], shape (...). held: the present steering angle, shape (...), [rad]. wheelbase: L [m].
+    limits: of the speed and of the steering angle. Returns (v, gamma): speed [m/s] and steering angle [rad], shape (...) each.
     """
     steering = np.clip(steering_of(v, w, wheelbase), -limits.steering_rad, limits.steering_rad)
     # Else rest would straighten the wheels, or turn them to their stop, under a car that stands.
@@ -116,10 +109,8 @@ def rolled(place: Array, v: Array, steering: Array, wheelbase: float, duration: 
 class Drive:
     """Trajectory of the ideal bicycle, time along the first axis.
 
-    Attributes:
-        t: instants (T,) [s].
-        place: (x, y, heading) (T, ..., 3); the heading is not wrapped.
-        v, steering: held from each instant to the next, (T, ...) [m/s], [rad]; the last ones repeat.
+    t: instants (T,) [s]. place: (x, y, heading) (T, ..., 3); the heading is not wrapped.
+    v, steering: held from each instant to the next, (T, ...) [m/s], [rad]; the last ones repeat.
     """
 
     t: Array
@@ -140,10 +131,8 @@ def drive(
 
     Args:
         law: maps places (..., 3) to commanded speed and yaw rate (v, w), shape (...) each.
-        start: (x, y, heading), shape (..., 3); it stands, wheels straight.
-        wheelbase: L [m].
-        limits: of speed and steering angle, and of their rates.
-        duration: how long [s].
+        start: (x, y, heading), shape (..., 3); it stands, wheels straight. wheelbase: L [m].
+        limits: of speed and steering angle, and of their rates. duration: how long [s].
         period: of the law; the motion between is an exact arc [s].
     """
     steps = round(duration / period)

@@ -50,11 +50,9 @@ class JointChain:
 
     Attributes:
         names: of the joints. slides: which of them slide, (n,).
-        axes, anchors: unit vectors and points (n, 3) in the world, all joints at q = 0 [m].
-        T_0: pose (4, 4) of the flange there.
+        axes, anchors: unit vectors and points (n, 3) in the world, all joints at q = 0 [m]. T_0: pose (4, 4) of the flange there.
         limits: lowest and highest position (n, 2) [rad, m]; infinite for a joint that turns without end.
-        torque: largest torque or force by the file (n,) [Nm, N]; infinite where it says none.
-        friction: Coulomb friction (n,) [Nm, N].
+        torque: largest torque or force by the file (n,) [Nm, N]; infinite where it says none. friction: Coulomb friction (n,) [Nm, N].
         drives: the file's own actuator of each joint, `velocity`, `position` or another word; "" where it has none.
     """
 

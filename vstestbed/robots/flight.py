@@ -85,10 +85,8 @@ class Loops(NamedTuple):
     """State of the loops.
 
     Attributes:
-        trim: the velocity loop's integral (3,) in the level frame [m/s^2].
-        model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
-        rate_trim: the rate loop's integral (2,) [rad/s^2].
-        yaw_rate: the yaw-rate command, its slope limited [rad/s].
+        trim: the velocity loop's integral (3,) in the level frame [m/s^2]. model: v_m (3,) [m/s] and a_m along x and y (2,) [m/s^2].
+        rate_trim: the rate loop's integral (2,) [rad/s^2]. yaw_rate: the yaw-rate command, its slope limited [rad/s].
         levelling: whether the craft ignores its setpoint until it is level.
         force: reference of the attitude loop: the thrust's direction (3,) in the level frame, unit.
         ref_rates: reference of the rate loop: body rates (3,) [rad/s].
@@ -124,13 +122,8 @@ def fly(
 
     A craft tilted beyond 60 degrees levels first: it ignores its setpoint until it is within 15 degrees.
 
-    Args:
-        order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s].
-        yaw_order: commanded rate of the heading [rad/s].
-        R: R_level_body, estimated.
-        rates: body rates, (3,) [rad/s].
-        craft: what is flown.
-        dt: [s].
+    order, velocity: commanded and estimated velocity in the level frame, (3,) [m/s]. yaw_order: commanded rate of the heading [rad/s].
+    R: R_level_body, estimated. rates: body rates, (3,) [rad/s]. craft: what is flown. dt: [s].
     """
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
     trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
@@ -276,9 +269,8 @@ class FlightEstimate:
 class FlightReading(Reading):
     """A quadrotor's reading at one instant: its range finder, and what its flight loops estimate from all instruments.
 
-    Attributes:
-        range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
-        voltage_v: of the battery, NaN where none is modelled [V].
+    range_m: of the range finder that looks down, inf over nothing [m]. estimate: of the flight loops.
+    voltage_v: of the battery, NaN where none is modelled [V].
     """
 
     range_m: float
@@ -317,8 +309,7 @@ SINKS, OFF = 2, 3
 class Failsafe(Supervisor):
     """The failsafe of one flight: where other robots stop, it holds the craft, and then sets it down.
 
-    Attributes:
-        lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
+    lands: the task ends on the ground. off_at: when the rotors went off [s]. mode: see FOLLOWS, ...
     """
 
     DOWN: ClassVar[tuple[str, str]] = "the craft set down", "the craft was still on its way down when the time ran out"

@@ -81,12 +81,8 @@ class Groundspeed(NamedTuple):
 def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
     """One step of the filter.
 
-    Args:
-        R: R_level_body, estimated.
-        measured: the sensor's velocity in body axes (3,) [m/s].
-        force: the accelerometer's reading in body axes (3,) [m/s^2].
-        yaw_rate: the level frame's rate about z [rad/s].
-        dt: [s].
+    R: R_level_body, estimated. measured: the sensor's velocity in body axes (3,) [m/s].
+    force: the accelerometer's reading in body axes (3,) [m/s^2]. yaw_rate: the level frame's rate about z [rad/s]. dt: [s].
     """
     (vx, vy, vz), (dx, dy, dz), _ = memory
     mx, my, mz = to_level(R, measured)

@@ -278,8 +278,7 @@ def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, f
     whose two modes decay where h^2 kp < 4 M + 2 h kv (Jury's criterion). kv >= h kp / 2 is enough for that whatever M: with this kv steps
     up to 50 ms, the physics' own being 2 ms. For a whole arm M, kp and kv are those of each mode x (x^T K x), and the same holds.
 
-    Args:
-        inertia: M, what its motor moves [kg m^2, kg]. friction: F, Coulomb friction [Nm, N]. slides: w is WIND_UP_M, else WIND_UP_RAD.
+    inertia: M, what its motor moves [kg m^2, kg]. friction: F, Coulomb friction [Nm, N]. slides: w is WIND_UP_M, else WIND_UP_RAD.
 
     Reference: Jury 1964, Theory and Application of the z-Transform Method.
     """

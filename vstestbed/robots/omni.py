@@ -95,8 +95,7 @@ class OmniParameters:
 
         Row: (1, side / kappa, side x / kappa - y) / R, with kappa = sin(pi/n) / (pi/n).
 
-        Args:
-            rollers: n, how many rollers a wheel has; infinity for the textbooks' equations.
+        rollers: n, how many rollers a wheel has; infinity for the textbooks' equations.
         """
         kappa = float(np.sinc(1 / rollers))  # numpy's sinc(x) is sin(pi x) / (pi x)
         x, y = self.places.T

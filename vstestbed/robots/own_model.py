@@ -20,8 +20,8 @@ CAMERA = ("vx", "vy", "vz", "wx", "wy", "wz")
 class OwnModel:
     """A robot's n own velocities, by its own sensors and its own model, errors of calibration included; nothing of the truth.
 
-    They are the joints' of an arm, and the motions of `Robot.motion_basis` for all others: the twist of an ideal camera, (vx, vy, wz)
-    or (v, w) of a vehicle, (vx, vy, vz, wz) of a level craft. A law orders them by `Command.rates`.
+    They are the joints' of an arm, and the motions of `Robot.motion_basis` for all others: the twist of an ideal camera, (vx, vy, wz) or
+    (v, w) of a vehicle, (vx, vy, vz, wz) of a level craft. A law orders them by `Command.rates`.
 
     Attributes:
         names: of the velocities. J: camera twist (6,) = J @ rates, (6, n), now. jacobian: the same at other positions q (n,).
@@ -31,8 +31,7 @@ class OwnModel:
         sums, most: |sums @ rates| <= most, (k, n) and (k,), for limits that several velocities share (a wheel's speed).
         turning_radius_m: of the tightest circle: |w| <= |v| / radius for the last and the first velocity; 0: on the spot.
         tilt, most_tilt_rad: roll and pitch (2,) of a craft, and the largest it may order; its acceleration needs them.
-        unit_m: length that makes metres and radians comparable [m].
-        slides: which positions are lengths (n,); empty for none.
+        unit_m: length that makes metres and radians comparable [m]. slides: which positions are lengths (n,); empty for none.
         lag_s: time constant with which velocities follow their orders [s].
         moved: displacement (n,) between the exposures of the last picture and this one, and since_s the time between them [s].
         underway: displacement (n,) from the exposure until this frame's command takes effect: measured until now, as ordered from then;
@@ -102,11 +101,7 @@ class OwnModel:
         return self.jacobian(self.q_then - self.underway / 2) @ self.underway
 
     def positions(self, given: tuple[float, ...]) -> Array:
-        """Positions (n,) given in degrees, in metres where a joint slides.
-
-        Raises:
-            ParameterError: another number of them.
-        """
+        """Positions (n,) given in degrees, in metres where a joint slides. Raises ParameterError: another number of them."""
         if len(given) != len(self.names):
             raise ParameterError("law.secondary.q_deg", f"must be {len(self.names)} positions, of {', '.join(self.names)}", list(given))
         return np.where(self.slides, given, np.radians(given)) if len(self.slides) else np.radians(given)

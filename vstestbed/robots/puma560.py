@@ -72,11 +72,7 @@ def kinematics(q: Array) -> tuple[Array, Array]:
     With z_i and o_i the axis and origin of the frame before joint i, and o the flange's origin:
     v = sum z_i x (o - o_i) dq_i,  w = sum z_i dq_i, both expressed in the flange's axes.
 
-    Args:
-        q: joint angles, shape (6,), [rad].
-
-    Returns:
-        T_base_flange (4, 4) and J (6, 6): twist of the flange (v, w) in its own frame = J @ dq.
+    q: joint angles, shape (6,), [rad]. Returns T_base_flange (4, 4) and J (6, 6): twist of the flange (v, w) in its own frame = J @ dq.
     """
     frames = _frames(q)
     T = frames[6]

@@ -1,10 +1,9 @@
 """Quadrotor: a craft, of 4 kg by default, with velocity setpoints in its level frame, flown by its onboard sensors.
 
-A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz:
-attitude from the IMU (`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`).
-All of it reads `Instruments` alone, after `measured` has added noise and bias. The failsafe that may override the law is in
-`failsafe`.
-Its body and sensors are in `models/quadrotor.xml`, which `parameters` changes (`rotors.QuadrotorParameters`).
+A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz: attitude from the IMU
+(`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`). All of it reads `Instruments`
+alone, after `measured` has added noise and bias. The failsafe that may override the law is in `failsafe`. Its body and sensors are in
+`models/quadrotor.xml`, which `parameters` changes (`rotors.QuadrotorParameters`).
 """
 
 from __future__ import annotations
@@ -188,11 +187,10 @@ class FlightLog(RobotLog):
 
     `est_roll`, `est_pitch` [rad], `est_vx`, `est_vy`, `est_vz` (level frame) [m/s], `est_wx`, `est_wy`, `est_wz` (body) [rad/s]: the
     craft's own estimate; `ref_roll`, ..., `ref_wz`: references from its velocity loop and its attitude loop; `wind_x`, ... true, in the
-    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks,
-    3 rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
+    world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks, 3
+    rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
 
-    Args:
-        supervisor: the craft's. rotors: names of its actuators. battery: whether it has one.
+    supervisor: the craft's. rotors: names of its actuators. battery: whether it has one.
     """
 
     def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...], battery: bool = False):

@@ -144,8 +144,7 @@ class RealArm(Realistic, Arm):
     def needed_step_s(self) -> float:
         """1 ms with `drives`, and what resolves the quickest vibration of the gears [s].
 
-        Raises:
-            ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
+        Raises ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
         """
         step = np.inf if self.drives is None else DRIVES_STEP_S
         return step if self.gears is None else min(step, self._gears_step_s)

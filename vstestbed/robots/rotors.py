@@ -193,14 +193,8 @@ def speed_control(turning: Four, reference: Four, response_s: float, dt: float, 
     u = W + (lag / response_s) (W_wanted - W), within 0 and the limit: lead compensation, bounded by full voltage. A real controller
     measures its rotor's speed by commutation; this one predicts W by the lag's own equation.
 
-    Args:
-        turning, reference: W of the rotors now and as commanded, (4,).
-        response_s: [s], up to `craft.rotor_lag_s`.
-        dt: [s] until the next command.
-        craft: whose rotors these are.
-
-    Returns:
-        W after dt, and the commands u (4,).
+    turning, reference: W of the rotors now and as commanded, (4,). response_s: [s], up to `craft.rotor_lag_s`.
+    dt: [s] until the next command. craft: whose rotors these are. Returns W after dt, and the commands u (4,).
     """
     lag, limit = craft.rotor_lag_s, craft.limit
     lead, ahead = lag / response_s, dt / (lag + 0.5 * dt)  # (1, 1) Pade of 1 - exp(-dt / lag): 1e-7 at 1 ms

@@ -62,11 +62,7 @@ class GroundStart:
         return self.nominal.place
 
     def drawn(self, rng: np.random.Generator) -> GroundStart:
-        """A start whose nominal pose is drawn from the box, uniformly.
-
-        Raises:
-            ParameterError: there is no box.
-        """
+        """A start whose nominal pose is drawn from the box, uniformly. Raises ParameterError: there is no box."""
         at, box = self.nominal, self.random
         if box is None:
             raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {x: .5, y: .5, heading_deg: 20}")
@@ -116,12 +112,11 @@ class Vehicle(RobotBase):
 class VehicleLog(RobotLog):
     """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
 
-    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead reckoning by encoders alone
-    from the true start; `slip_mps` and `slip_radps` are the rates at which odometry and truth diverge from frame to frame (wheels that
-    slide or turn on the spot, a wrong wheel radius).
+    `base_` is the true place, `est_` the estimate from landmarks, compass and encoders, `odo_` dead reckoning by encoders alone from the
+    true start; `slip_mps` and `slip_radps` are the rates at which odometry and truth diverge from frame to frame (wheels that slide or turn
+    on the spot, a wrong wheel radius).
 
-    Args:
-        supervisor: the vehicle's. start: the true start (x, y, heading), shape (3,) [m, m, rad].
+    supervisor: the vehicle's. start: the true start (x, y, heading), shape (3,) [m, m, rad].
     """
 
     columns = (

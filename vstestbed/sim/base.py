@@ -25,12 +25,10 @@ class Truth:
 
     Attributes:
         T_world_camera, T_world_target: poses (4, 4), camera in computer-vision axes.
-        twist: true camera twist (6,) in the camera frame [m/s, rad/s].
-        q, qd, ctrl: joints [rad, rad/s] and actuator controls.
-        p_camera: marker centres in the camera frame (N, 3) [m].
-        hidden: occluded markers, (N,) bool; all False where no detector needs it.
-        contact: what a part of the robot other than its feet touches, as `forearm and floor`; "" where nothing does. feet: the same of
-            its feet.
+        twist: true camera twist (6,) in the camera frame [m/s, rad/s]. q, qd, ctrl: joints [rad, rad/s] and actuator controls.
+        p_camera: marker centres in the camera frame (N, 3) [m]. hidden: occluded markers, (N,) bool; all False where no detector needs it.
+        contact: what a part of the robot other than its feet touches, as `forearm and floor`; "" where nothing does. feet: the same of its
+            feet.
         act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
         effects: values of the columns of the robot's effects.
     """
@@ -54,8 +52,7 @@ class Renderer(Protocol):
     """Renders the servo camera's images.
 
     Attributes:
-        name: of the renderer, such as OpenGL's GL_RENDERER string.
-        spent_s: wall time spent on images so far [s].
+        name: of the renderer, such as OpenGL's GL_RENDERER string. spent_s: wall time spent on images so far [s].
         whole: the last images are complete; no part was left blank.
         depth: true depth of each pixel (H, W) [m] of the last images that were asked for with it, inf where there is nothing.
     """
@@ -194,8 +191,7 @@ def flange_for(camera: Camera, target: Target, T_camera_target: Array) -> Array:
 def posture_at(robot: Robot, T_world_flange: Array) -> Array:
     """The configuration of an arm at a flange pose (4, 4): from the nominal start, else from the first of POSTURES others that gets there.
 
-    Raises:
-        UnreachableError: it does not get there.
+    Raises UnreachableError: it does not get there.
     """
     rng, nominal = np.random.default_rng(0), robot.configuration()
     for _ in range(POSTURES):

@@ -43,6 +43,7 @@ def build_plant(
     """The plant, and the name of its renderer ("none" without pictures).
 
     Robots with a body are simulated by MuJoCo. The ideal camera needs MuJoCo only for pictures, or for occlusion by plates and scenery.
+    Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
 
     Args:
         needs_image, needs_truth: whether the detector works on pictures, on truth.
@@ -52,9 +53,6 @@ def build_plant(
         drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
         order_s: how long a command lasts before the robot stops [s]. led: how it goes from one command to the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
-
-    Raises:
-        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
     from vstestbed.sim.scene.compose import Parts

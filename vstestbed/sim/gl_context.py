@@ -117,8 +117,7 @@ class _OnRenderingThread(base.ContextBase):
 def context() -> Any:
     """The process's context (a dm_control `ContextBase`), made when first asked for; it lives as long as the process.
 
-    Raises:
-        EnvironmentLackError: the process is short of memory or of open files.
+    Raises EnvironmentLackError: the process is short of memory or of open files.
     """
     with _making:
         if not _contexts:
@@ -167,12 +166,11 @@ _kept: OrderedDict[tuple[object, ...], wrapper.MjrContext] = OrderedDict()
 class Physics(dm.Physics):
     """dm_control's physics, whose pictures are drawn in the process's one OpenGL context.
 
-    A rendering context holds what is uploaded to the graphics memory: textures, shadow map, buffers, no state of the scene. It
-    takes .1 to .5 s to make, which a worker process pays once for all of its runs.
+    A rendering context holds what is uploaded to the graphics memory: textures, shadow map, buffers, no state of the scene. It takes .1 to
+    .5 s to make, which a worker process pays once for all of its runs.
 
-    Attributes:
-        anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the first picture.
-        glossy: highlights lie over the textures; else they are multiplied by their colours, as OpenGL does by itself.
+    anisotropy: samples of a texture in a pixel that sees it aslant, see `Camera`; set before the first picture.
+    glossy: highlights lie over the textures; else they are multiplied by their colours, as OpenGL does by itself.
     """
 
     anisotropy: int = 1

@@ -20,11 +20,8 @@ LONGEST_PUSH_S = 10.0
 def moved_path(path: Path | None, parts: Parts, t: float, T_world_target: Array) -> Path:
     """The target's path, displaced as a whole so that at time t [s] it is at T_world_target (4, 4).
 
-    Args:
-        path: the path so far; None for a target that stands still. parts: of the scene.
-
-    Raises:
-        ParameterError: a vehicle or the robot's gripper carries the target.
+    path: the path so far; None for a target that stands still. parts: of the scene. Raises ParameterError: a vehicle or the robot's gripper
+    carries the target.
     """
     if parts.target.on_gripper or parts.leader is not None:
         raise ParameterError("target", "is carried, and goes where its carrier goes")
@@ -45,11 +42,7 @@ class Displaced:
 
 
 def hold_plate(stage: Stage | None, T_world_plate: Array | None) -> None:
-    """Put the plate in reserve at a pose (4, 4), or away.
-
-    Raises:
-        ParameterError: the scene has none.
-    """
+    """Put the plate in reserve at a pose (4, 4), or away. Raises ParameterError: the scene has none."""
     if stage is None or stage.hand_plate is None:
         raise ParameterError("plate", "is not in this scene; a session has one with plate_m=0.1")
     T = np.eye(4) if T_world_plate is None else T_world_plate
@@ -60,8 +53,7 @@ def hold_plate(stage: Stage | None, T_world_plate: Array | None) -> None:
 class Push:
     """A force on the body that carries the camera, or the target in the gripper, for a while.
 
-    Args:
-        stage: the scene of a robot that has a mass.
+    stage: the scene of a robot that has a mass.
     """
 
     def __init__(self, stage: Stage):
@@ -72,8 +64,7 @@ class Push:
     def begin(self, force: Array, step: int, duration_s: float, step_s: float) -> None:
         """Push with a force (3,) along world axes [N] from a physics step on; it replaces one that still acts.
 
-        Raises:
-            ParameterError: a force that is not three finite numbers, a duration that is not positive or more than 10 s.
+        Raises ParameterError: a force that is not three finite numbers, a duration that is not positive or more than 10 s.
         """
         given = np.asarray(force, dtype=float)
         if given.shape != (3,) or not np.isfinite(given).all():

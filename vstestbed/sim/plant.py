@@ -32,8 +32,7 @@ from vstestbed.timing.setpoints import Interpolation, Orders, Stop
 class RobotContacts:
     """Tells the contacts that a robot may have, of feet or wheels on the ground, from collisions.
 
-    Args:
-        model: the scene with the robot under `robot/`. robot: names its feet.
+    model: the scene with the robot under `robot/`. robot: names its feet.
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot):
@@ -81,8 +80,7 @@ NONE = np.zeros(0)
 class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
-    Args:
-        stage: the scene. rng: generator of the noise. actors: add to what the sensors meet.
+    stage: the scene. rng: generator of the noise. actors: add to what the sensors meet.
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
@@ -133,9 +131,7 @@ def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
     """Joints (n,) at which the true flange, which carries the camera, is at a pose (4, 4); those of the arm's own model are q (n,).
 
     q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage is left at the joints before the last.
-
-    Raises:
-        UnreachableError: the arm does not get there.
+    Raises UnreachableError: the arm does not get there.
     """
     robot = stage.parts.robot
     if not robot.joints or stage.parts.target.on_gripper:
@@ -155,11 +151,8 @@ def check_static_load(stage: Stage) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
     tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
-    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes
-    0.1 ms at the start of a run.
-
-    Raises:
-        UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
+    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes 0.1 ms at
+    the start of a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
     """
     robot, model, data = stage.parts.robot, stage.model, stage.data
     if stage.root is not None or not robot.joints:
@@ -204,10 +197,7 @@ def settle(stage: Stage) -> None:
     """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
 
     The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
-    theta, and sags.
-
-    Raises:
-        UnreachableError: an arm's motors cannot hold it there.
+    theta, and sags. Raises UnreachableError: an arm's motors cannot hold it there.
     """
     # At q itself an industrial arm would sag until its servos carry it: joint 2 by 2 mrad.
     model, data, robot = stage.model, stage.data, stage.parts.robot
@@ -239,8 +229,7 @@ class LeadVehicle:
 
     That is linear feedback along the path: offset'' + HEADING_GAIN offset' + CROSS_GAIN offset = 0 by arc length.
 
-    Args:
-        stage: the scene with the vehicle under `leader/`.
+    stage: the scene with the vehicle under `leader/`.
 
     Reference: Samson 1995, path following in arc length, doi:10.1109/9.362899.
     """

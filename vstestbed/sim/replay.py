@@ -51,17 +51,13 @@ AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
 class Replay:
     """Renders a recorded run on a stage of its own, so that filming does not affect the run.
 
-    The servo camera is shown without noise, and through its lens, exposure, sensor and stream as they are at rest (`Imaging.clean`).
+    The servo camera is shown without noise, and through its lens, exposure, sensor and stream as they are at rest (`Imaging.clean`). Raises
+    EnvironmentLackError: OpenGL is asked for, and does not work here.
 
     Args:
-        robot, camera, target, world: the scene.
-        shadows: render shadows in the outside views (three times the work).
-        sights: points that the outside view must show [m].
-        samples: multisampling of the outside views, for smooth edges.
+        robot, camera, target, world: the scene. shadows: render shadows in the outside views (three times the work).
+        sights: points that the outside view must show [m]. samples: multisampling of the outside views, for smooth edges.
         share: size of the servo camera's images as a share of its own (see `servo_renderer`).
-
-    Raises:
-        EnvironmentLackError: OpenGL is asked for, and does not work here.
     """
 
     def __init__(
@@ -111,11 +107,8 @@ class Replay:
     ) -> Image:
         """One picture (H, W, 3) uint8; the servo camera `eye` has its own lens, and `share` of its size whatever width and height say.
 
-        `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose
-        (4, 4), are in sight.
-
-        Raises:
-            ParameterError: there is no such camera.
+        `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose (4, 4),
+        are in sight. Raises ParameterError: there is no such camera.
         """
         if camera not in self.cameras:
             raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
@@ -228,15 +221,13 @@ class Retake:
 
     A picture is of the instant of its time stamp: it lacks the motion blur of an exposure (`timing.exposure_s`), the skew of a rolling
     shutter (`camera.readout_s`) and the flicker of the light. Noise and drift are those of the run, whose generator draws once for each
-    picture; lens, exposure, sensor and stream likewise.
+    picture; lens, exposure, sensor and stream likewise. Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it
+    does not work here.
 
     Args:
         robot, camera, target, world: the scene.
         image_sigma, rng: noise of the pictures [grey levels] and its generator as at the beginning of the run. drift: of its gains.
         imaging_rng: generator of the image sensor's noise, likewise.
-
-    Raises:
-        EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
     """
 
     def __init__(

@@ -35,11 +35,7 @@ class Clock:
     step_s: PositiveTime | None = None
 
     def resolve(self, camera: _Periodic, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
-        """(step [s], steps per camera frame).
-
-        Raises:
-            ParameterError: step_s does not divide the camera's period.
-        """
+        """(step [s], steps per camera frame). Raises ParameterError: step_s does not divide the camera's period."""
         if self.step_s is None:
             # The small number keeps a ratio of exactly n from being rounded up to n + 1.
             n = math.ceil(camera.period / largest - 1e-9)
@@ -59,8 +55,7 @@ T = TypeVar("T")
 class DelayLine(Generic[T]):
     """A queue: an item pushed at step k is due at step k + delay, and never before an earlier item, unless items may overtake.
 
-    Args:
-        delay_steps: whole physics steps between in and out, >= 0. overtakes: an item that is due before an earlier one leaves first.
+    delay_steps: whole physics steps between in and out, >= 0. overtakes: an item that is due before an earlier one leaves first.
     """
 
     def __init__(self, delay_steps: int = 0, overtakes: bool = False):

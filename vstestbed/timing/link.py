@@ -48,11 +48,7 @@ class BurstLoss:
 
 
 class BurstyLink:
-    """One direction of the link in a run.
-
-    Args:
-        loss: its parameters. rng: of this direction alone.
-    """
+    """One direction of the link in a run. loss: its parameters. rng: of this direction alone."""
 
     def __init__(self, loss: BurstLoss, rng: np.random.Generator):
         self._loss = loss

@@ -146,8 +146,7 @@ class Timing:
     def check(self, camera: _Shot, step_s: float) -> None:
         """Refuse exposures that are too short for the physics clock, and those that would overlap.
 
-        Raises:
-            ParameterError: with the limit.
+        Raises ParameterError: with the limit.
         """
         if self.exposure_s and camera.blurring is not None:
             raise ParameterError(

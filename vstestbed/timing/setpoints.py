@@ -18,9 +18,8 @@ Between = Literal["hold", "ramp", "smooth"]
 class Interpolation:
     """How the robot goes from one order to the next.
 
-    Attributes:
-        between: what lies between them. every: steps between two setpoints that reach the actuators. over: steps from the old order to
-            the new one, a camera period; of no meaning for `hold`.
+    between: what lies between them. every: steps between two setpoints that reach the actuators. over: steps from the old order to the new
+    one, a camera period; of no meaning for `hold`.
     """
 
     between: Between
@@ -45,8 +44,7 @@ class Blend:
     References: Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems (holds); Siciliano, Sciavicco, Villani & Oriolo 2009,
     doi:10.1007/978-1-84628-642-1 (cubic polynomials between two values and their slopes).
 
-    Args:
-        between: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,). duration: T.
+    between: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,). duration: T.
     """
 
     __slots__ = ("_parts", "after", "before", "duration", "start")
@@ -88,8 +86,7 @@ class Led:
     Each is the mean of the way (`Blend`) over the steps for which it is held, so that the robot covers what the way does, at any rate of
     setpoints; its value at the first of them would be late by half of them.
 
-    Args:
-        how: rate and interpolation.
+    how: rate and interpolation.
     """
 
     def __init__(self, how: Interpolation):

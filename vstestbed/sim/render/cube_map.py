@@ -102,10 +102,8 @@ class Patch:
 class Cube:
     """How a camera's own image is composed of rendered faces.
 
-    Attributes:
-        faces: the faces that the lens can see.
-        patches: the part of each.
-        owner: index of the face that each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
+    faces: the faces that the lens can see. patches: the part of each.
+    owner: index of the face that each pixel is taken from, shape (H, W); -1 where the lens sees nothing.
     """
 
     faces: tuple[Pinhole, ...]

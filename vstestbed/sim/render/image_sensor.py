@@ -31,8 +31,7 @@ class PixelRows:
 
     Of a lens with panels each pixel of a panel is exposed with the row of the camera's own picture that shows the same direction.
 
-    Args:
-        camera: the lens. noisy: noise will be added: the rows from which detectors estimate its level are always drawn.
+    camera: the lens. noisy: noise will be added: the rows from which detectors estimate its level are always drawn.
     """
 
     def __init__(self, camera: Camera, noisy: bool = False):
@@ -90,8 +89,7 @@ class MotionBlur:
 
     Grey levels are averaged as they are, that is, they are taken to be linear in the light. Weights of rows must add up to 1 in each row.
 
-    Attributes:
-        whole: all images are complete.
+    whole: all images are complete.
     """
 
     def __init__(self) -> None:
@@ -129,8 +127,7 @@ class MotionBlur:
 class DepthCamera:
     """Draws one number from its generator for each picture; the noise is a function of that number and of the true depth alone.
 
-    Args:
-        camera: the lens. sensor: what it measures. rng: source of the noise.
+    camera: the lens. sensor: what it measures. rng: source of the noise.
     """
 
     def __init__(self, camera: Perspective, sensor: DepthSensor, rng: np.random.Generator):
@@ -179,8 +176,7 @@ def lamps_at(model: mujoco.MjModel, brightness: float) -> Iterator[None]:
 class ImagedView:
     """The servo camera's images for films: through lens, exposure, sensor and stream at rest, without noise.
 
-    Args:
-        renderer: draws them in full size. imaging: changes them. data: the scene's state, with its time.
+    renderer: draws them in full size. imaging: changes them. data: the scene's state, with its time.
     """
 
     def __init__(self, renderer: Renderer, imaging: Imaging, data: mujoco.MjData):
@@ -201,12 +197,11 @@ INSTANT = Contribution.of(1.0)
 class ImageSensor:
     """Takes the servo camera's pictures of a stage.
 
-    A picture of which only regions of interest were drawn keeps the scene's state at each of its images, so that the whole
-    picture can be drawn afterwards, of the same exposure and with the same noise.
+    A picture of which only regions of interest were drawn keeps the scene's state at each of its images, so that the whole picture can be
+    drawn afterwards, of the same exposure and with the same noise.
 
     Args:
-        stage: the scene, in its state at the time of each call.
-        renderer: renders the images.
+        stage: the scene, in its state at the time of each call. renderer: renders the images.
         chain: what becomes of them; with lens, exposure, sensor or stream pictures are always whole.
         depth: the depth camera, whose pictures are always whole; None without one.
     """

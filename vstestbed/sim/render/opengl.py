@@ -36,12 +36,11 @@ REACH = 0.05
 class PartCamera(dm.Camera):
     """dm_control's camera with a window: only that part of the image is drawn and read back; the rest is black.
 
-    The window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding
-    of single floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
+    The window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding of single
+    floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
 
-    Attributes:
-        window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
-        reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
+    window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
+    reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
     """
 
     window: Window | None = None
@@ -146,15 +145,9 @@ SKY = 0.69
 class SceneCamera:
     """One pinhole camera of a stage, kept between images.
 
-    Args:
-        stage: the scene.
-        camera: name in the scene (`eye`, `overview`, ...).
-        width, height: size of the image [px].
-        shadows: draw shadows.
-        style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything.
-
-    Raises:
-        EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
+    stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the image [px]. shadows: draw shadows.
+    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything. Raises
+    EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
     """
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
@@ -195,9 +188,8 @@ class SceneCamera:
     def raw(self, window: Window | None = None, with_depth: bool = False) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.
 
-        Args:
-            window: the part to be drawn; the rest is black. None draws the whole image.
-            with_depth: of a whole image, read its depth as well (`depth`).
+        window: the part to be drawn; the rest is black. None draws the whole image.
+        with_depth: of a whole image, read its depth as well (`depth`).
         """
         self._camera.window, self._camera.reads_depth = window, with_depth
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
@@ -210,8 +202,7 @@ class SceneCamera:
 def _must_be_drawable(stage: Stage) -> None:
     """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the context.
 
-    Raises:
-        ParameterError: it has more.
+    Raises ParameterError: it has more.
     """
     model = stage.model
     for what, found, most in (("materials", model.nmat, MOST_MATERIALS), ("textures", model.ntex, MOST_TEXTURES)):
@@ -224,20 +215,17 @@ def _must_be_drawable(stage: Stage) -> None:
 class OpenGLRenderer:
     """The servo camera's images through its lens.
 
-    A pinhole image is drawn directly and a distorted one is resampled from a pinhole image. Any wider lens is drawn as the faces
-    of a cube around it: a lens with panels returns the faces themselves, any other the image composed of them.
+    A pinhole image is drawn directly and a distorted one is resampled from a pinhole image. Any wider lens is drawn as the faces of a cube
+    around it: a lens with panels returns the faces themselves, any other the image composed of them.
 
     Args:
-        stage: the scene.
-        camera: the lens.
+        stage: the scene. camera: the lens.
         noisy: noise will be added to the images. Its level is estimated from whole images, which are then always drawn.
         share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose images are composed.
 
     Attributes:
-        name: the OpenGL renderer's name.
-        spent_s: wall time spent on images so far [s].
-        whole: the last images are complete; no part was left blank.
-        depth: see `Renderer`.
+        name: the OpenGL renderer's name. spent_s: wall time spent on images so far [s].
+        whole: the last images are complete; no part was left blank. depth: see `Renderer`.
     """
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):

@@ -37,13 +37,10 @@ class OutsideView(Protocol):
 def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
     """The renderer of the servo camera, as `camera.renderer` asks.
 
-    Args:
-        noisy: noise will be added to its images.
-        share: size of the images as a share of the camera's, for films. OpenGL draws those of wide and distorted lenses in full.
-
-    Raises:
-        EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
-        ParameterError: rays are asked for and cannot draw this scene.
+    noisy: noise will be added to its images.
+    share: size of the images as a share of the camera's, for films. OpenGL draws those of wide and distorted lenses in full. Raises
+    EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here. ParameterError: rays are asked for and
+    cannot draw this scene.
     """
 
     def by_gl() -> Renderer:
@@ -62,8 +59,7 @@ def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: flo
 def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows.
 
-    Raises:
-        EnvironmentLackError: OpenGL is asked for and does not work here.
+    Raises EnvironmentLackError: OpenGL is asked for and does not work here.
     """
 
     def by_gl() -> OutsideView:

@@ -34,8 +34,7 @@ class PixelCheck:
 def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> PixelCheck:
     """Render twelve balls, detect them, and compare with the projection of their centres.
 
-    Raises:
-        EnvironmentLackError: renderer is gl, and OpenGL does not work here.
+    Raises EnvironmentLackError: renderer is gl, and OpenGL does not work here.
     """
     camera = replace(camera or Perspective(multisampling=4), renderer=renderer)
     # Unlit: shading would shift a ball's centroid towards the light.

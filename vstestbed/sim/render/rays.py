@@ -92,13 +92,10 @@ NO_RAY = -2
 class Caster:
     """Casts rays from one point and shades what they hit.
 
-    Geoms whose bounding sphere no ray of a bundle can meet are culled. `mj_multiRay` culls too, by the angles of a geom's corners,
-    which in MuJoCo 3.17 cuts off parts of geoms: that is switched off, in a copy of the model, by removing the bodies' bounding
-    volumes.
+    Geoms whose bounding sphere no ray of a bundle can meet are culled. `mj_multiRay` culls too, by the angles of a geom's corners, which in
+    MuJoCo 3.17 cuts off parts of geoms: that is switched off, in a copy of the model, by removing the bodies' bounding volumes.
 
-    Args:
-        stage: the scene.
-        outside: show the geoms that enclose the servo camera's lens.
+    stage: the scene. outside: show the geoms that enclose the servo camera's lens.
     """
 
     def __init__(self, stage: Stage, outside: bool = False):
@@ -154,10 +151,9 @@ class Raster:
     """The rays of an image in the camera's frame; `draw` casts those of a window.
 
     Args:
-        lens: the lens of the image.
-        R_camera_lens: its orientation in the camera's frame, shape (3, 3).
-        samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that shows another geom; 0: one
-            ray through the centre of each pixel, as everywhere else.
+        lens: the lens of the image. R_camera_lens: its orientation in the camera's frame, shape (3, 3).
+        samples: antialiasing: n x n rays, n = ceil(sqrt(samples)), in pixels with a neighbour that shows another geom; 0: one ray through
+            the centre of each pixel, as everywhere else.
         share: size of the image as a share of the lens's.
     """
 
@@ -238,16 +234,13 @@ def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
 class RayRenderer:
     """The servo camera's images through any lens, by ray casting; the same as `OpenGLRenderer`'s, where both can render them.
 
-    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says which textures are mapped.
+    Only the regions of interest are cast. There are no shadows and mirrors (`refuse`); `Paint` says which textures are mapped. Raises
+    ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
 
     Args:
-        stage: the scene.
-        camera: the lens.
+        stage: the scene. camera: the lens.
         noisy: noise will be added to the images: the rows from which detectors estimate its level are always cast.
         share: images for films are smaller (see `Raster`), without antialiasing.
-
-    Raises:
-        ParameterError, EnvironmentLackError: rays cannot draw what the scene or the camera asks for.
     """
 
     def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
@@ -300,8 +293,7 @@ class RayRenderer:
 def refuse(camera: Camera, mirror: float = 0.0) -> None:
     """Refuse shadows and a floor that mirrors, which rays cannot draw.
 
-    Raises:
-        ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
+    Raises ParameterError: rays were asked for. EnvironmentLackError: they are what is left without OpenGL.
     """
     what = "shadows need OpenGL" if camera.shadows else "a floor that mirrors needs OpenGL" if mirror else ""
     if what and camera.renderer == "rays":
@@ -314,11 +306,7 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
 class RaySceneCamera:
     """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
 
-    Args:
-        stage: the scene.
-        camera: name in the scene.
-        width, height: size of the image [px].
-        samples: antialiasing, see `Raster`.
+    stage: the scene. camera: name in the scene. width, height: size of the image [px]. samples: antialiasing, see `Raster`.
     """
 
     def __init__(self, stage: Stage, camera: str, width: int, height: int, samples: int = 0):

@@ -111,14 +111,14 @@ class Paint:
     """Colours of a scene as OpenGL's fixed pipeline makes them, without shadows, mirrors, and highlights but of pictures and floor.
 
     colour = min(1, rgb (emission + sum over lights of (ambient + diffuse max(0, n . l)))) texture, l towards the light.
-    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
-    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them.
-    On planes and boxes a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round,
-    of a mesh or with a cube texture, has its texture's mean colour (`averaged`).
 
-    Args:
-        model, data: the scene; lights are where `data` has them.
-        anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see `Camera`.
+    A light that is not directional has l and its brightness by the place: over the attenuation a + b d + c d^2, of a spot light times
+    cos(angle)^exponent within its cutoff. OpenGL has that at the corners of a surface alone, and its mean between them. On planes and boxes
+    a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round, of a mesh or with a
+    cube texture, has its texture's mean colour (`averaged`).
+
+    model, data: the scene; lights are where `data` has them.
+    anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see `Camera`.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):

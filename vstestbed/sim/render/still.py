@@ -37,8 +37,7 @@ class View(Protocol):
 class Lamp:
     """Tells whether the lamp of a scene (`world.light`) has moved: what it lights and its shadows are then other ones everywhere.
 
-    Args:
-        model, data: the scene, which need not have a lamp that moves.
+    model, data: the scene, which need not have a lamp that moves.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
@@ -56,17 +55,14 @@ class Lamp:
 class StillView:
     """A view that is drawn again only if something has moved by UNSEEN_PX since it was drawn last, and only there if the camera rests.
 
-    A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by at most |dp| + r dphi for a turn by
-    dphi, and its image by f times that over its distance |p| - r.
+    A point of a geom at p in the camera's frame, with a bounding sphere of radius r, has moved by at most |dp| + r dphi for a turn by dphi,
+    and its image by f times that over its distance |p| - r.
 
     Args:
-        view: draws the images.
-        model, data: the scene.
-        camera: the view's camera by its name in the scene.
-        f: pixels per radian.
+        view: draws the images. model, data: the scene. camera: the view's camera by its name in the scene. f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
-        sides: tangents of half the angles of view (see `half_tangents`). What is beyond them, before and now, may move unseen: most of
-            an arm that carries the camera. None where everything counts.
+        sides: tangents of half the angles of view (see `half_tangents`). What is beyond them, before and now, may move unseen: most of an
+            arm that carries the camera. None where everything counts.
     """
 
     def __init__(

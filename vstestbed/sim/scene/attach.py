@@ -93,11 +93,7 @@ OUTPUT_KG, OUTPUT_M = 1e-3, 0.01
 
 
 def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
-    """Apply the changes of a robot (`Robot.body_changes`) to the model of its file.
-
-    Raises:
-        LookupError: the file has no such element.
-    """
+    """Apply the changes of a robot (`Robot.body_changes`) to the model of its file. Raises LookupError: the file has no such element."""
     for change in changes:
         match change:
             case Set():
@@ -191,12 +187,10 @@ def add_robot(
     Args:
         scene: receives the robot, and the solver options of its model.
         robot: to be attached; the ideal camera is a mocap body, which has no mass and is placed by the plant.
-        prefix: of all its names (`robot/`, `leader/`).
-        friction: of the floor, where the scenario sets it.
+        prefix: of all its names (`robot/`, `leader/`). friction: of the floor, where the scenario sets it.
         assets: receives files in memory, which the scene is given last: MuJoCo warns of models that are attached to one with assets.
 
-    Raises:
-        ParameterError: the robot's model has no site `flange`.
+    Raises ParameterError: the robot's model has no site `flange`.
     """
     if robot.model is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
@@ -265,11 +259,8 @@ def _compiled(model: str, changes: tuple[Change, ...] = ()) -> mujoco.MjModel:
 def _flange_pose(model: str, flange: str) -> Array:
     """Pose (4, 4) of the flange in its body, as the compiler has it; the identity where the flange is a body.
 
-    A spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is the identity where
-    the file writes another of these: only the compiled model has them all.
-
-    Raises:
-        ParameterError: the file has no such site or body.
+    A spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is the identity where the file
+    writes another of these: only the compiled model has them all. Raises ParameterError: the file has no such site or body.
     """
     compiled = _compiled(model)
     i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_SITE, flange)

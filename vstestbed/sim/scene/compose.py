@@ -1,12 +1,11 @@
 """Composes world, robot, camera and target into one MuJoCo model with MjSpec, under prefixes.
 
-Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that
-sees more than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the
-outside view `overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ...
-(of lines on the floor, which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle that
-carries the target `leader/...`, scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by
-the servo camera, which in the textbook's scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range
-finders alone meet.
+Names: joints and actuators `robot/joint_1`, ..., the servo camera `eye` (site `eye` has its computer-vision axes; a lens that sees more
+than one pinhole picture holds has `eye_right`, `eye_left`, `eye_up`, `eye_down`, `eye_back` at the same place), the outside view
+`overview`, the target's body `target/frame` (mocap), its markers sites `target/marker_0`, `target/marker_1`, ... (of lines on the floor,
+which have no places of their own, only geoms `target/line_0`, ...), plates `plate_0`, ..., a vehicle that carries the target `leader/...`,
+scenery `scenery/...`. Geom groups: 0 the room, 1 geoms that enclose the lens (not rendered by the servo camera, which in the textbook's
+scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5 what range finders alone meet.
 """
 
 from __future__ import annotations

@@ -78,13 +78,12 @@ class FollowCamera:
     """Pose of the scene's camera `overview` at each frame, from the frames so far.
 
     Its direction is chosen at the first frame, as that with the largest robot that is not hidden. A robot on a fixed base, or a free
-    camera, is shown with all the places where something has been; a moving one is followed, smoothed by a g-h filter without
-    lag at constant velocity (critically damped: g = 1 - th^2, h = (1 - th)^2, th = exp(-RATE dt); Brookner 1998, Tracking and
-    Kalman Filtering Made Easy, section 1.2.6).
+    camera, is shown with all the places where something has been; a moving one is followed, smoothed by a g-h filter without lag at
+    constant velocity (critically damped: g = 1 - th^2, h = (1 - th)^2, th = exp(-RATE dt); Brookner 1998, Tracking and Kalman Filtering
+    Made Easy, section 1.2.6).
 
-    Args:
-        stage: the scene. things: in it. aspect: width over height of the picture.
-        free: share of the picture's width, from the left, that nothing is drawn over. foot: share of its height, at the bottom, that is.
+    stage: the scene. things: in it. aspect: width over height of the picture.
+    free: share of the picture's width, from the left, that nothing is drawn over. foot: share of its height, at the bottom, that is.
     """
 
     def __init__(self, stage: Stage, things: Things, aspect: float, free: float, foot: float):

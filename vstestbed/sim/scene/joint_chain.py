@@ -18,11 +18,7 @@ WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mj
 
 @functools.lru_cache(maxsize=8)
 def compiled(file: str) -> mujoco.MjModel:
-    """The model of a file on its own.
-
-    Raises:
-        ParameterError: `file` is not there, or MuJoCo cannot compile it.
-    """
+    """The model of a file on its own. Raises ParameterError: `file` is not there, or MuJoCo cannot compile it."""
     path = place_of_file(file)
     try:
         return read_model(path).compile()
@@ -36,11 +32,8 @@ def compiled(file: str) -> mujoco.MjModel:
 def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     """The joints from the root to a flange.
 
-    Args:
-        file: the model's. flange: one of its sites or bodies. names: the joints, in their order; () for all between root and flange.
-
-    Raises:
-        ParameterError: `file`, `flange` or `joints`, with what would work.
+    file: the model's. flange: one of its sites or bodies. names: the joints, in their order; () for all between root and flange. Raises
+    ParameterError: `file`, `flange` or `joints`, with what would work.
     """
     model = compiled(file)
     body, T_body_flange = _flange(model, flange)

@@ -26,8 +26,7 @@ AROUND, ALONG = 24, 8
 class Solid:
     """Triangles of one colour that are fixed to a body.
 
-    Attributes:
-        body: number of the body. vertices: (V, 3) in its frame [m]. faces: (F, 3) counter-clockwise from outside.
+    body: number of the body. vertices: (V, 3) in its frame [m]. faces: (F, 3) counter-clockwise from outside.
     """
 
     body: int
@@ -40,9 +39,8 @@ class Solid:
 class Pane:
     """A picture on a flat geom that is fixed to a body.
 
-    Attributes:
-        body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from who sees it, shape (4, 4).
-        width, height: [m]. image: (H, W, 3) uint8 RGB.
+    body: number of the body. T_body_pane: its middle, x to the picture's right, y down, z away from who sees it, shape (4, 4).
+    width, height: [m]. image: (H, W, 3) uint8 RGB.
     """
 
     body: int

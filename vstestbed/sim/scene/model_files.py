@@ -39,8 +39,7 @@ def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: 
 def take_jpeg(model: mujoco.MjSpec, file: Path) -> None:
     """The textures of a model in `file` that are JPEG files, which MuJoCo does not read, as PNG among the model's assets, to compile it.
 
-    Raises:
-        ParameterError: one is no picture.
+    Raises ParameterError: one is no picture.
     """
     for number, texture in enumerate(model.textures):
         path = file.parent / model.texturedir / texture.file
@@ -73,8 +72,7 @@ MISSING = re.compile(r"Error opening file '([^']*)'")
 def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
     """The error for a file that MuJoCo does not compile.
 
-    Args:
-        error: MuJoCo's. path: of the file. works: what would work, such as `an MJCF file`.
+    error: MuJoCo's. path: of the file. works: what would work, such as `an MJCF file`.
 
     Returns a ParameterError of `file`: FILE:LINE, where MuJoCo knows it, what is wrong, what would work.
     """
@@ -138,12 +136,9 @@ CONTACT_GROUP = 3
 def read_model(path: Path) -> mujoco.MjSpec:
     """The spec of an MJCF or URDF file, as the file has it.
 
-    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others.
-    A `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out.
-
-    Raises:
-        ValueError: MuJoCo's, for a file that it cannot read.
-        ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
+    Of a URDF, fixed links keep their names, a link shows its `visual` shapes, and its `collision` shapes only where it has no others. A
+    `<mujoco>` block of its own counts instead. Meshes to look at of other formats than STL and OBJ are left out. Raises ValueError:
+    MuJoCo's, for a file that it cannot read. ParameterError: `file`, where it is a xacro, or names a package whose folder is not found.
     """
     text = path.read_text(errors="replace")
     if (root := ROOT.search(text)) is None:

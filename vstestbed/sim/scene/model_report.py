@@ -205,10 +205,8 @@ Line = tuple[str, bool, str, str]
 def examine_model(file: str) -> Iterator[Line]:
     """Examine a model for both of its uses, as the arm of robot `mjcf` and as scenery (`world.scenery`), and what stands against each.
 
-    Of an arm: flanges, joints, torque limits, servos with their gains and their wind-up by friction, and a scenario to begin with.
-
-    Raises:
-        ParameterError: the file is not there.
+    Of an arm: flanges, joints, torque limits, servos with their gains and their wind-up by friction, and a scenario to begin with. Raises
+    ParameterError: the file is not there.
     """
     path = place_of_file(file)
     try:

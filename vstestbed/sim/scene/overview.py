@@ -56,10 +56,8 @@ def frame_drive(scene: mujoco.MjSpec, places: Array, sights: Array, size: float)
 
     The light that casts shadows is moved over the path, since its depth map has a limited extent.
 
-    Args:
-        places: where it will be, shape (K, 3) [m]; with room round each.
-        sights: what else must be in the picture, shape (M, 3) [m].
-        size: of the vehicle [m].
+    places: where it will be, shape (K, 3) [m]; with room round each. sights: what else must be in the picture, shape (M, 3) [m].
+    size: of the vehicle [m].
     """
     room = 0.6 * size + min(ROAM * float(np.linalg.norm(np.ptp(places[:, :2], axis=0))), ROAM_M)
     corners = np.array([[i * room, j * room, k * size] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)])

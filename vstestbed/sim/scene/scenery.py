@@ -43,11 +43,8 @@ FLAT = PLANE, int(mujoco.mjtGeom.mjGEOM_BOX)
 def check_scenery(file: str, T: Array, floor_z: float) -> None:
     """Refuse a file that cannot stand round an experiment.
 
-    Args:
-        file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the floor [m].
-
-    Raises:
-        ParameterError: `file`, with what is wrong, its line where MuJoCo knows it, and what would work.
+    file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the floor [m]. Raises ParameterError: `file`,
+    with what is wrong, its line where MuJoCo knows it, and what would work.
     """
     path = place_of_file(file)
     model = _checked(str(path), path.stat().st_mtime_ns)
@@ -87,8 +84,7 @@ def _line(element: Any, path: str) -> str:
 def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
     """The geoms that are the floor, for a pose (4, 4) of the scenery.
 
-    Raises:
-        ParameterError: a horizontal plane at another height; or a face of a box that would flicker in the floor.
+    Raises ParameterError: a horizontal plane at another height; or a face of a box that would flicker in the floor.
     """
     tops = {g: z for g in range(model.ngeom) if (z := _top(model, g, T)) is not None}
     _check_planes(model, tops, floor_z)
@@ -230,8 +226,7 @@ def _spread(texels: NDArray[np.uint8], rgb: Array) -> float:
 def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     """What of a file without joints is used as scenery, in words: each part and what becomes of it.
 
-    Raises:
-        ParameterError: see `check_scenery`.
+    Raises ParameterError: see `check_scenery`.
     """
     path = place_of_file(file)
     model = _checked(str(path), path.stat().st_mtime_ns)

@@ -25,11 +25,7 @@ PLANAR = ("root_x", "root_y", "root_yaw")
 
 
 class Root:
-    """The movable base of the robot under a prefix.
-
-    Args:
-        model: the compiled scene. prefix: the robot's (`robot/`).
-    """
+    """The movable base of the robot under a prefix. model: the compiled scene. prefix: the robot's (`robot/`)."""
 
     def __init__(self, model: mujoco.MjModel, prefix: str):
         self.body = model.body(f"{prefix}base").id
@@ -60,8 +56,7 @@ class Stage:
     """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers of `sim/render` draw it.
 
     Args:
-        parts: what the scene is made of.
-        samples: multisampling of this stage's pictures.
+        parts: what the scene is made of. samples: multisampling of this stage's pictures.
 
     Attributes:
         at: where the robot's joints and actuators are in `data`. eye: number of the servo camera's site, in computer-vision axes.

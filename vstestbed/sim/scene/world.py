@@ -143,11 +143,7 @@ class Clutter:
             raise ParameterError("radius_m", "must be the smallest and the largest radius, in this order", list(self.radius_m))
 
     def draw(self, rng: np.random.Generator, hues_deg: Sequence[float]) -> tuple[Decoy, ...]:
-        """The objects of a run.
-
-        Args:
-            rng: of the run. hues_deg: of the markers [deg].
-        """
+        """The objects of a run. rng: of the run. hues_deg: of the markers [deg]."""
         return tuple(self._one(own, hues_deg) for own in rng.spawn(self.count))
 
     def _one(self, rng: np.random.Generator, hues_deg: Sequence[float]) -> Decoy:
