@@ -29,13 +29,12 @@ from docs.build import latency
 from docs.build.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.comparison import grid as effects
-from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.figures import Data, Series
 from vstestbed.report.comparison.page import COLUMN_IN, DPI
+from vstestbed.report.comparison.results import ComparisonResults
 from vstestbed.report.html.canvas import save, style
-from vstestbed.report.video.film import Pictures, replay_of, rows_of
+from vstestbed.report.video.film import FINE, Pictures, replay_of, rows_of
 from vstestbed.report.video.overlay import INK, PAPER, FilmFrame, draw_text
-from vstestbed.report.video.quality import FINE
 from vstestbed.report.video.side_by_side import FrameReader, scaled
 from vstestbed.report.video.writer import Image
 

@@ -20,9 +20,8 @@ import vstestbed as vs
 from docs.build import parameters
 from docs.build.kept import Kept, Row
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
-from vstestbed.report.comparison.pairs import TIME
+from vstestbed.report.comparison.results import TIME, ComparisonResults
 from vstestbed.report.comparison.statistics import Difference, paired_difference, spread, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 from vstestbed.studies.bench import BesideFloor

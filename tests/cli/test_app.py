@@ -383,6 +383,6 @@ def test_bench_tells_of_the_loop_and_its_floor(command, quick: Path) -> None:
 
 
 def test_flow_makes_the_folder_of_its_figure(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.report.studies.flow.write_flow", lambda feature, depth, out: [out])
+    monkeypatch.setattr("vstestbed.report.optical_flow.write_flow", lambda feature, depth, out: [out])
     ended = command("optical-flow", "--out", tmp_path / "not/there/x.png")
     assert ended.code == 0 and ended.out.strip() == str(tmp_path / "not/there/x.png") and (tmp_path / "not/there").is_dir()

@@ -36,7 +36,7 @@ from vstestbed.laws.photometric import (
     scale,
     weights,
 )
-from vstestbed.report.comparison.columns import Metric
+from vstestbed.report.comparison.results import Metric
 from vstestbed.scenario.load import parse
 from vstestbed.sim.replay import Retake
 

@@ -19,7 +19,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
-from vstestbed.report.studies.tuning import ParameterAxis
+from vstestbed.report.studies import ParameterAxis
 from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
 from vstestbed.studies.tuning import NoListener
 
@@ -28,7 +28,7 @@ SMALL: dict[str, Any] = {"trials": 6, "seeds": 2, "check": 1, "set": {"camera.ra
 
 @pytest.fixture
 def no_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.studies.tuning.write_page", lambda *_: None)
+    monkeypatch.setattr("vstestbed.studies.tuning.write_tuning", lambda *_: None)
 
 
 class Interrupts(NoListener):
@@ -190,7 +190,7 @@ def test_a_metric_that_no_run_has_is_told_after_the_first_trials(quick: Path, tm
 
 
 def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path, here: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.report.studies.tuning.save", lambda *_: None)  # files for papers: the first test has them
+    monkeypatch.setattr("vstestbed.report.studies.save", lambda *_: None)  # files for papers: the first test has them
     ended = command("tune", "quick.yaml", "--vary", "law.gain=.01:.02", "--set", "stop.duration_s=.5", "--trials", 2, "--seeds", 1)
     assert ended.code == 3
     assert ended.err.startswith("No run of any trial reached the goal\n  The runs ended with: timed_out (2).\n  results   ")

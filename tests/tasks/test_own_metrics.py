@@ -11,7 +11,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, Metric, shown_by_default
+from vstestbed.report.comparison.results import DEFAULT_METRICS, Metric, shown_by_default
 from vstestbed.report.run.numbers import table
 from vstestbed.studies.comparison.plan import Comparison
 from vstestbed.tasks.metrics import METRICS, CommandVariation, ErrorIntegrals

@@ -146,9 +146,8 @@ def render(
     from vstestbed.cli.progress import show_notes
     from vstestbed.core.files import make_parents, only_writer
     from vstestbed.loop.log_file import open_log
-    from vstestbed.report.video.film import ending_of, film_log
+    from vstestbed.report.video.film import ending_of, film_log, quality_of
     from vstestbed.report.video.gif import gif_of
-    from vstestbed.report.video.quality import quality_of
     from vstestbed.scenario.dump import load_run
 
     size_px, path = _size(size), _film_file(out, run_dir / camera, ".gif" if gif else ".mp4")

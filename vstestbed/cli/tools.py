@@ -183,7 +183,7 @@ def optical_flow(
 ) -> None:
     """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
     from vstestbed.core.files import make_parents
-    from vstestbed.report.studies.flow import write_flow
+    from vstestbed.report.optical_flow import write_flow
 
     for path in write_flow(feature, depth, None if out is None else make_parents(out)):
         typer.echo(str(path))

@@ -16,9 +16,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.laws.policy import MOST_PX, ActionScale, observed
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
-from vstestbed.report.video.film import Pictures, replay_of
+from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.report.video.quality import quality_of
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario

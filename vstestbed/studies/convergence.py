@@ -20,7 +20,7 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError, Unreacha
 from vstestbed.core.files import write_table
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.report.studies.maps import ConvergenceMap, write_page
+from vstestbed.report.studies import ConvergenceMap, write_sweep
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
@@ -207,7 +207,7 @@ def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
     seeds = study.comparison.seeds or 0
     left = len(study.runs) - len(ended)
     caution = f"Interrupted: {left:,} of {len(study.runs):,} runs are missing, and the shares are of fewer seeds." if left else ""
-    return write_page(folder, study.maps(ended), axes[0], axes[1], seeds, study.comparison.description, command, caution)
+    return write_sweep(folder, study.maps(ended), axes[0], axes[1], seeds, study.comparison.description, command, caution)
 
 
 def _short(value: object) -> str:

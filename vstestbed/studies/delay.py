@@ -21,7 +21,7 @@ from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.points import Visibility
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.loop.stability import NO_LAG, closed_form, gain_limit, locus, loop_shares, roots, swing_frames
-from vstestbed.report.studies.delay import Branches, write_page
+from vstestbed.report.studies import Branches, write_delay
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
@@ -419,7 +419,7 @@ def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -
     write_table(folder / "delay", pl.DataFrame(rows, infer_schema_length=None))
     lags = [row | {"lags": [asdict(lag) for lag in limit.lags]} for row, limit in zip(rows, limits, strict=True)]
     write_json(folder / "delay.json", lags)
-    return write_page(folder, name, rows, [branches(limit) for limit in limits], command)
+    return write_delay(folder, name, rows, [branches(limit) for limit in limits], command)
 
 
 def branches(limit: Limit) -> Branches:

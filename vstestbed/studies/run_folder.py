@@ -227,8 +227,7 @@ def _filming(folder: Path, scenario: Scenario, films: Films, tile_px: tuple[int,
     if not paths:
         yield []
         return
-    from vstestbed.report.video.film import FilmThread, open_films
-    from vstestbed.report.video.quality import Pace, quality_of
+    from vstestbed.report.video.film import FilmThread, Pace, open_films, quality_of
 
     quality = quality_of(scenario, fine)
     quality = replace(quality, size=tile_px or quality.size)

@@ -19,9 +19,9 @@ from vstestbed.core.files import write_table
 from vstestbed.core.planar import block_of
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
-from vstestbed.report.comparison.columns import Metric
+from vstestbed.report.comparison.results import Metric
 from vstestbed.report.comparison.statistics import paired_difference
-from vstestbed.report.studies.tuning import ParameterAxis, TrialRow, TuningPage, write_page
+from vstestbed.report.studies import ParameterAxis, TrialRow, TuningPage, write_tuning
 from vstestbed.scenario.dump import dump, flow_text
 from vstestbed.scenario.load import load, text_of
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
@@ -434,7 +434,7 @@ class TuningResult:
         write_table(self.folder / TABLE, self.table)
         if self.best is not None:
             dump(self.scenario, self.folder / BEST)
-        return write_page(self.folder, self._page())
+        return write_tuning(self.folder, self._page())
 
     def _page(self) -> TuningPage:
         plan, best = self.plan, self.best

@@ -16,10 +16,9 @@ import pytest
 from tests.report.comparison.comparisons import build, errors, start_px
 from vstestbed.core.errors import RunFolderError
 from vstestbed.loop.log_file import FolderLog
-from vstestbed.report.comparison.columns import ComparisonResults, Metric, short_names
 from vstestbed.report.comparison.figures import INSTANTS, read_series
-from vstestbed.report.comparison.pairs import TIME, against, pairs
-from vstestbed.report.comparison.summary_text import headline, pair_text
+from vstestbed.report.comparison.results import TIME, ComparisonResults, Metric, against, pairs, short_names
+from vstestbed.report.comparison.tables import headline, pair_text
 
 
 def table(**columns: list[Any]) -> pl.DataFrame:

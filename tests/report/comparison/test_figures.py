@@ -9,9 +9,9 @@ import numpy as np
 import polars as pl
 
 from tests.report.comparison.comparisons import build
-from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.figures import Data, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
+from vstestbed.report.comparison.results import ComparisonResults
 from vstestbed.report.html.canvas import save, style, to_svg
 
 PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"

@@ -7,10 +7,9 @@ import polars as pl
 import pytest
 from matplotlib.text import Text
 
-from vstestbed.report.comparison.columns import ComparisonResults
 from vstestbed.report.comparison.figures import Data, Series
 from vstestbed.report.comparison.grid import Grid, grid, real
-from vstestbed.report.comparison.pairs import TIME
+from vstestbed.report.comparison.results import TIME, ComparisonResults
 from vstestbed.report.comparison.statistics import holm, paired_difference
 
 SHIFT_S = {"none": 0.0, "late": 0.5, "noisy": -0.25}

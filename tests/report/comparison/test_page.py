@@ -15,13 +15,12 @@ import pytest
 from tests.report.comparison.comparisons import build
 from tests.report.html import Reader, checked
 from vstestbed.core.errors import OutputError
-from vstestbed.report.comparison import failures as comparison_failures
 from vstestbed.report.comparison import page as comparison_page
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.figures import read_series
 from vstestbed.report.comparison.page import write_comparison_report
+from vstestbed.report.comparison.results import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.statistics import MOST_PAIRS, paired_difference, success_rate
-from vstestbed.report.run.numbers import number
+from vstestbed.report.html.template import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
 FIGURES = [
@@ -132,7 +131,7 @@ def test_failures_are_listed_with_seeds_and_commands(built: tuple[Path, pl.DataF
 
 
 def test_commands_are_quoted_for_a_shell() -> None:
-    failure = comparison_failures.Failure("a", 0, "timed_out", "", Path("my runs/a&b/0"))
+    failure = comparison_page.Failure("a", 0, "timed_out", "", Path("my runs/a&b/0"))
     assert failure.command == "vstestbed run 'my runs/a&b/0/scenario.yaml'"
 
 
@@ -157,11 +156,11 @@ def test_the_gallery_is_limited(built: tuple[Path, pl.DataFrame], tmp_path: Path
     frame = build(tmp_path, {"a": 1.0}, 6, {("a", k): "timed_out" for k in range(5)} | {("a", 5): "target_lost"})
     for k in range(6):
         (tmp_path / f"runs/a/base/{k}/end.png").write_bytes(bytes(100))
-    monkeypatch.setattr(comparison_failures, "PICTURES", 3)
+    monkeypatch.setattr(comparison_page, "PICTURES", 3)
     text = write_comparison_report(tmp_path, frame, ()).read_text()
     assert text.count("<img") == 3 and "How they ended (3 of 6, every kind in turn)" in text
     assert "a, seed 5: target lost" in checked(text).text  # the rare kind is not crowded out
-    monkeypatch.setattr(comparison_failures, "PICTURE_BYTES", 250)
+    monkeypatch.setattr(comparison_page, "PICTURE_BYTES", 250)
     assert write_comparison_report(tmp_path, frame, ()).read_text().count("<img") == 2
 
 
@@ -272,9 +271,9 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
     comparison = ComparisonResults(frame)
     series = read_series(folder, comparison)
     assert [e.shape[0] for e in series.errors] == [5, 5] and series.sampled == 5
-    monkeypatch.setattr(comparison_failures, "LISTED", 3)
-    monkeypatch.setattr(comparison_failures, "SEEDS", 1)
-    text = checked(comparison_failures.section(folder, comparison)).text
+    monkeypatch.setattr(comparison_page, "LISTED", 3)
+    monkeypatch.setattr(comparison_page, "SEEDS", 1)
+    text = checked(comparison_page.failures_section(folder, comparison)).text
     assert "the commands that run 3 of them, every kind in turn, again" in text and text.count("vstestbed run") == 3
     assert "slow: seeds 0 and 1 more" in text
 

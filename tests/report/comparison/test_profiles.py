@@ -10,10 +10,8 @@ import polars as pl
 import pytest
 
 from tests.report.comparison.comparisons import build
-from vstestbed.report.comparison.columns import ComparisonResults, Metric
 from vstestbed.report.comparison.figures import STEPS, profile
-from vstestbed.report.comparison.pairs import pairs, write_records
-from vstestbed.report.comparison.statistics import interquartiles
+from vstestbed.report.comparison.results import ComparisonResults, Metric, interquartiles, pairs, write_records
 from vstestbed.report.comparison.tables import statistics_text
 
 

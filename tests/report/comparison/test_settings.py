@@ -8,8 +8,8 @@ import pytest
 
 from tests.report.comparison.comparisons import SCENARIO, build
 from tests.report.html import checked
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.page import differing, gains_alone, in_words, only_gains, write_comparison_report
+from vstestbed.report.comparison.results import DEFAULT_METRICS, ComparisonResults
 
 
 def comparison(folder: Path, second: str, seeds: int = 2) -> ComparisonResults:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.report.comparison.statistics import holm, improvement, paired_difference, paired_success, spread, success_rate, wilson
 
 SEEDS = 20
@@ -25,15 +24,9 @@ def test_wilson_intervals_are_those_of_newcombe_1998_table_1(successes: int, n: 
     assert (rate.low, rate.high) == pytest.approx((low, high), abs=6e-5)  # four digits are printed
 
 
-def test_a_rate_of_nothing_says_nothing_and_a_wrong_count_is_refused() -> None:
+def test_a_rate_of_nothing_says_nothing() -> None:
     rate = success_rate(0, 0)
     assert math.isnan(rate.rate) and (rate.low, rate.high, rate.n) == (0.0, 1.0, 0)
-    assert success_rate(10, 20, confidence=0.5).high < success_rate(10, 20).high
-    for successes, n in ((-1, 5), (6, 5)):
-        with pytest.raises(ParameterError, match=r"successes must be in 0\.\.5"):
-            success_rate(successes, n)
-    with pytest.raises(ParameterError, match="confidence"):
-        success_rate(1, 2, confidence=95)
 
 
 def test_a_spread_leaves_out_what_is_unknown() -> None:
@@ -140,9 +133,6 @@ def test_order_does_not_matter_and_the_sign_turns() -> None:
     assert paired_difference(a[order], b[order]) == found == paired_difference(a, b)  # and again the same
     turned = paired_difference(b, a)
     assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low), rel=1e-12)
-    other = paired_difference(a, b, seed=1)
-    assert other.low != found.low and other.low == pytest.approx(found.low, rel=0.05)  # 9999 resamples settle the ends
-    assert paired_difference(a, b, confidence=0.5).high < found.high < paired_difference(a, b, confidence=0.99).high
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1, -3.0])
@@ -196,12 +186,6 @@ def test_many_pairs_are_resampled_in_parts() -> None:
     assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(3000), rel=0.1) and found.real
 
 
-def test_rows_must_be_of_one_length() -> None:
-    for compare in (paired_difference, paired_success):
-        with pytest.raises(ParameterError, match="same length"):
-            compare([1.0, 2.0], [1.0])
-
-
 def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
     a = np.array([1] * 8 + [1] * 6 + [0] * 1 + [0] * 5, dtype=bool)
     b = np.array([1] * 8 + [0] * 6 + [1] * 1 + [0] * 5, dtype=bool)
@@ -251,8 +235,6 @@ def test_the_probability_of_improvement_counts_seeds() -> None:
     turned = improvement(b, a)
     assert (turned.share, turned.low, turned.p) == pytest.approx((1 - found.share, 1 - found.high, found.p))
     assert math.isnan(improvement([], []).share) and improvement([1.0], [1.0]).p == 1.0
-    with pytest.raises(ParameterError, match="same length"):
-        improvement([1.0], [])
 
 
 def test_the_sign_test_holds_for_skewed_times_and_holm_for_many() -> None:

@@ -14,8 +14,7 @@ import pytest
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.outcome import Outcome
 from vstestbed.report.video import film as beside
-from vstestbed.report.video.film import FilmThread
-from vstestbed.report.video.quality import Pace
+from vstestbed.report.video.film import FilmThread, Pace
 
 
 def frame(k: int, image: np.ndarray | None = None) -> Any:

@@ -13,10 +13,9 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
-from vstestbed.report.video.film import Film, Pictures, error_in_words, replay_of
+from vstestbed.report.video.film import DRAFT, FINE, Film, Pictures, error_in_words, replay_of
 from vstestbed.report.video.outside import DRAWN_FOR, GOAL, MOST_PLACES, Outside, Pen, Stroke
 from vstestbed.report.video.overlay import GOOD, FilmFrame, draw_ending
-from vstestbed.report.video.quality import DRAFT, FINE
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.report.video.film import Film
+from vstestbed.report.video.film import DRAFT, FINE, RAYS, Film, Pace, quality_of
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.report.video.quality import DRAFT, FINE, RAYS, Pace, quality_of
 
 
 @pytest.mark.parametrize(("rate_hz", "every"), [(5, 1), (10, 1), (15, 1), (25, 2), (30, 2), (50, 4), (100, 7)])
@@ -52,7 +51,7 @@ def test_a_film_keeps_real_time_where_pictures_stayed_away(tmp_path: Path):
 
 
 def test_rays_make_small_films_and_say_so(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
-    from vstestbed.report.video import quality
+    from vstestbed.report.video import film as quality
 
     quality._warn_once.cache_clear()
     assert quality_of(vs.load("arm_ibvs", {"camera.renderer": "gl"})) is DRAFT

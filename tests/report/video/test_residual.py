@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.report.video.film import replay_of, rows_of
+from vstestbed.report.video.film import DRAFT, replay_of, rows_of
 from vstestbed.report.video.overlay import SHARE, WORDS, FilmFrame, Residual, _label, text_size, text_width
-from vstestbed.report.video.quality import DRAFT
 
 
 @pytest.mark.parametrize(("width", "height"), [(320, 240), (640, 480), (1280, 720)])

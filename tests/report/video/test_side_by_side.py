@@ -10,7 +10,6 @@ import av
 import numpy as np
 import pytest
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.report.video import VideoWriter
 from vstestbed.report.video.side_by_side import DIMMED, Column, side_by_side
 
@@ -77,14 +76,6 @@ def test_every_film_shows_its_newest_picture_of_the_moment(tmp_path: Path) -> No
         np.testing.assert_array_equal(number(pictures, column, row), np.append(newest, 30 * [round(3.2 * own_hz) - 1]))
 
 
-@pytest.mark.parametrize("rate_hz", [10.0, pytest.param(50.0, marks=pytest.mark.study)])
-def test_the_rate_can_be_given(tmp_path: Path, rate_hz: float) -> None:
-    run = Column("a", (film(tmp_path / "a.mp4", 2.0),), "")
-    pictures, rate = read(side_by_side([run], tmp_path / "all.mp4", rate_hz))
-    assert rate == rate_hz and len(pictures) == 3 * rate_hz
-    np.testing.assert_array_equal(number(pictures, 0, 0)[: int(2 * rate_hz)], np.arange(2 * rate_hz) * 25 // rate_hz)
-
-
 def test_a_film_of_many_pictures_a_second_is_shown_at_50_hz(tmp_path: Path) -> None:
     assert read(side_by_side([Column("a", (film(tmp_path / "a.mp4", 0.5, 200.0),), "")], tmp_path / "all.mp4"))[1] == 50.0
 
@@ -133,15 +124,6 @@ def test_films_of_other_shapes_are_centred_and_long_words_shortened(tmp_path: Pa
     pane = pictures[3, BAR:-BAR, 200]
     assert pane[:40].max() < 40 and pane[-40:].max() < 40 and pane[60:-60].min() > 20  # 270 of 360 rows
     assert pictures[3, :BAR, :8].min() > 200 and pictures[3, :BAR, 472:480].min() > 200  # the label keeps off its edges
-
-
-def test_the_number_of_columns_is_checked(tmp_path: Path) -> None:
-    for count in (0, 7):
-        with pytest.raises(ParameterError, match="1 to 6"):
-            side_by_side([Column("", (), "")] * count, tmp_path / "a.mp4")
-    with pytest.raises(ParameterError, match="rate_hz"):
-        side_by_side([Column("a", (film(tmp_path / "a.mp4", 0.2),), "")], tmp_path / "b.mp4", rate_hz=0.0)
-    assert not (tmp_path / "b.mp4").exists()
 
 
 def test_two_times_the_same_bytes(tmp_path: Path) -> None:

@@ -1,7 +1,4 @@
-"""A comparison beside an earlier one: the same runs then and now, paired, and what got worse.
-
-The physics is deterministic: on one machine an unchanged program gives differences of exactly zero.
-"""
+"""A comparison beside an earlier one: the same runs then and now, paired, and what got worse; on one machine runs repeat exactly."""
 
 from __future__ import annotations
 
@@ -17,48 +14,37 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.report.comparison.columns import ControllerResults, Metric
+from vstestbed.report.comparison.results import ControllerResults, Metric
 from vstestbed.report.comparison.statistics import paired_difference, paired_success
-from vstestbed.report.comparison.summary_text import signed
-from vstestbed.report.comparison.tables import Cell, table
-from vstestbed.report.run.numbers import number
+from vstestbed.report.comparison.tables import below, real, signed
+from vstestbed.report.html.template import Cell, number, table
 
-FILE: Final = "baseline.json"
-"""File of a comparison's folder that holds its `BaselineChanges`."""
+FILE: Final = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
 TOLERANCE: Final = 0.02
 """Default share of the earlier mean by which a metric may get worse. Another version of a library or another processor changes the last
 digits of pixels, and lets a run converge a frame earlier or later, and 40 ms are a hundredth of 4 s: a real difference of that size is no
 fault of a law."""
-LEVEL: Final = 0.05
-"""Level of the one-sided test on lost runs."""
-FEWEST: Final = 5
-"""Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not."""
+LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
+FEWEST: Final = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 NEUTRAL: Final = ("sim_time_s", "frames", "max_rotation_deg", "peak_speed_mps", "peak_rate_radps")
 """Numbers that describe a run and do not judge it."""
 
 
 @dataclass(frozen=True)
 class MetricChange:
-    """A metric over the matched runs of a controller, in its display unit.
+    """A metric over the matched runs of a controller, in its display unit."""
 
-    Attributes:
-        name: key in `summary.json`. title, unit: as printed.
-        before, now: means over the same runs. difference, low, high: mean of now - before with its 95 % interval, NaN where
-            there is none. n: number of these runs.
-        real: the interval excludes zero. better: 1 where more is better, -1 where less is, 0 where neither.
-    """
-
-    name: str
-    title: str
+    name: str  # key in `summary.json`
+    title: str  # title, unit: as printed
     unit: str
-    before: float
+    before: float  # before, now: means over the same runs
     now: float
-    difference: float
+    difference: float  # difference, low, high: mean of now - before with its 95 % interval, NaN where there is none
     low: float
     high: float
-    n: int
-    real: bool
-    better: int
+    n: int  # number of these runs
+    real: bool  # the interval excludes zero
+    better: int  # 1 where more is better, -1 where less is, 0 where neither
 
     @property
     def share(self) -> float:
@@ -66,33 +52,23 @@ class MetricChange:
         return self.difference / abs(self.before) if self.before else math.copysign(math.inf, self.difference) if self.difference else 0.0
 
     def worse(self, tolerance: float) -> bool:
-        """Whether it got worse by more than a share of the earlier mean, with an interval that excludes zero.
-
-        A single run has no interval; its difference counts as it is, since the same run repeats exactly.
-        """
+        """Whether it got worse by more than a share of the earlier mean; of several runs, with an interval that excludes zero."""
         return self.better * self.difference < 0 and abs(self.share) > tolerance and (self.real or self.n == 1)
 
 
 @dataclass(frozen=True)
 class ControllerChange:
-    """The matched runs of one controller, then and now.
+    """The matched runs of one controller, then and now."""
 
-    Attributes:
-        label: its name. reached_before, reached_now: how many of the `runs` reached the goal.
-        lost, gained: the runs that reached it only then, and only now, each in words: `seed 3: target_lost`.
-        chance: p-value of the one-sided exact sign test, that it reaches the goal less often now.
-        metrics: the metrics. settings: fields of the scenario that differ, of its first run.
-    """
-
-    label: str
+    label: str  # its name
     runs: int
-    reached_before: int
+    reached_before: int  # reached_before, reached_now: how many of the `runs` reached the goal
     reached_now: int
-    lost: tuple[str, ...]
+    lost: tuple[str, ...]  # lost, gained: the runs that reached it only then, and only now, each in words: `seed 3: target_lost`
     gained: tuple[str, ...]
-    chance: float
-    metrics: tuple[MetricChange, ...]
-    settings: tuple[str, ...] = ()
+    chance: float  # p-value of the one-sided exact sign test, that it reaches the goal less often now
+    metrics: tuple[MetricChange, ...]  # the metrics
+    settings: tuple[str, ...] = ()  # fields of the scenario that differ, of its first run
 
     @property
     def fails_more(self) -> bool:
@@ -108,26 +84,16 @@ class ControllerChange:
 
 @dataclass(frozen=True)
 class BaselineChanges:
-    """A comparison beside an earlier one.
+    """A comparison beside an earlier one."""
 
-    Attributes:
-        place: of the earlier results. matched: number of runs that both have.
-        only_now, only_before: controllers without a counterpart, or with some runs only; in words.
-        controllers: those with matched runs.
-    """
-
-    place: str
-    matched: int
-    only_now: tuple[str, ...]
+    place: str  # of the earlier results
+    matched: int  # number of runs that both have
+    only_now: tuple[str, ...]  # only_now, only_before: controllers without a counterpart, or with some runs only; in words
     only_before: tuple[str, ...]
-    controllers: tuple[ControllerChange, ...]
+    controllers: tuple[ControllerChange, ...]  # those with matched runs
 
     def regressions(self, tolerance: float = TOLERANCE) -> list[str]:
-        """A sentence for each thing that got worse; none where nothing did.
-
-        Args:
-            tolerance: share of the earlier mean by which a metric may get worse.
-        """
+        """A sentence for each thing that got worse; `tolerance`: share of the earlier mean by which a metric may get worse."""
         return [words for c in self.controllers for words in _regressions(c, tolerance)]
 
     def plain(self) -> dict[str, Any]:
@@ -136,11 +102,7 @@ class BaselineChanges:
 
 
 def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequence[Metric], settings: Sequence[str]) -> ControllerChange:
-    """The changes of one controller.
-
-    Args:
-        label: its name. before, now: its runs, the same in every row. metrics: those to compare. settings: fields that differ.
-    """
+    """The changes of one controller, of which both tables have the same runs in every row."""
     old, new = ControllerResults(label, before), ControllerResults(label, now)
     both = paired_success(old.success, new.success)
     lost, gained = (_runs(new, old.success & ~new.success), _runs(old, ~old.success & new.success))
@@ -198,11 +160,7 @@ def difference_text(m: MetricChange) -> str:
 
 
 def read_changes(folder: Path) -> BaselineChanges | None:
-    """What `baseline.json` of a comparison's folder holds; None where there is none.
-
-    Raises:
-        RunFolderError: it is damaged.
-    """
+    """What `baseline.json` of a comparison's folder holds; None where there is none. RunFolderError: it is damaged."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -233,8 +191,7 @@ def _without_nan(value: Any) -> Any:
 
 
 # How a comparison differs from an earlier one, in words for the terminal and as a section of the page.
-MOST: Final = 4
-"""Differing metrics, and lost runs, that a line of the terminal names; the page has all of them."""
+MOST: Final = 4  # Differing metrics, and lost runs, that a line of the terminal names; the page has all of them
 
 
 def text(changes: BaselineChanges) -> str:
@@ -245,30 +202,22 @@ def text(changes: BaselineChanges) -> str:
 
 
 def _lines(c: ControllerChange) -> list[str]:
+    settings = f"; its scenario differs in {_named(c.settings)}" if c.settings else ""
     if not c.changed:
-        return [f"  {c.label}: {c.runs} runs without any difference{_settings(c)}"]
-    reached = f"{c.reached_now} of {c.runs} reached the goal, before {c.reached_before}{_named('lost', c.lost)}{_named('gained', c.gained)}"
+        return [f"  {c.label}: {c.runs} runs without any difference{settings}"]
+    runs = "".join(f" ({what}: {_named(those)})" for what, those in (("lost", c.lost), ("gained", c.gained)) if those)
     differ = sorted((m for m in c.metrics if m.n and m.difference), key=lambda m: (not m.real, -abs(m.share)))
     more = [f"    {len(differ) - MOST} more numbers differ (report.html)"] if len(differ) > MOST else []
-    return [f"  {c.label}: {reached}{_settings(c)}", *(f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]), *more]
+    reached = f"  {c.label}: {c.reached_now} of {c.runs} reached the goal, before {c.reached_before}{runs}{settings}"
+    return [reached, *(f"    {m.title.lower()} {difference_text(m)}" for m in differ[:MOST]), *more]
 
 
-def _named(what: str, runs: tuple[str, ...]) -> str:
-    more = f" and {len(runs) - MOST} more" if len(runs) > MOST else ""
-    return f" ({what}: {', '.join(runs[:MOST])}{more})" if runs else ""
-
-
-def _settings(c: ControllerChange) -> str:
-    more = f" and {len(c.settings) - MOST} more" if len(c.settings) > MOST else ""
-    return f"; its scenario differs in {', '.join(c.settings[:MOST])}{more}" if c.settings else ""
+def _named(words: Sequence[str]) -> str:
+    return ", ".join(words[:MOST]) + (f" and {len(words) - MOST} more" if len(words) > MOST else "")
 
 
 def section(folder: Path) -> str:
-    """The section of a comparison's page; empty where it was not compared with an earlier one.
-
-    Args:
-        folder: the comparison's, with `baseline.json`.
-    """
+    """The section of a comparison's page; empty where it was not compared with an earlier one."""
     changes = read_changes(folder)
     if changes is None:
         return ""
@@ -277,34 +226,27 @@ def section(folder: Path) -> str:
         "times (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot: the interval excludes zero. "
         "An unchanged program gives 0 everywhere on the same machine."
     )
+    notes = [note] + [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
+    notes += [f"{c.label}: its scenario differs in {', '.join(c.settings)}." for c in changes.controllers if c.settings]
     verdict = "".join(f"<li>{escape(words)}</li>" for words in changes.regressions() or ["Nothing got worse."])
-    notes = "".join(f'<p class="soft">{escape(words)}</p>' for words in [note, *_notes(changes)])
-    head = f"<h2>Against {escape(changes.place)}</h2><p>With a tolerance of {100 * TOLERANCE:g} %:</p><ul>{verdict}</ul>"
-    return f"<section>{head}{_table(changes)}{notes}</section>"
-
-
-def _table(changes: BaselineChanges) -> str:
     names = dict.fromkeys((m.title, m.unit) for c in changes.controllers for m in c.metrics)
     heads = ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for title, unit in names)]
-    return table(heads, [[(c.label, escape(c.label)), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers])
-
-
-def _notes(changes: BaselineChanges) -> list[str]:
-    """What cannot be compared, and where the scenarios differ."""
-    notes = [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
-    return notes + [f"{c.label}: its scenario differs in {', '.join(c.settings)}." for c in changes.controllers if c.settings]
+    numbers = table(heads, [[(c.label, escape(c.label)), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers])
+    small = "".join(f'<p class="soft">{escape(words)}</p>' for words in notes)
+    head = f"<h2>Against {escape(changes.place)}</h2><p>With a tolerance of {100 * TOLERANCE:g} %:</p><ul>{verdict}</ul>"
+    return f"<section>{head}{numbers}{small}</section>"
 
 
 def _goals(c: ControllerChange) -> Cell:
     change = c.reached_now - c.reached_before
-    below = [f"{c.reached_now} of {c.runs}, before {c.reached_before}", *(f"lost {run}" for run in c.lost)]
-    shown = f'<b class="real">● {signed(change)}</b>' if c.fails_more else signed(change)
-    return change, shown + "".join(f"<small>{escape(words)}</small>" for words in [*below, *(f"gained {run}" for run in c.gained)])
+    words = [f"{c.reached_now} of {c.runs}, before {c.reached_before}", *(f"lost {run}" for run in c.lost)]
+    small = "".join(below(escape(one)) for one in [*words, *(f"gained {run}" for run in c.gained)])
+    return change, real(signed(change), c.fails_more) + small
 
 
 def _cell(m: MetricChange) -> Cell:
     if not m.n:
         return None, "–"
-    mean = f'<b class="real">● {signed(m.difference)}</b>' if m.real and m.difference else signed(m.difference)
-    interval = f"<small>[{signed(m.low)},<br>{signed(m.high)}]</small>" if math.isfinite(m.low) else ""
-    return m.difference, f"{mean} {interval}<small>before {number(m.before)}</small>"
+    interval = below(f"[{signed(m.low)},<br>{signed(m.high)}]") if math.isfinite(m.low) else ""
+    mean = real(signed(m.difference), bool(m.real and m.difference))
+    return m.difference, f"{mean} {interval}{below(f'before {number(m.before)}')}"

@@ -1,7 +1,4 @@
-"""Figures of a comparison over all runs: error over time, single runs, paired differences.
-
-Each function takes the data and the width of the figure [in], since the page and a paper need different sizes.
-"""
+"""Figures of a comparison over all runs; each takes the data and its width [in], since the page and a paper need different sizes."""
 
 from __future__ import annotations
 
@@ -17,10 +14,9 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
-from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import TIME, Pair
+from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, Metric, Pair
 from vstestbed.report.comparison.statistics import LEAST, spread, wilson
-from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, printable
+from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, panels, printable
 from vstestbed.report.run.tracks import MeasuredError
 
 if TYPE_CHECKING:
@@ -31,29 +27,21 @@ if TYPE_CHECKING:
 # The error in the image of many runs over time, resampled to one time grid.
 #
 # Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
-INSTANTS = 240
-"""Points of the time grid: more than can be resolved in one panel of a figure."""
+INSTANTS = 240  # Points of the time grid: more than can be resolved in one panel of a figure
 SAMPLED, LEAST_SAMPLED = 2000, 20
 """Logs that are read in all, shared among the controllers, and fewest of each: to read one takes a millisecond."""
-_FAR = 1e30
-"""Error that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)."""
+_FAR = 1e30  # Error that stands for a lost target: larger than any real one, but finite, since quantiles interpolate (inf - inf is NaN)
 
 
 @dataclass(frozen=True)
 class Series:
-    """RMS image error of every run over time.
+    """RMS image error of every run over time."""
 
-    Attributes:
-        t: the common time grid, shape (G,) [s].
-        errors: of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for runs without a log.
-        sampled: of so many first runs of each controller; None: of all.
-        measured: which error it is of each controller, with the threshold.
-    """
-
-    t: Array
+    t: Array  # the common time grid, shape (G,) [s]
+    # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for runs without a log
     errors: tuple[NDArray[np.float32], ...]
-    sampled: int | None = None
-    measured: tuple[MeasuredError, ...] = ()
+    sampled: int | None = None  # of so many first runs of each controller; None: of all
+    measured: tuple[MeasuredError, ...] = ()  # which error it is of each controller, with the threshold
 
     def units(self) -> dict[MeasuredError, list[int]]:
         """The controllers that are measured in the same, by number."""
@@ -65,8 +53,7 @@ class Series:
     def quartiles(self, controller: int) -> Array:
         """First quartile, median and third quartile over the runs, shape (3, G); inf where so many runs have lost the target.
 
-        A run without target ranks behind every run that sees it. If such runs were left out, a controller that loses its worst
-        runs would look better than one that keeps them in view.
+        A run without target ranks behind every run that sees it: else a controller that loses its worst runs would look better.
         """
         errors = self.errors[controller].astype(float)
         if not len(errors):
@@ -76,14 +63,9 @@ class Series:
 
 
 def read_series(folder: Path, comparison: ComparisonResults, measured: Sequence[MeasuredError] = ()) -> Series:
-    """Read the errors of the runs of a comparison, of very many the first of each controller; after its end a run holds its last value.
+    """The errors of the runs, of very many the first of each controller; after its end a run holds its last value.
 
-    Args:
-        folder: the comparison's folder; the table's column `folder` is relative to it.
-        comparison: the comparison. measured: which error of each controller; by default that of markers.
-
-    Raises:
-        RunFolderError: a log is damaged.
+    `measured`: which error of each controller, by default that of markers. RunFolderError: a log is damaged.
     """
     # the duration of the longest run; 1 s if no run has any, so that the grid is not empty
     longest = comparison.table["sim_time_s"].cast(pl.Float64, strict=False).max() if "sim_time_s" in comparison.table.columns else None
@@ -114,14 +96,10 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
 
 THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
 DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-BANDS = 4
-"""Most controllers whose quartile bands are drawn in one panel: more bands hide each other."""
-PANELS = 24
-"""Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart."""
-LINES, EACH_LEAST, EACH_MOST = 200, 5, 30
-"""Single runs drawn in all panels of `each_run` together, and fewest and most in one panel."""
-LEAST_DIFFERENCE = 1e-9
-"""Differences below this, in any display unit, are rounding."""
+BANDS = 4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
+PANELS = 24  # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
+LINES, EACH_LEAST, EACH_MOST = 200, 5, 30  # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
+LEAST_DIFFERENCE = 1e-9  # Differences below this, in any display unit, are rounding
 
 
 @dataclass(frozen=True)
@@ -157,8 +135,8 @@ def medians(data: Data, width_in: float) -> Figure:
     """Median error of each controller over time with its quartile band, in one panel for each unit."""
     units = data.series.units()
     figure = new_figure((0.58 + 0.4 * (len(units) - 1)) * width_in + legend_height_in(data), width_in)
-    panels = np.ravel(figure.subplots(len(units), 1, sharex=True, squeeze=False))
-    for axes, (error, those) in zip(panels, units.items(), strict=True):
+    grid = panels(figure, len(units), 1, sharex=True)
+    for axes, (error, those) in zip(grid, units.items(), strict=True):
         quartiles = [data.series.quartiles(i) for i in those]
         for i, quartile in zip(those, quartiles, strict=True):
             _draw_quartiles(axes, data.series.t, quartile, look(i), band=len(data.labels) <= BANDS)
@@ -167,34 +145,30 @@ def medians(data: Data, width_in: float) -> Figure:
         if error.threshold and axes.get_yscale() == "log":
             words, at = f"{error.threshold:g} {error.unit}", (1, error.threshold)
             axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
-    panels[-1].set_xlabel("time [s]")
+    grid[-1].set_xlabel("time [s]")
     legend(figure, data)
     return figure
 
 
 def each_run(data: Data, width_in: float) -> Figure:
-    """One panel per controller: single runs as thin lines, median and quartile band over them, the other controllers' medians in grey.
-
-    Panels of the same unit have the same axis of errors, and each the medians of its own unit.
-    """
+    """One panel per controller: its runs, its median and quartile band, and in grey the medians of the others in the same unit."""
     n, units = len(data.labels), data.series.units()
     columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
-    panels = np.ravel(figure.subplots(-(-n // columns), columns, sharex=True, sharey=len(units) == 1, squeeze=False))
-    for axes in panels[n:]:
-        axes.set_visible(False)
-    for i, axes in enumerate(panels[:n]):
+    grid = panels(figure, n, columns, sharex=True, sharey=len(units) == 1)
+    for i, axes in enumerate(grid):
         axes.set_title(wrapped(data.labels[i], 28))
         axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
     for error, those in units.items():
-        _draw_each({i: panels[i] for i in those}, data, error)
-    figure.supxlabel("time [s]", fontsize=_size())
+        _draw_each({i: grid[i] for i in those}, data, error)
+    size = grid[0].xaxis.label.get_size()
+    figure.supxlabel("time [s]", fontsize=size)
     if len(units) == 1:
-        figure.supylabel(next(iter(units)).label, fontsize=_size())
+        figure.supylabel(next(iter(units)).label, fontsize=size)
         return figure
     for error, those in units.items():
         for i in those:
-            panels[i].set_ylabel(wrapped(error.label, 16))
+            grid[i].set_ylabel(wrapped(error.label, 16))
     return figure
 
 
@@ -239,10 +213,7 @@ def _shown(error: Array) -> Array:
 
 
 def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, shown: Sequence[Array | NDArray[np.float32]]) -> None:
-    """Logarithmic error axis over what is shown, the runs and their quartiles, and the threshold; the same in each panel.
-
-    The threshold is always inside: its words outside of the axes would leave them no room.
-    """
+    """Logarithmic axis of errors, the same in each panel, over the runs, their quartiles and the threshold, whose words need room."""
     values = np.concatenate([e[np.isfinite(e) & (e > 0)].astype(float) for e in shown])
     if not len(values):
         panels[0].set_yticks([])
@@ -259,7 +230,8 @@ def _error_axes(panels: Sequence[Axes], end_s: float, error: MeasuredError, show
 
 def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
-    rows = _forest_rows(data)
+    # all pairs of up to four controllers; of more, each controller against the first
+    rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
     if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
         return None  # a single controller, or no two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
@@ -273,16 +245,8 @@ def differences(data: Data, width_in: float) -> Figure | None:
     return figure
 
 
-def _forest_rows(data: Data) -> list[Pair]:
-    """All pairs of up to four controllers; of more, each controller against the first."""
-    return data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-
-
 def _draw_interval(axes: Axes, row: int, pair: Pair, name: str) -> float:
-    """One row of a forest plot: the mean on its interval; gives the largest value drawn.
-
-    It is filled if the difference is real, and in colour also if only the improvement is.
-    """
+    """The mean on its interval: filled if the difference is real, in colour also if only the improvement is; gives the largest value."""
     d, real = pair.differences[name], pair.is_real(name)
     color = LINE_COLORS[1] if real or pair.is_real(name, "improvement") else LINE_COLORS[7]
     if np.isfinite(d.low):
@@ -296,9 +260,7 @@ def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, na
     n = len(data.comparison.shown)
     columns = min(n, columns)
     figure = new_figure(panel_in * -(-n // columns), width_in)
-    grid = list(np.ravel(figure.subplots(-(-n // columns), columns, sharey=True, squeeze=False)))
-    for axes in grid[n:]:
-        axes.set_visible(False)
+    grid = panels(figure, n, columns, sharey=True)
     grid[0].set_yticks(range(len(names)), names)
     grid[0].set_ylim(len(names) - 0.4, -0.6)  # reversed: the first row on top
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
@@ -330,17 +292,9 @@ def legend(figure: Figure, data: Data) -> None:
     figure.legend(handles=keys, loc="outside lower center", ncols=_legend_columns(data))
 
 
-def _size() -> float:
-    import matplotlib
-
-    return float(matplotlib.rcParams["axes.labelsize"])
-
-
 # Strip plots of a comparison's metrics: the runs of each controller as points, with median and quartiles, failures below.
-POINTS = 1500
-"""Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG."""
-LOG_RATIO = 30.0
-"""Ratio of the largest to the smallest value above which a panel is logarithmic."""
+POINTS = 1500  # Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG
+LOG_RATIO = 30.0  # Ratio of the largest to the smallest value above which a panel is logarithmic
 
 
 def distributions(data: Data, width_in: float) -> Figure:
@@ -356,43 +310,30 @@ def distributions(data: Data, width_in: float) -> Figure:
 
 
 def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
-    """Set scale and limits from the runs that reached the goal (from all where few did): failures may lie far outside."""
-    known, used = _values_for_limits(data, metric)
+    """Set scale and limits from the runs that reached the goal (from all where few did): failures may lie far outside.
+
+    The margin is 6 % of the span, or of its decades; more on a side where values outside need room for their arrows.
+    """
+    controllers = data.comparison.controllers
+    known, reached = (np.concatenate([c.values(metric)[c.success | every] for c in controllers]) for every in (True, False))
+    known, reached = known[np.isfinite(known)], reached[np.isfinite(reached)]
+    used = reached if len(reached) >= max(5, len(known) // 3) else known
     if not len(used):
         axes.set_xlim(0, 1)
         axes.set_xticks([])
         return 0.0, 1.0
-    if used.min() > 0 and used.max() > LOG_RATIO * used.min():
+    low, high = used.min(), used.max()
+    below, above = known.min() < low, known.max() > high
+    if low > 0 and high > LOG_RATIO * low:
         axes.set_xscale("log")
-        # no labels at minor ticks: the panels are narrow
-        axes.xaxis.set_minor_formatter("")
-        low, high = _log_limits(used, known)
+        axes.xaxis.set_minor_formatter("")  # no labels at minor ticks: the panels are narrow
+        margin = (high / low) ** 0.06
+        low, high = low / margin, high * (margin**6 if above else margin)
     else:
-        low, high = _linear_limits(used, known)
+        span = float(np.ptp(used)) or abs(float(used[0])) or 1.0  # all equal: the value itself is the scale
+        low, high = low - (0.4 if below else 0.06) * span, high + (0.4 if above else 0.06) * span
     axes.set_xlim(low, high)
     return float(low), float(high)
-
-
-def _values_for_limits(data: Data, metric: Metric) -> tuple[Array, Array]:
-    """All finite values of a metric, and those of them that set the limits."""
-    values = [c.values(metric) for c in data.comparison.controllers]
-    reached = np.concatenate([v[c.success] for v, c in zip(values, data.comparison.controllers, strict=True)])
-    known = np.concatenate(values)
-    known, reached = known[np.isfinite(known)], reached[np.isfinite(reached)]
-    return known, reached if len(reached) >= max(5, len(known) // 3) else known
-
-
-def _log_limits(used: Array, known: Array) -> tuple[float, float]:
-    """Limits with a margin of 6 % of the decades that `used` spans; 36 % above where larger values need room for their arrows."""
-    margin = (used.max() / used.min()) ** 0.06
-    return used.min() / margin, used.max() * (margin**6 if known.max() > used.max() else margin)
-
-
-def _linear_limits(used: Array, known: Array) -> tuple[float, float]:
-    """Limits with a margin of 6 % of the span of `used`; 40 % on a side where values outside need room for their arrows."""
-    span = float(np.ptp(used)) or abs(float(used[0])) or 1.0  # all equal: the value itself is the scale
-    low, high = used.min() - 0.06 * span, used.max() + (0.4 if known.max() > used.max() else 0.06) * span
-    return min(low, used.min() - 0.4 * span) if known.min() < used.min() else low, high
 
 
 def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Metric, limits: tuple[float, float], most: int) -> None:
@@ -419,36 +360,25 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
 def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, float]) -> None:
     """Failed runs in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies."""
     low, high = limits
-    edge = 0.03  # of the panel's width
-    places: tuple[tuple[NDArray[np.bool_], str, float | None], ...] = (
-        ((values >= low) & (values <= high), "x", None),
-        (values > high, ">", 1 - edge),
-        (values < low, "<", edge),
-    )
-    for which, mark, at in places:
-        if at is None:
-            axes.plot(values[which], [y] * which.sum(), mark, color=LOST, markersize=3.5, markeredgewidth=0.9)
-        elif which.any():
+    inside = values[(values >= low) & (values <= high)]
+    axes.plot(inside, [y] * len(inside), "x", color=LOST, markersize=3.5, markeredgewidth=0.9)
+    for beyond, mark, at in ((values > high, ">", 0.97), (values < low, "<", 0.03)):  # [1] of the panel's width
+        if beyond.any():
             axes.plot(at, y, mark, color=LOST, markersize=3.5, transform=axes.get_yaxis_transform())
 
 
 # Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
-STEPS: Final = 300
-"""Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG."""
-COLUMNS: Final = 5
-"""Most panels side by side."""
-LOG_PERCENTILES: Final = 30.0
-"""Ratio of the 98th to the 2nd percentile of the values above which an axis is logarithmic."""
+STEPS: Final = 300  # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
+COLUMNS: Final = 5  # Most panels side by side
+LOG_PERCENTILES: Final = 30.0  # Ratio of the 98th to the 2nd percentile of the values above which an axis is logarithmic
 
 
 def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:
-    """Values tau in ascending order of badness and the share of runs that are as good or better, both shape (M,), and the number of runs.
+    """Values tau in ascending order of badness, the share of runs that are as good or better, both shape (M,), and the number of runs.
 
         share(tau) = #{runs with x <= tau} / n        (x >= tau for a metric of which more is better)
 
-    Failed runs never are (`ControllerResults.ranked`), so that the last share is that of the runs that did not fail. Of many values
-    STEPS are kept.
-
+    Failed runs never are (`ControllerResults.ranked`). Of many values STEPS are kept.
     Reference: Dolan & Moré 2002, doi:10.1007/s101070100263 (of ratios to the best there); Agarwal et al. 2021, arXiv:2108.13264.
     """
     ranked = controller.ranked(metric)
@@ -480,10 +410,8 @@ def profiles(data: Data, width_in: float) -> Figure | None:
     rows = -(-len(shown) // COLUMNS)
     columns = -(-len(shown) // rows)  # rows of equal length: 6 panels are 3 + 3, not 5 + 1
     figure = new_figure((0.9 * width_in / max(columns, 3) + 0.25) * rows + legend_height_in(data) + 0.1, width_in)
-    grid = list(np.ravel(figure.subplots(rows, columns, sharey=True, squeeze=False)))
-    for axes in grid[len(shown) :]:
-        axes.set_visible(False)
-    for axes, metric in zip(grid, shown, strict=False):
+    grid = panels(figure, len(shown), columns, sharey=True)
+    for axes, metric in zip(grid, shown, strict=True):
         _draw(axes, data, metric, _limits(axes, data, metric))
         axes.set_xlabel(wrapped(metric.label, 18))
         if axes.get_xscale() == "linear":
@@ -517,10 +445,9 @@ def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
 
 
 def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> None:
-    """Each controller's profile as steps between the ends of the axis, with its pointwise 95 % band (Wilson) for up to BANDS of them.
+    """Each controller's profile as steps between the ends of the axis, for up to BANDS of them with the pointwise 95 % band (Wilson).
 
-    The band begins at the first value. The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no
-    width where all runs are as good.
+    The bootstrap of a share is the binomial distribution; its band is nearly the same, but has no width where all runs are as good.
     """
     controllers = data.comparison.controllers
     for i, controller in enumerate(controllers):

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric, value_text
 from vstestbed.report.comparison.figures import Data, wrapped
-from vstestbed.report.comparison.pairs import CHANCE, TIME
-from vstestbed.report.comparison.statistics import FEWEST_PAIRS, Difference, holm, paired_difference
+from vstestbed.report.comparison.results import CHANCE, TIME, ComparisonResults, ControllerResults, Metric, value_text
+from vstestbed.report.comparison.statistics import FEWEST_PAIRS, Difference, holm, paired_difference, spread
 from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
 
 if TYPE_CHECKING:
@@ -20,35 +18,24 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ERROR = Metric.of("final_position_error_m")
-LEAST = 3
-"""Fewest values of the first axis of which a grid is drawn."""
-STRONGEST = 0.55
-"""Opacity of the strongest colour: the numbers are read through it."""
-LEAST_SHOWN_S = 0.005
-"""Changes and errors below this are shown as 0 [s, mm]."""
-MOST_COLUMNS = 9
-"""Columns for which a number has its full size."""
-WIDER = 1.3
-"""Width of a cell with a sign and two digits over that of the others."""
-ALL = "all"
-"""Heading of the mean over all columns."""
+LEAST = 3  # Fewest values of the first axis of which a grid is drawn
+STRONGEST = 0.55  # Opacity of the strongest colour: the numbers are read through it
+LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
+MOST_COLUMNS = 9  # Columns for which a number has its full size
+WIDER = 1.3  # Width of a cell with a sign and two digits over that of the others
+ALL = "all"  # Heading of the mean over all columns
 Cells = dict[tuple[int, int], ControllerResults]
 Place = TypeVar("Place", bound=Hashable)
-Look = tuple[str, str, float, bool]
-"""Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold."""
+Look = tuple[str, str, float, bool]  # Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The controllers of a comparison by the values of its two axes.
+    """The controllers of a comparison by the values of its two axes."""
 
-    Attributes:
-        rows, columns: values of the first and of the second axis, as words. cells: the controllers by row and column.
-    """
-
-    rows: tuple[str, ...]
+    rows: tuple[str, ...]  # rows, columns: values of the first and of the second axis, as words
     columns: tuple[str, ...]
-    cells: Cells
+    cells: Cells  # the controllers by row and column
 
     @classmethod
     def of(cls, comparison: ComparisonResults) -> Grid | None:
@@ -80,7 +67,7 @@ class Grid:
 
 
 def real(changes: Mapping[Place, Difference]) -> set[Place]:
-    """Which changes are beyond chance: p is at most CHANCE after Holm's correction over all of them, from FEWEST starts or more.
+    """Which changes have p <= CHANCE after Holm's correction over all of them, from FEWEST starts or more.
 
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
     """
@@ -129,13 +116,12 @@ def grid(data: Data, width_in: float) -> Figure | None:
 def _reached(axes: Axes, found: Grid) -> None:
     most = max(len(c.success) for c in found.cells.values())
     axes.set_title(f"reached the goal, of {most}")
-
-    def cell(i: int, j: int, c: ControllerResults) -> Look:
+    looks: dict[tuple[int, int], Look] = {}
+    for at, c in found.cells.items():
         good, n = int(c.success.sum()), len(c.success)
         words = str(good) if n == most else f"{good}/{n}"
-        return (words, GOAL, 0.25, False) if good == n else (words, LOST, 1 - 0.7 * good / n, False)
-
-    _fill(axes, found, cell)
+        looks[at] = (words, GOAL, 0.25, False) if good == n else (words, LOST, 1 - 0.7 * good / n, False)
+    _draw(axes, found, looks)
 
 
 def _times(axes: Axes, found: Grid) -> None:
@@ -150,37 +136,23 @@ def _times(axes: Axes, found: Grid) -> None:
         size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
         return sign + _short(abs(d.mean)), LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, at in marked
 
-    def cell(i: int, j: int, c: ControllerResults) -> Look:
-        if i == 0 or (i, j) not in changes:
-            return _short(_median(c.counted(TIME))), LINE_COLORS[7], 0.15, False
-        return change((i, j), changes[i, j])
-
-    _fill(axes, found, cell)
+    looks: dict[tuple[int, int], Look] = {at: (_short(_median(c, TIME)), LINE_COLORS[7], 0.15, False) for at, c in found.cells.items()}
+    looks |= {at: change(at, d) for at, d in changes.items()}
     if len(found.columns) > 1:
-        _draw(axes, found, {(i, len(found.columns)): change(i, d) for i, d in overall.items()})
+        looks |= {(i, len(found.columns)): change(i, d) for i, d in overall.items()}
+    _draw(axes, found, looks)
 
 
 def _errors(axes: Axes, found: Grid) -> None:
     axes.set_title("final error, median [mm]")
-    values = {at: _median(c.counted(ERROR)) for at, c in found.cells.items()}
+    values = {at: _median(c, ERROR) for at, c in found.cells.items()}
     known = np.log([v for v in values.values() if np.isfinite(v) and v > 0] or [1.0])
     low, span = known.min(), float(np.ptp(known)) or 1.0
-
-    def cell(i: int, j: int, c: ControllerResults) -> Look:
-        value = values[i, j]
-        strength = 0.0 if not (np.isfinite(value) and value > 0) else float(np.log(value) - low) / span
-        return _short(value), LINE_COLORS[1], strength, False
-
-    _fill(axes, found, cell)
-
-
-def _fill(axes: Axes, found: Grid, cell: Callable[[int, int, ControllerResults], Look]) -> None:
-    """Draw each controller's cell."""
-    _draw(axes, found, {(i, j): cell(i, j, controller) for (i, j), controller in found.cells.items()})
+    strength = {at: float(np.log(v) - low) / span if np.isfinite(v) and v > 0 else 0.0 for at, v in values.items()}
+    _draw(axes, found, {at: (_short(value), LINE_COLORS[1], strength[at], False) for at, value in values.items()})
 
 
 def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> None:
-    """Draw cells by row and column."""
     from matplotlib.patches import Rectangle
 
     size = 6.5 * min(1.0, MOST_COLUMNS / len(found.columns))
@@ -190,15 +162,14 @@ def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> Non
         axes.text(j, i, words, **style)
 
 
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else float("nan")
+def _median(controller: ControllerResults, metric: Metric) -> float:
+    return spread(controller.counted(metric)).median
 
 
 def _short(value: float) -> str:
     """Two digits or so, without the zero before the point: the cells are narrow; a dash where there is none."""
     if not np.isfinite(value):
         return "\N{EN DASH}"
-    return (
-        f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1 else f"{value:.2f}".lstrip("0") if value >= LEAST_SHOWN_S else "0"
-    )
+    if value < 1:
+        return f"{value:.2f}".lstrip("0") if value >= LEAST_SHOWN_S else "0"
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}"

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import re
+import shlex
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from html import escape
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,19 +20,22 @@ from vstestbed.core.errors import VstestbedError
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.comparison import baseline, summary_text, tables
-from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison import figures as comparison_figures
-from vstestbed.report.comparison import figures as profiles
-from vstestbed.report.comparison import figures as strip_plots
+from vstestbed.report.comparison import baseline, figures, tables
 from vstestbed.report.comparison import grid as effects
-from vstestbed.report.comparison import tables as comparison_tables
-from vstestbed.report.comparison.columns import DEFAULT_METRICS, ComparisonResults, shown_by_default, value_text
 from vstestbed.report.comparison.figures import PANELS, Data, Series, read_series
-from vstestbed.report.comparison.pairs import Pair, pairs, write_records
-from vstestbed.report.comparison.statistics import Interquartile, interquartiles
+from vstestbed.report.comparison.results import (
+    DEFAULT_METRICS,
+    ComparisonResults,
+    Means,
+    Pair,
+    interquartiles,
+    pairs,
+    shown_by_default,
+    value_text,
+    write_records,
+)
 from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
-from vstestbed.report.html.template import PAGE, STYLE, cell, figure, film
+from vstestbed.report.html.template import SCRIPT, cell, data_url, figure, film, page
 from vstestbed.report.run import numbers
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
@@ -38,11 +46,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# In which fields of their scenarios the controllers of a comparison differ.
 UNCOMPARED = ("name", "description", "seed", "draw_start", "plugins")
 """Fields that change nothing of an experiment, or differ between seeds."""
-MISSING = object()
-"""Stands for a field that a scenario does not have."""
 
 
 def differing(runs: Sequence[Path]) -> tuple[str, ...]:
@@ -59,7 +64,8 @@ def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
     for run in runs:
         fields = {name: value for name, value in _flat(_scenario(run)) if name.split(".")[0] not in UNCOMPARED}
         first = fields if first is None else first
-        yield {name for name in first.keys() | fields.keys() if fields.get(name, MISSING) != first.get(name, MISSING)}
+        # `...`: a scenario does not have the field
+        yield {name for name in first.keys() | fields.keys() if fields.get(name, ...) != first.get(name, ...)}
 
 
 def only_gains(fields: Iterable[str]) -> bool:
@@ -73,11 +79,7 @@ def only_gains(fields: Iterable[str]) -> bool:
 def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
     """The gains in which controllers differ that differ in nothing else, in words; "" for others, or where a scenario cannot be read.
 
-    The first run of each controller stands for all of its seeds. Reading ends at the first difference that is no gain: to read a scenario
-    takes 50 ms.
-
-    Args:
-        folder: the comparison's folder. comparison: its results.
+    The first run of each controller stands for all. Reading (50 ms a scenario) ends at the first difference that is no gain.
     """
     found: set[str] = set()
     try:
@@ -113,14 +115,10 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
         yield name, value
 
 
-FILM_BYTES: Final = 8_000_000
-"""A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB."""
-BROAD_IN: Final = 2 * WIDTH_IN
-"""Width of a figure over both columns of the page [in]."""
-NOTEBOOK_PX: Final = 480
-"""Height of a comparison's result in a notebook [px]."""
-COLUMN_IN: Final = {1: 3.5, 2: 7.16}
-"""Width of a paper's figure over one and two columns (IEEE) [in]."""
+FILM_BYTES: Final = 8_000_000  # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
+BROAD_IN: Final = 2 * WIDTH_IN  # Width of a figure over both columns of the page [in]
+NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
+COLUMN_IN: Final = {1: 3.5, 2: 7.16}  # Width of a paper's figure over one and two columns (IEEE) [in]
 DPI: Final = 300
 
 # Of each figure: key (file name, SVG identifiers), title, caption, columns that it takes, function that draws it.
@@ -132,7 +130,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Median over the runs, with the band from the first to the third quartile for up to four controllers. A run that has ended holds "
         "its last value; one without target in sight, or without a log, counts as farther away than all others. Dotted: the threshold.",
         1,
-        comparison_figures.medians,
+        figures.medians,
     ),
     (
         "success",
@@ -140,7 +138,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Share of all runs that had come under the threshold for good by a time, with its pointwise 95 % band (Wilson) for up to four "
         "controllers: the performance profile of the time to converge.",
         1,
-        profiles.success,
+        figures.success,
     ),
     (
         "runs",
@@ -148,7 +146,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
         "Thick: median and quartiles of all its runs. Grey: the other controllers' medians in the same unit. Dotted: the threshold.",
         2,
-        comparison_figures.each_run,
+        figures.each_run,
     ),
     (
         "distributions",
@@ -157,7 +155,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
         "runs the first are drawn; the bars are of all.",
         2,
-        strip_plots.distributions,
+        figures.distributions,
     ),
     (
         "grid",
@@ -174,7 +172,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Share of all runs that are as good as the value on the axis, or better; the good end is on the left. "
         f"{tables.FAILED}: a curve ends at the share of those that did. Bands as above.",
         2,
-        profiles.profiles,
+        figures.profiles,
     ),
     (
         "differences",
@@ -182,7 +180,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled: the difference is real "
         "after Holm's correction for all tests of the page. In colour, but not filled: only who is better more often is (sign test).",
         2,
-        comparison_figures.differences,
+        figures.differences,
     ),
 )
 
@@ -203,65 +201,50 @@ def write_comparison_report(
     """Write `report.html`, `figures/` and the tables `controllers` and `pairs` into a comparison's folder; returns the page's path.
 
     Args:
-        folder: the comparison's folder, with the runs' folders that the table names.
-        table: one row per run, as in `comparison.parquet`.
-        axes: paths of the varied fields, each a column of the table.
-        metrics: keys of `summary.json` to show; one that no run has shows as dashes.
-        description: what is compared, in a few words. command: the command line that repeats the comparison.
-        film: the side-by-side film in the folder, which may still be in the making; embedded up to 8 MB, else linked.
-        plugins: of the comparison, as in `scenario.load.load`. call: draws the figures.
-
-    Raises:
-        OutputError: a file cannot be written.
+        folder, table: of the comparison; one row per run, as in `comparison.parquet`. axes: the varied fields, each a column.
+        metrics: keys of `summary.json` to show; one that no run has shows as dashes. description: what is compared, in a few words.
+        command: the command line that repeats it. film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
+        plugins: as in `scenario.load.load`. call: draws the figures.
     """
     comparison = ComparisonResults(table, axes, metrics, description)
     all_pairs, means = pairs(comparison), interquartiles(comparison)
     write_records(folder, comparison, means, all_pairs)
-    figures = _all_figures(folder, comparison, all_pairs, plugins, call)
+    drawn = _all_figures(folder, comparison, all_pairs, plugins, call)
     body = [
-        summary_text.headline(comparison, all_pairs, gains_alone(folder, comparison)),
-        baseline.section(folder),
-        *_tables(comparison, means, all_pairs),
-        f"<section><h2>Figures</h2>{figures}</section>",
+        *_found(folder, comparison, means, all_pairs, baseline.section(folder)),
+        f"<section><h2>Figures</h2>{drawn}</section>",
         _film(result_of(film) if isinstance(film, Future) else film),
-        comparison_failures.section(folder, comparison),
+        failures_section(folder, comparison),
         _provenance(comparison, command),
-        comparison_tables.SCRIPT,
+        SCRIPT,
     ]
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
-    subtitle = f'<p class="soft">{escape(_plan_sentence(comparison))}</p>'
-    subtitle = (f"<p>{escape(description)}</p>" if description else "") + subtitle
-    page = PAGE.format(
-        title=escape(f"{heading}: comparison"),
-        style=STYLE + comparison_tables.STYLE,
-        heading=escape(heading),
-        description=subtitle,
-        body="\n".join(filter(None, body)),
-    )
-    return write_whole(folder / "report.html", page)
+    n, seeds = len(comparison.controllers), table["seed"].n_unique()
+    plan = f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {tables.runs(len(table))}; "
+    plan += "the same seed gives each the same start and noise."
+    about = (f"<p>{escape(description)}</p>" if description else "") + f'<p class="soft">{escape(plan)}</p>'
+    return write_whole(folder / "report.html", page(heading, body, about, f"{heading}: comparison"))
 
 
 def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...]) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
     comparison = ComparisonResults(table, axes, metrics or shown_by_default(table))
     paired = pairs(comparison)
-    body = [
-        summary_text.headline(comparison, paired, gains_alone(folder, comparison)),
-        *_tables(comparison, interquartiles(comparison), paired),
-        comparison_tables.SCRIPT,
-    ]
-    look, where = STYLE + comparison_tables.STYLE, f'<p class="soft">Figures and films: {escape(str(folder / "report.html"))}</p>'
-    return cell(PAGE.format(title="Comparison", style=look, heading="Comparison", description=where, body="\n".join(body)), NOTEBOOK_PX)
+    body = [*_found(folder, comparison, interquartiles(comparison), paired), SCRIPT]
+    where = f'<p class="soft">Figures and films: {escape(str(folder / "report.html"))}</p>'
+    return cell(page("Comparison", body, where), NOTEBOOK_PX)
 
 
-def _tables(comparison: ComparisonResults, means: Sequence[Mapping[str, Interquartile]], all_pairs: list[Pair]) -> tuple[str, ...]:
-    """The controllers' numbers and how they differ."""
+def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair], against: str = "") -> tuple[str, ...]:
+    """Who is better, what differs from an earlier comparison, the controllers' numbers and how they differ."""
     return (
-        comparison_tables.controllers(comparison),
+        tables.headline(comparison, all_pairs, gains_alone(folder, comparison)),
+        against,
+        tables.controllers(comparison),
         tables.interquartile_means(comparison, means),
-        comparison_tables.differences(comparison, all_pairs),
+        tables.differences(comparison, all_pairs),
         tables.improvements(comparison, all_pairs),
     )
 
@@ -278,7 +261,6 @@ def _paper(data: Data, plot: int, place: Path) -> None:
 
 
 def _on_page(data: Data, plot: int) -> str:
-    """A figure as inline SVG with its title and caption; empty where it has nothing to show."""
     key, title, caption, columns, draw = PLOTS[plot]
     with style():
         drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
@@ -309,13 +291,9 @@ def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f] for wanted in (1, 2))
     for paper in papers:
         result_of(paper)
-    above = _sampled(data.series.sampled)
+    most = data.series.sampled
+    above = _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
     return f'{above}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
-
-
-def _sampled(most: int | None) -> str:
-    """Which runs the curves are of, where it is not all."""
-    return _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
 
 
 def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> list[MeasuredError]:
@@ -337,14 +315,7 @@ def _film(path: Path | None) -> str:
     return f'<section class="films"><h2>Film</h2>{content}</section>'
 
 
-def _plan_sentence(comparison: ComparisonResults) -> str:
-    n, seeds = len(comparison.controllers), comparison.table["seed"].n_unique()
-    total = summary_text.runs(len(comparison.table))
-    return f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {total}; the same seed gives each the same start and noise."
-
-
 def _provenance(comparison: ComparisonResults, command: str) -> str:
-    """The plan of the comparison, the command that repeats it, and the versions of the software."""
     table = comparison.table
     repeat = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
     plan = {"scenario": _values(table["scenario"].to_list())}
@@ -359,7 +330,6 @@ def _provenance(comparison: ComparisonResults, command: str) -> str:
 
 
 def _values(values: Sequence[object]) -> str:
-    """The distinct values, in order of first appearance."""
     return ", ".join(dict.fromkeys(map(value_text, values)))
 
 
@@ -368,3 +338,131 @@ def _seeds(seeds: Sequence[int]) -> str:
     distinct = sorted(set(seeds))
     consecutive = len(distinct) > 2 and distinct == list(range(distinct[0], distinct[-1] + 1))
     return f"{distinct[0]} to {distinct[-1]}" if consecutive else ", ".join(map(str, distinct))
+
+
+# Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their ends.
+
+PICTURES: Final = 24
+PICTURE_BYTES: Final = 4_000_000  # Most pictures in the gallery, and most bytes of all of them: they are embedded in the page
+LISTED: Final = 300  # Most failed runs whose commands are listed
+SEEDS: Final = 20  # Most seeds of a controller that are named with one kind of failure
+ERRORS: Final = 24
+ERROR_CHARACTERS: Final = 4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A run that did not reach the goal; place: its folder."""
+
+    controller: str
+    seed: int
+    outcome: str
+    reason: str
+    place: Path
+
+    @property
+    def command(self) -> str:
+        """The command that repeats the run, from the directory in which the comparison was started."""
+        return f"vstestbed run {shlex.quote((self.place / 'scenario.yaml').as_posix())}"
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Outcome, and the reason with its numbers masked: reasons that differ in numbers only are one kind of failure."""
+        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)  # numbers such as times and pixels
+
+
+def failures(folder: Path, comparison: ComparisonResults) -> list[Failure]:
+    """All runs without success, by controller and seed."""
+    found = []
+    for controller in comparison.controllers:
+        for row in controller.runs.filter(~controller.success).iter_rows(named=True):
+            outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
+            found.append(Failure(controller.label, int(row["seed"]), outcome, reason, folder / str(row["folder"])))
+    return found
+
+
+def failures_section(folder: Path, comparison: ComparisonResults) -> str:
+    """The section of the page on failed runs, and on runs that were repeated because their worker process died."""
+    failed = failures(folder, comparison)
+    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
+    for failure in failed:
+        kinds[failure.kind].append(failure)
+    groups = sorted(kinds.values(), key=len, reverse=True)
+    # tracebacks of every kind of crash in turn, since there is room for only a few
+    with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
+    with_command = {id(f) for f in _in_turn(groups, LISTED)}
+    listed = "".join(_group(group, with_command, with_error) for group in groups)
+    those = "them" if len(failed) <= LISTED else f"{LISTED} of them, every kind in turn,"
+    words = f"{tables.runs(len(failed))} of {len(comparison.table)} did not reach the goal; "
+    words += f"each line opens to the commands that run {those} again."
+    if not failed:
+        words = f"All {tables.runs(len(comparison.table))} reached the goal."
+    return f'<section><h2>Failures</h2><p class="soft">{words}</p>{listed}{_gallery(groups)}{_repeated(comparison)}</section>'
+
+
+def _group(group: list[Failure], with_command: set[int], with_error: set[int]) -> str:
+    """One kind of failure: number of runs, seeds of each controller, and, folded, each run's command."""
+    outcome, first = group[0].outcome.replace("_", " ").capitalize(), group[0].reason
+    same = all(f.reason == first for f in group)
+    reason = first if same else f"{first}, and the like"
+    seeds: dict[str, list[str]] = defaultdict(list)
+    for failure in group:
+        seeds[failure.controller].append(str(failure.seed))
+    more = {name: f" and {len(s) - SEEDS:,} more" if len(s) > SEEDS else "" for name, s in seeds.items()}
+    who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s[:SEEDS])}{more[name]}" for name, s in seeds.items())
+    head = f'<b>{escape(outcome)}</b> {tables.runs(len(group))}: {escape(reason)}<br><span class="soft">{escape(who)}</span>'
+    shown = "".join(_run(f, same, id(f) in with_error) for f in group if id(f) in with_command)
+    return f'<details class="failure"><summary>{head}</summary>{shown}</details>'
+
+
+def _run(failure: Failure, same: bool, with_error: bool) -> str:
+    reason = "" if same else f": {escape(failure.reason)}"
+    error = _error(failure.place) if with_error else ""
+    return f"<p>{escape(failure.controller)}, seed {failure.seed}{reason}<br><code>{escape(failure.command)}</code></p>{error}"
+
+
+def _error(place: Path) -> str:
+    try:
+        text = (place / "error.txt").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+    return f"<pre>{escape(text[-ERROR_CHARACTERS:].strip())}</pre>"
+
+
+def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
+    """Up to `most` failures, one of each group in turn, so that a frequent kind does not hide a rare one."""
+    return [f for row in zip_longest(*groups) for f in row if f is not None][:most]
+
+
+def _gallery(groups: list[list[Failure]]) -> str:
+    """The last pictures of failed runs (`end.png`), every kind of failure in turn."""
+    with_picture = [[f for f in group if (f.place / "end.png").is_file()] for group in groups]
+    room, pictures = PICTURE_BYTES, []
+    for failure in _in_turn(with_picture, PICTURES):
+        size = (failure.place / "end.png").stat().st_size
+        if size > room:
+            continue  # a smaller one may still fit
+        room -= size
+        source = data_url("image/png", (failure.place / "end.png").read_bytes())
+        words = escape(f"{failure.controller}, seed {failure.seed}: {failure.outcome.replace('_', ' ')}")
+        pictures.append(f'<figure><img src="{source}" alt="{words}" loading="lazy"><figcaption>{words}</figcaption></figure>')
+    total = sum(map(len, with_picture))
+    if not total:
+        return ""
+    some = f" ({len(pictures)} of {total}, every kind in turn)" if len(pictures) < total else ""
+    return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(pictures)}</div>'
+
+
+def _repeated(comparison: ComparisonResults) -> str:
+    """The runs that took a second attempt, because their worker process died in the first."""
+    if "attempts" not in comparison.table.columns:
+        return ""
+    repeated = [
+        f"<li>{escape(c.label)}, seed {row['seed']} ({escape(str(row['outcome']).replace('_', ' '))})</li>"
+        for c in comparison.controllers
+        for row in c.runs.iter_rows(named=True)
+        if (row["attempts"] or 1) > 1
+    ]
+    if not repeated:
+        return ""
+    return f'<h2>Done again</h2><p>Its worker died once; done again:</p><ul class="runs again">{"".join(repeated)}</ul>'

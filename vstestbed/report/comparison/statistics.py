@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
 from typing import Final
@@ -15,15 +15,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
 
+CONFIDENCE: Final = 0.95  # of all intervals
 ROUNDING: Final = 1e-9
 """Relative difference under which two values count as equal: the same number reached by another order of operations, of which a closed
 loop has made the 1e-16 of one frame larger."""
-LEAST: Final = 1e-12
-"""The same of values near 0, in the unit in which they are shown (mm, px, s): less than any number of a report tells."""
+LEAST: Final = 1e-12  # The same of values near 0, in the unit in which they are shown (mm, px, s): less than any number of a report tells
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,40 +58,28 @@ class SuccessDifference:
 
 @dataclass(frozen=True, slots=True)
 class Improvement:
-    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none.
-
-    `p`: two-sided p-value of the exact sign test, of the hypothesis that either is better equally often.
-    """
+    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none."""
 
     share: float
     low: float
     high: float
     n: int
-    p: float = math.nan
+    p: float = math.nan  # two-sided, of the exact sign test: either is better equally often
 
 
-def success_rate(successes: int, n: int, confidence: float = 0.95) -> Rate:
+def success_rate(successes: int, n: int) -> Rate:
     """Successes among n runs, with the Wilson score interval, which keeps its coverage at 0 and at n of n, too.
-
-    Args:
-        successes: runs that succeeded. n: runs. confidence: of the interval, in 0..1.
-
-    Raises:
-        ParameterError: successes not in 0..n, or confidence not between 0 and 1.
 
     Reference: Wilson 1927, doi:10.1080/01621459.1927.10502953; Newcombe 1998, method 3,
         doi:10.1002/(SICI)1097-0258(19980430)17:8<857::AID-SIM777>3.0.CO;2-E.
     """
-    check_confidence(confidence)
-    if not 0 <= successes <= n:
-        raise ParameterError("successes", f"must be in 0..{n}", successes)
     if n == 0:
         return Rate(math.nan, 0.0, 1.0, 0, 0)  # no run excludes no rate
-    low, high = wilson(successes / n, n, confidence)
+    low, high = wilson(successes / n, n)
     return Rate(successes / n, float(low), float(high), int(successes), int(n))
 
 
-def wilson(share: ArrayLike, n: ArrayLike, confidence: float = 0.95) -> tuple[Array, Array]:
+def wilson(share: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> tuple[Array, Array]:
     """Both ends of the Wilson score interval of shares p among n, each broadcast; p may also be the mean of any n values in 0..1.
 
         (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
@@ -119,20 +105,13 @@ def spread(values: Iterable[float | None]) -> Spread:
 
 
 def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
-    """Successes of two controllers on the same seeds, with McNemar's exact test on the seeds where they disagree.
+    """Successes (N,) of two controllers on the same seeds, with McNemar's exact test on the seeds where they disagree.
 
         p = P(|K - n/2| >= |only_a - n/2|),   K ~ Binomial(n = only_a + only_b, 1/2)
-
-    Args:
-        a, b: whether each run succeeded, shape (N,), in the same order of seeds.
-
-    Raises:
-        ParameterError: a and b differ in shape.
 
     Reference: McNemar 1947, doi:10.1007/BF02295996.
     """
     a, b = np.asarray(a, dtype=bool), np.asarray(b, dtype=bool)
-    check_pairs(a, b)
     only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
     return SuccessDifference(only_a, only_b, int((a & b).sum()), int((~a & ~b).sum()), _sign_test(only_a, only_b))
 
@@ -146,8 +125,8 @@ def _sign_test(one: int, other: int) -> float:
     return min(1.0, 2 * float(bdtr(min(one, other), one + other, 0.5)))  # both tails are equal
 
 
-def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improvement:
-    """Probability that b is better (less) than a on the same seed; ties count one half, and NaN on either side leaves a pair out.
+def improvement(a: ArrayLike, b: ArrayLike) -> Improvement:
+    """Probability that b is better (less) than a, both (N,), on the same seed; ties count one half, NaN leaves a pair out.
 
         P(b < a) + P(b = a) / 2,        p = P(|K - m/2| >= |#{b < a} - m/2|),   K ~ Binomial(m, 1/2), m: seeds without a tie
 
@@ -155,18 +134,10 @@ def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improve
     are. The interval is Wilson's: the bootstrap's is nearly the same, but shrinks to a point where b is better on every seed. Ties make
     it wider than needed.
 
-    Args:
-        a, b: one value a seed, shape (N,), in the same order of seeds; the less the better. confidence: of the interval, in 0..1.
-
-    Raises:
-        ParameterError: a and b differ in shape, or confidence is not between 0 and 1.
-
     Reference: Agarwal et al. 2021, Deep reinforcement learning at the edge of the statistical precipice, NeurIPS, arXiv:2108.13264
         (of unpaired runs there).
     """
-    check_confidence(confidence)
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    check_pairs(a, b)
     known = ~np.isnan(a) & ~np.isnan(b)
     a, b = a[known], b[known]
     if not len(a):
@@ -176,7 +147,7 @@ def improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improve
     tied = a == b
     tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding
     share = float(np.where(tied, 0.5, b < a).mean())
-    low, high = wilson(share, len(a), confidence)
+    low, high = wilson(share, len(a))
     better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
     return Improvement(share, float(low), float(high), len(a), _sign_test(better, worse))
 
@@ -186,9 +157,8 @@ def holm(p: Sequence[float]) -> list[float]:
 
         adjusted p_(k) = max over j <= k of min((m + 1 - j) p_(j), 1),        p_(1) <= p_(2) <= ... <= p_(m)
 
-    NaN is no test: it does not count, and stays.
-
-    Reference: Holm 1979, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 65-70.
+    NaN is no test: it does not count, and stays. Reference: Holm 1979, A simple sequentially rejective multiple test procedure, Scand. J.
+    Statist. 6, 65-70.
     """
     values = np.asarray(p, dtype=float)
     order = np.argsort(values, kind="stable")[: int((~np.isnan(values)).sum())]  # NaN is sorted last
@@ -198,26 +168,11 @@ def holm(p: Sequence[float]) -> list[float]:
     return adjusted.tolist()
 
 
-def check_pairs(a: NDArray[np.generic], b: NDArray[np.generic]) -> None:
-    """Raise a ParameterError where two rows of values cannot be pairs."""
-    if a.ndim != 1 or a.shape != b.shape:
-        raise ParameterError("a, b", "must be one-dimensional and of the same length", (a.shape, b.shape))
-
-
-def check_confidence(confidence: float) -> None:
-    """Raise a ParameterError where a confidence is not between 0 and 1."""
-    if not 0 < confidence < 1:
-        raise ParameterError("confidence", "must be between 0 and 1", confidence)
-
-
 # Bootstrap resamples as numbers of draws, one matrix for all samples of a size: a statistic of all resamples is then a matrix product.
 def draws(sizes: tuple[int, ...], resamples: int, seed: int) -> Array:
     """How often each value is drawn in each resample, shape (resamples, sum of sizes).
 
-    Args:
-        sizes: numbers of values of the strata, which follow each other; each is resampled by itself, with replacement.
-        resamples: how many. seed: of the random numbers.
-
+    `sizes`: of the strata, which follow each other; each is resampled by itself, with replacement.
     Reference: Efron & Tibshirani 1993, ch. 6 (resampling vectors) and 8.4 (strata), doi:10.1201/9780429246593.
     """
     rng = np.random.default_rng(seed)
@@ -230,55 +185,43 @@ def draws(sizes: tuple[int, ...], resamples: int, seed: int) -> Array:
 
 
 @lru_cache(maxsize=4)
-def remembered(sizes: tuple[int, ...], resamples: int, seed: int) -> Array:
+def remembered(sizes: tuple[int, ...], resamples: int) -> Array:
     """As `draws`, kept, and therefore read-only."""
-    found = draws(sizes, resamples, seed)
+    found = draws(sizes, resamples, 0)
     found.setflags(write=False)
     return found
 
 
 # Mean of paired differences with a confidence interval and a p-value, by a studentised bootstrap.
-FEWEST_PAIRS: Final = 5
-"""Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread."""
+FEWEST_PAIRS: Final = 5  # Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread
 
 MOST_PAIRS: Final = 2000
 """Most pairs for the bootstrap: of more, Student's t has the same interval to a few hundredths of its width, at no cost."""
 
-REMEMBERED: Final = 200
-"""Most pairs whose resamples are remembered for the next sample of that size; of more they are made in parts."""
+REMEMBERED: Final = 200  # Most pairs whose resamples are remembered for the next sample of that size; of more they are made in parts
 
-CHUNK: Final = 1_000_000
-"""Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs."""
+CHUNK: Final = 1_000_000  # Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs
 
-FLAT: Final = 1e-13
-"""Variance of a resample, relative to the largest squared deviation, under which it counts as having no spread."""
+FLAT: Final = 1e-13  # Variance of a resample, relative to the largest squared deviation, under which it counts as having no spread
 
-COUNTED: Final = 10
-"""Fewest resamples beyond the found value for a p-value that is their share; smaller p-values are extrapolated."""
+COUNTED: Final = 10  # Fewest resamples beyond the found value for a p-value that is their share; smaller p-values are extrapolated
 
-DECADE: Final = 10
-"""How many times as many resamples give the slope of the extrapolation."""
+DECADE: Final = 10  # How many times as many resamples give the slope of the extrapolation
 
-SKEWED: Final = 2.0
-"""Skewness of the differences above which a report marks that few pairs make the mean."""
+SKEWED: Final = 2.0  # Skewness of the differences above which a report marks that few pairs make the mean
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Mean of a - b over `n` pairs and its interval, in the unit of the values.
+    """Mean of a - b over `n` pairs and its interval, in the unit of the values."""
 
-    Attributes:
-        mean, low, high: in the unit of the values. n: pairs. real: the interval excludes zero.
-        p: two-sided p-value of a mean of zero. skewness: of the differences (adjusted Fisher-Pearson) [1], 0 where there is none.
-    """
-
-    mean: float
+    mean: float  # mean, low, high: in the unit of the values
     low: float
     high: float
-    n: int
-    real: bool
-    p: float = math.nan
-    skewness: float = 0.0
+    n: int  # pairs
+    real: bool  # the interval excludes zero
+    p: float = math.nan  # two-sided p-value of a mean of zero
+    skewness: float = 0.0  # of the differences (adjusted Fisher-Pearson) [1], 0 where there is none
 
     @property
     def skewed(self) -> bool:
@@ -290,7 +233,7 @@ class Difference:
         return Difference(-self.mean, -self.high, -self.low, self.n, self.real, self.p, -self.skewness)
 
 
-def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed: int = 0, resamples: int = 9999) -> Difference:
+def paired_difference(a: ArrayLike, b: ArrayLike, resamples: int = 9999) -> Difference:
     """Mean of d = a - b over the pairs that have both values, with a studentised bootstrap interval and its p-value.
 
         t* = (mean(d*) - mean(d)) / (s* / sqrt(n))        of resamples d*
@@ -304,34 +247,22 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
         normal 4 % (4, 5, 5);   Student's t with 2 degrees of freedom 2 % (2, 10, 4);   one in ten wild 1 % (1, 13, 3)
         exponential 4 % (6, 5, 8);   lognormal, which is as skewed as times to converge get, 7 % (10, 8, 14)
 
-    At n = 10 these are 5 % for exponential and 9 % for lognormal differences, at n = 50 they are 4 and 5 %.
-    No interval can tell of what no pair shows: where one run in ten takes a detour, 20 pairs have none with a probability of 12 %, and
-    the interval misses the true mean as often. The sign test of `statistics.improvement` is exact however skewed the differences are.
+    At n = 10 these are 5 % for exponential and 9 % for lognormal differences, at n = 50 they are 4 and 5 %. The interval cannot tell of
+    what no pair shows: where one run in ten takes a detour, 20 pairs have none with a probability of 12 %. `improvement` is exact.
 
     p is the larger of both intervals' p-values; where fewer than COUNTED resamples are beyond the found t, their tail is continued as a
     power law: p is then half or more of what a hundred times as many resamples give (measured at n = 12, 20 and 50).
     Under 5 pairs interval and p are Student's t, which is exact for normal differences only, and wide. From 5 to 10 pairs the
-    bootstrap is up to twice as wide as Student's t: it rather misses a real difference than reports a false one. Over MOST_PAIRS pairs they
-    are Student's t, which by the central limit theorem no longer differs.
-    If nearly all differences are equal, resamples without spread occur, which have no t: where they reach into the tail, its end is
-    Student's t again, and p is at least Student's. If all are equal up to
-    rounding, as in deterministic runs, then low = high = mean, and p is 0 or 1. The order of the pairs does not matter, and
-    exchanging a and b changes the sign and nothing else.
+    bootstrap is up to twice as wide as Student's t. Over MOST_PAIRS they are Student's t, which no longer differs (central limit theorem).
+    Where resamples without spread, which have no t, reach into the tail, its end is Student's t, and p is at least Student's. If all
+    differences are equal up to rounding, as in deterministic runs, low = high = mean, and p is 0 or 1. The order of the pairs does not
+    matter, and exchanging a and b changes the sign and nothing else.
 
-    Args:
-        a, b: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none.
-        confidence: of the interval, in 0..1. seed: of the resampling. resamples: how many; of more than REMEMBERED pairs fewer.
-
-    Returns:
-        The difference; low, high and p are NaN with fewer than two pairs.
-
-    Raises:
-        ParameterError: a and b differ in shape, or confidence is not between 0 and 1.
-
+    `a`, `b`: one value a seed, shape (N,), in the same order of seeds; NaN or None where a run has none. Of more than REMEMBERED pairs
+    there are fewer resamples. low, high and p are NaN with fewer than two pairs.
     Reference: Efron & Tibshirani 1993, ch. 12.5, doi:10.1201/9780429246593; Hall 1988 (symmetric intervals),
         doi:10.1111/j.2517-6161.1988.tb01707.x; Hesterberg 2015, doi:10.1080/00031305.2015.1089789.
     """
-    check_confidence(confidence)
     d = _differences(a, b)
     n = len(d)
     if n == 0:
@@ -342,7 +273,7 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
         mean = float(d[0])
         return Difference(mean, mean, mean, n, mean != 0, float(mean == 0))
     mean, error = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n)
-    below, above, p = _reaches(d, mean / error, confidence, seed, resamples)
+    below, above, p = _reaches(d, mean / error, resamples)
     low, high = mean - above * error, mean + below * error
     return Difference(mean, low, high, n, low > 0 or high < 0, p, _skewness(d))
 
@@ -350,7 +281,6 @@ def paired_difference(a: ArrayLike, b: ArrayLike, confidence: float = 0.95, seed
 def _differences(a: ArrayLike, b: ArrayLike) -> Array:
     """Sorted a - b of the pairs with two finite values; differences that are equal up to rounding are set equal."""
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    check_pairs(a, b)
     known = np.isfinite(a) & np.isfinite(b)
     a, b = a[known], b[known]
     d = np.sort(a - b)
@@ -369,17 +299,18 @@ def _skewness(d: Array) -> float:
     return float((c**3).mean() / (c**2).mean() ** 1.5 * math.sqrt(n * (n - 1)) / (n - 2)) if n > 2 else 0.0
 
 
-def _reaches(d: Array, t: float, confidence: float, seed: int, resamples: int) -> tuple[float, float, float]:
+def _reaches(d: Array, t: float, resamples: int) -> tuple[float, float, float]:
     """Quantiles of t* below and above zero [standard errors], both positive, and the p-value of t; d: sorted, not all equal."""
     from scipy.special import stdtr, stdtrit  # imported here: it costs time that other commands need not pay
 
     n = len(d)
-    student = float(stdtrit(n - 1, (1 + confidence) / 2))
+    student = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2))
     if not FEWEST_PAIRS <= n <= MOST_PAIRS:
         return student, student, float(2 * stdtr(n - 1, -abs(t)))
-    found = np.sort(_studentised(d, seed, resamples))
+    found = np.sort(_studentised(d, resamples))
     size = np.sort(np.abs(found))
-    ends = [_at(size, confidence), _at(-found[::-1], (1 + confidence) / 2), _at(found, (1 + confidence) / 2)]
+    tails = ((size, CONFIDENCE), (-found[::-1], (1 + CONFIDENCE) / 2), (found, (1 + CONFIDENCE) / 2))
+    ends = (float(np.quantile(ordered, share, method="higher")) for ordered, share in tails)
     # where a share of resamples without spread reaches into the tail
     both, below, above = (end if math.isfinite(end) else student for end in ends)
     tail = found if t > 0 else -found[::-1]
@@ -387,15 +318,8 @@ def _reaches(d: Array, t: float, confidence: float, seed: int, resamples: int) -
     return max(both, below), max(both, above), min(p, 1.0)
 
 
-def _at(ordered: Array, share: float) -> float:
-    return float(np.quantile(ordered, share, method="higher"))
-
-
 def _p(ordered: Array, t: float) -> float:
-    """Probability of t or more, by the resamples in ascending order; where few are beyond t, along the power law of the last of them.
-
-    Resamples without spread have no t, so that they are beyond none.
-    """
+    """Probability of t or more, by the resamples in ascending order; where few are beyond t, along the power law of the last of them."""
     n, ordered = len(ordered), ordered[np.isfinite(ordered)]
     beyond = len(ordered) - int(np.searchsorted(ordered, t, "left"))
     if len(ordered) < DECADE * COUNTED or beyond >= COUNTED:
@@ -407,7 +331,7 @@ def _p(ordered: Array, t: float) -> float:
     return COUNTED / (n + 1) * (t / last) ** (-math.log(DECADE) / math.log(last / inner))
 
 
-def _studentised(d: Array, seed: int, resamples: int) -> Array:
+def _studentised(d: Array, resamples: int) -> Array:
     """(mean(d*) - mean(d)) in standard errors of the resample d*, shape (resamples,); inf where d* has no spread but is off the mean."""
     n = len(d)
     centred = d - d.mean()
@@ -415,10 +339,10 @@ def _studentised(d: Array, seed: int, resamples: int) -> Array:
     sign = 1.0 if _heavier_above(centred) else -1.0
     centred = np.sort(sign * centred)
     if n <= REMEMBERED:
-        return sign * _t_of(remembered((n,), resamples, seed), centred)
+        return sign * _t_of(remembered((n,), resamples), centred)
     step = max(1, CHUNK // n)  # rows of resamples at a time
     fewer = min(resamples, max(1999, resamples * REMEMBERED // n))  # the more pairs, the less the shape of their distribution matters
-    return sign * np.concatenate([_t_of(draws((n,), min(step, fewer - at), seed + at), centred) for at in range(0, fewer, step)])
+    return sign * np.concatenate([_t_of(draws((n,), min(step, fewer - at), at), centred) for at in range(0, fewer, step)])
 
 
 def _t_of(drawn: Array, centred: Array) -> Array:
@@ -439,11 +363,9 @@ def _heavier_above(d: Array) -> bool:
 
 
 # Interquartile mean with its stratified bootstrap interval: as robust as a median against few wild runs, and less noisy.
-FEWEST_RUNS: Final = 5
-"""Fewest runs for an interval: of four, the mean of two has hardly any other values."""
+FEWEST_RUNS: Final = 5  # Fewest runs for an interval: of four, the mean of two has hardly any other values
 
-MOST_RUNS: Final = 200
-"""Most runs for the bootstrap: of more, the normal approximation is within a few hundredths of it, at no cost."""
+MOST_RUNS: Final = 200  # Most runs for the bootstrap: of more, the normal approximation is within a few hundredths of it, at no cost
 
 RESAMPLES: Final = 1999
 
@@ -461,26 +383,7 @@ class Interquartile:
 NOTHING: Final = Interquartile(math.nan, math.nan, math.nan, 0)
 
 
-def interquartiles(comparison: ComparisonResults) -> list[dict[str, Interquartile]]:
-    """Of each controller: the interquartile mean of each shown metric over all its runs, in its display unit; the tasks are the strata.
-
-    Infinite (minus infinity for a metric of which more is better) where more than a quarter of the runs failed. `n` is 0 where no run that
-    reached the goal has the number, although some did, and where none has one that failed runs have, too: there is no such number.
-    """
-    return [{metric.name: _of(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
-
-
-def _of(controller: ControllerResults, metric: Metric) -> Interquartile:
-    known, reached = np.isfinite(controller.values(metric)), controller.success
-    if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
-        return NOTHING
-    found = interquartile_mean(controller.ranked(metric), controller.tasks)
-    return replace(found, mean=-found.mean, low=-found.high, high=-found.low) if metric.higher else found
-
-
-def interquartile_mean(
-    values: ArrayLike, strata: ArrayLike | None = None, confidence: float = 0.95, seed: int = 0, resamples: int = RESAMPLES
-) -> Interquartile:
+def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resamples: int = RESAMPLES) -> Interquartile:
     """Mean of the middle half of all values, with a stratified bootstrap interval.
 
         IQM = mean of x_(k+1), ..., x_(n-k),        x_(1) <= ... <= x_(n),   k = floor(n / 4)
@@ -492,23 +395,13 @@ def interquartile_mean(
     four do not (95 %). Over MOST_RUNS it is normal, with the standard error of the trimmed mean by Winsorised variances within the strata.
 
     Infinity (of one sign) is a run that is worse than any with a number. Of up to k of them the mean is finite; an end of the interval is
-    infinite where the resamples beyond it have more.
-
-    Args:
-        values: shape (N,); NaN is left out. strata: of each value, any numbers, shape (N,); None: all in one.
-        confidence: of the interval, in 0..1. seed: of the resampling. resamples: how many.
-
-    Returns:
-        The mean; low and high are NaN with fewer than FEWEST_RUNS, or where no stratum has two.
-
-    Raises:
-        ParameterError: confidence is not between 0 and 1.
+    infinite where the resamples beyond it have more. NaN is left out. low and high are NaN with fewer than FEWEST_RUNS, or where no
+    stratum has two. `strata`: of each value, any numbers, shape (N,); None: all in one.
 
     Reference: Agarwal et al. 2021, Deep reinforcement learning at the edge of the statistical precipice, NeurIPS, arXiv:2108.13264;
         Hesterberg 2015 (expanded percentiles), doi:10.1080/00031305.2015.1089789; Tukey & McLaughlin 1963 (standard error),
         Sankhya A 25, 331-352.
     """
-    check_confidence(confidence)
     x = np.asarray(values, dtype=float)
     stratum = np.zeros(len(x), dtype=int) if strata is None else np.unique(np.asarray(strata), return_inverse=True)[1]
     known = ~np.isnan(x)
@@ -519,35 +412,33 @@ def interquartile_mean(
     order = np.lexsort((x, stratum))  # the order of the runs does not matter
     x, stratum = x[order], stratum[order]
     sizes = tuple(int(size) for size in np.bincount(stratum) if size)
-    mean = _mean(np.sort(x), n // 4)
+    mean = float(np.sort(x)[n // 4 : n - n // 4].mean())
     freedom = n - len(sizes)
     if n < FEWEST_RUNS or freedom < 1:
         return Interquartile(mean, math.nan, math.nan, n)
-    if n > MOST_RUNS and _far_from_a_quarter(x):
-        half = NormalDist().inv_cdf((1 + confidence) / 2) * _error(x, stratum)
+    lost = float(np.isinf(x).mean())
+    # so far from a quarter that it is on the same side in practically every resample
+    if n > MOST_RUNS and (lost == 0 or abs(lost - 0.25) > 5 * math.sqrt(lost * (1 - lost) / n)):
+        half = NormalDist().inv_cdf((1 + CONFIDENCE) / 2) * _error(x, stratum)
         return Interquartile(mean, mean - half, mean + half, n)
-    means = _resampled(x, sizes, seed, resamples if n <= MOST_RUNS else max(199, resamples * MOST_RUNS // n))
-    low, high = np.quantile(means, _levels(n, freedom, confidence), method="inverted_cdf")
+    means = _resampled(x, sizes, resamples if n <= MOST_RUNS else max(199, resamples * MOST_RUNS // n))
+    low, high = np.quantile(means, _levels(n, freedom), method="inverted_cdf")
     return Interquartile(mean, float(low), float(high), n)
 
 
-def _mean(ordered: Array, k: int) -> float:
-    return float(ordered[k : len(ordered) - k].mean())
-
-
-def _levels(n: int, freedom: int, confidence: float) -> tuple[float, float]:
+def _levels(n: int, freedom: int) -> tuple[float, float]:
     """Both levels of the expanded percentile interval."""
     from scipy.special import stdtrit  # imported here: it costs time that other commands need not pay
 
-    low = NormalDist().cdf(-math.sqrt(n / freedom) * float(stdtrit(freedom, (1 + confidence) / 2)))
+    low = NormalDist().cdf(-math.sqrt(n / freedom) * float(stdtrit(freedom, (1 + CONFIDENCE) / 2)))
     return low, 1 - low
 
 
-def _resampled(x: Array, sizes: tuple[int, ...], seed: int, resamples: int) -> Array:
+def _resampled(x: Array, sizes: tuple[int, ...], resamples: int) -> Array:
     """Interquartile means of resamples, shape (resamples,); x: the values, stratum by stratum, shape (sum of sizes,)."""
     n, k = len(x), len(x) // 4
     order = np.argsort(x, kind="stable")
-    drawn = (remembered if n <= MOST_RUNS else draws)(sizes, resamples, seed)[:, order]
+    drawn = (remembered(sizes, resamples) if n <= MOST_RUNS else draws(sizes, resamples, 0))[:, order]
     # how many of the copies of each value, in ascending order, lie in the middle n - 2 k places
     last = np.cumsum(drawn, axis=1)
     middle = np.clip(last, k, n - k) - np.clip(last - drawn, k, n - k)
@@ -557,12 +448,6 @@ def _resampled(x: Array, sizes: tuple[int, ...], seed: int, resamples: int) -> A
     if finite.all():
         return means
     return np.where(middle[:, ~finite].any(axis=1), ordered[~finite][0], means)
-
-
-def _far_from_a_quarter(x: Array) -> bool:
-    """Whether the number of infinite values is so far from a quarter that it is on the same side in practically every resample."""
-    n, share = len(x), float(np.isinf(x).mean())
-    return share == 0 or abs(share - 0.25) > 5 * math.sqrt(share * (1 - share) / n)
 
 
 def _error(x: Array, stratum: NDArray[np.int_]) -> float:

@@ -1,23 +1,237 @@
-"""HTML tables of a comparison: the controllers' metrics and their paired differences; a click on a column's head sorts by it."""
+"""A comparison in sentences, HTML tables and lines for the terminal."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
 
-from vstestbed.report.comparison.columns import ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import CONTROLLERS, MOST_CONTROLLERS, PAIRS, SUCCESS, Pair, against, tests
+from vstestbed.report.comparison.results import (
+    CONTROLLERS,
+    MOST_CONTROLLERS,
+    PAIRS,
+    SUCCESS,
+    TIME,
+    ComparisonResults,
+    ControllerResults,
+    Means,
+    Metric,
+    Of,
+    Pair,
+    against,
+    tests,
+)
 from vstestbed.report.comparison.statistics import Interquartile, spread, success_rate
-from vstestbed.report.comparison.summary_text import p_text, signed
-from vstestbed.report.run.numbers import number, plain
+from vstestbed.report.html.template import Cell, number, plain, table
 
-Cell = tuple[float | str | None, str]
-"""Sort key of a table cell (None sorts last), and its HTML."""
+# The result in sentences: which controller is better, by how much, and whether the difference is significant.
+
+MOST_OTHERS = 4  # Other metrics with a significant difference that a sentence names; the table has all of them
+MOST_SENTENCES = 3  # Up to this many pairs have their sentence in the box itself: those of three controllers
+
+
+def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> str:
+    """The result as a box, green where one controller beats all others; `gains`: those in which controllers differ and in nothing else."""
+    if len(comparison.controllers) == 1:
+        return _box(_alone(comparison.controllers[0]), [], decided=False)
+    labels = [c.label for c in comparison.controllers]
+    verdict, decided = _overall(labels, all_pairs)
+    caution = []
+    if gains:  # no controller is better than another for its gain
+        verdict, decided = f"Only {gains} {'differ' if ' and ' in gains else 'differs'}. {verdict}", False
+        caution = ["This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it."]
+    shown = _pairs_in_the_box(labels, all_pairs)
+    rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
+    folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
+    return _box(verdict, [*caution, *(pair_text(p, labels) for p in shown)], decided) + folded
+
+
+def _pairs_in_the_box(labels: list[str], all_pairs: list[Pair]) -> list[Pair]:
+    """All pairs of up to three controllers; of more controllers the pairs of the one that wins most often."""
+    wins = _wins(labels, all_pairs)
+    best = wins.index(max(wins))
+    return all_pairs if len(all_pairs) <= MOST_SENTENCES else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
+
+
+def _box(verdict: str, sentences: list[str], decided: bool) -> str:
+    listed = "".join(f"<li>{escape(s)}</li>" for s in sentences)
+    words = f"<strong>{escape(verdict)}</strong>" + (f"<ul>{listed}</ul>" if listed else "")
+    return f'<div class="outcome {"good" if decided else "open"}">{words}</div>'
+
+
+def _alone(controller: ControllerResults) -> str:
+    rate = success_rate(int(controller.success.sum()), len(controller.success))
+    interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+    return f"{controller.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval})."
+
+
+def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
+    if len(labels) == 2:
+        return _of_two(labels, all_pairs[0])
+    if len(labels) > MOST_CONTROLLERS:
+        return _against_first(labels, all_pairs), False
+    wins = _wins(labels, all_pairs)
+    if max(wins) == len(labels) - 1:
+        return _best_of_all(labels, all_pairs, wins), True
+    if max(wins) == 0:
+        return _no_winner(all_pairs), False
+    return _leading_group(labels, all_pairs, wins), False
+
+
+def _wins(labels: list[str], all_pairs: list[Pair]) -> list[int]:
+    return [sum(p.better == i for p in all_pairs) for i in range(len(labels))]
+
+
+def _best_of_all(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
+    """One controller beats every other; by how much is said of the runner-up, the other with the most wins."""
+    first, n = wins.index(max(wins)), len(labels) - 1
+    closest = max(against(all_pairs, first), key=lambda p: wins[p.b])
+    others = {2: "two", 3: "three", 4: "four", 5: "five"}.get(n, str(n))
+    return f"{labels[first]} is better than each of the other {others}: than {labels[closest.b]}, it {_advantages(closest.turned())}."
+
+
+def _no_winner(all_pairs: list[Pair]) -> str:
+    """No controller is better than any other: either nothing is significant, or success and time contradict each other."""
+    if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
+        return "None of them is better: who reaches the goal more often does so later."
+    what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
+    return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show."
+
+
+def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
+    """The undefeated controllers, if each of them beats all the defeated ones."""
+    defeated = {p.a + p.b - p.better for p in all_pairs if p.better is not None}  # a + b - better: the other one of the pair
+    ahead = [i for i in range(len(labels)) if i not in defeated]
+    if not ahead or any(wins[i] != len(labels) - len(ahead) for i in ahead):
+        return "None of them is better than all the others."
+    which = "neither" if len(ahead) == 2 else "none"
+    seeds = max(p.seeds for p in all_pairs)
+    return f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show {which} of them ahead."
+
+
+def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
+    if pair.better is None:
+        if pair.is_real(SUCCESS) or pair.is_real(TIME.name):
+            often = pair.b if pair.success.only_b > pair.success.only_a else pair.a
+            other = pair.a + pair.b - often
+            return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
+        if others := [m.title.lower() for m in _others(pair)][:MOST_OTHERS]:
+            words = f"Neither reaches the goal more often or sooner, as far as {runs(pair.seeds)} each could show"
+            return f"{words}; they differ in {_list(others)}.", False
+        return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {runs(pair.seeds)} each could show.", False
+    pair = pair if pair.better == pair.b else pair.turned()
+    return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_advantages(pair)}.", True
+
+
+def _advantages(pair: Pair) -> str:
+    """In what b is significantly better than a, and by how much."""
+    time, advantages = pair.differences[TIME.name], []
+    if pair.is_real(SUCCESS):
+        advantages.append(f"reaches the goal on {pair.success.only_b - pair.success.only_a} more of {pair.seeds} seeds")
+    if pair.is_real(TIME.name):
+        advantages.append(f"converges {number(-time.mean)} s{_share(pair)} sooner")
+    return " and ".join(advantages)
+
+
+def _against_first(labels: list[str], all_pairs: list[Pair]) -> str:
+    """Of very many controllers only the first is the reference: how many are better than it, how many worse."""
+    better = [labels[p.b] for p in all_pairs if p.better == p.b]
+    worse = sum(p.better == p.a for p in all_pairs)
+    seeds = max(p.seeds for p in all_pairs)
+    named = f" ({_list(better)})" if 0 < len(better) <= 4 else ""
+    rest = len(all_pairs) - len(better) - worse
+    counts = f"{len(better)} of {len(all_pairs)} are better{named}, {worse} worse"
+    return f"Against {labels[0]}: {counts}; for {rest}, {runs(seeds)} each do not tell."
+
+
+def pair_text(pair: Pair, labels: list[str]) -> str:
+    """One pair in a few sentences: successes, times to converge on the seeds where both did, other significant differences."""
+    s, n, a, b = pair.success, pair.seeds, labels[pair.a], labels[pair.b]
+    of_a, of_b = s.both + s.only_a, s.both + s.only_b
+    if n == 0:
+        return f"{b} and {a} share no seed: they cannot be compared."
+    if s.only_a == s.only_b == 0:
+        every = "on the only seed" if n == 1 else f"on all {n} seeds"
+        where = {0: "on no seed", n: every}.get(s.both, f"on the same {s.both} of {n} seeds")
+        goal = f"{b} and {a} reached the goal {where}."
+    else:
+        p = p_text(pair.adjusted[SUCCESS, "difference"])
+        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {runs(n)} could show ({p})"
+        goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
+    return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
+
+
+def _time_text(pair: Pair, a: str, b: str) -> str:
+    time = pair.differences[TIME.name]
+    if time.n == 0:
+        return "Never on the same seed, so that times cannot be compared." if pair.success.only_a and pair.success.only_b else ""
+    if not math.isfinite(time.low):
+        return f"{b} took {signed(time.mean)} s against {a} on the only seed that both did: one pair shows nothing."
+    interval = (
+        f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds, {p_text(pair.adjusted[TIME.name, 'difference'])}"
+    )
+    if pair.is_real(TIME.name):
+        way = "sooner" if time.mean < 0 else "later"
+        return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
+    alone = " after correction for all tests" if time.real else ""
+    return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval}{alone})."
+
+
+def _other_text(pair: Pair) -> str:
+    """The other metrics with a significant difference."""
+    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
+    more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
+    return f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
+
+
+def _by_how_much(pair: Pair, metric: Metric) -> str:
+    """The mean difference `+1.2 px`; where that is not significant, from how many of the starts b is better, or worse."""
+    if pair.is_real(metric.name):
+        return f"{signed(pair.differences[metric.name].mean)} {metric.unit}".strip()
+    share = pair.improvements[metric.name].share
+    return f"{'better' if share > 0.5 else 'worse'} from {100 * max(share, 1 - share):.0f} % of the starts"
+
+
+def _others(pair: Pair) -> list[Metric]:
+    """The metrics other than time whose difference or improvement is significant."""
+    return [Metric.of(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))]
+
+
+def _share(pair: Pair) -> str:
+    """The difference of times relative to the mean of a: ` (12 %)`."""
+    mean, time = pair.means[TIME.name], pair.differences[TIME.name].mean
+    return f" ({number(abs(100 * time / mean))} %)" if mean > 0 else ""
+
+
+def signed(value: float) -> str:
+    """A difference with its sign and three significant figures."""
+    return ("+" if value > 0 else "\N{MINUS SIGN}" if value < 0 else "") + plain(abs(value))
+
+
+def runs(n: int) -> str:
+    """`1 run`, `20 runs`."""
+    return f"{n} run" if n == 1 else f"{n} runs"
+
+
+def p_text(p: float) -> str:
+    """`p = 0.012`."""
+    return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
+
+
+def _list(words: list[str]) -> str:
+    # a label with commas (several varied fields) is bracketed, or one could not see where it ends
+    quoted = words if not any("," in w for w in words) else [f"({w})" for w in words]
+    return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
+
+
+# HTML tables. Medians and differences count the runs that reached the goal; interquartile means and improvements count every run.
+FAILED = "A run that did not reach the goal counts as worse than any that did"
+NEVER = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
+NO_CELL: Final[Cell] = (None, "–")
 
 
 def controllers(comparison: ComparisonResults) -> str:
@@ -27,194 +241,14 @@ def controllers(comparison: ComparisonResults) -> str:
     note = (
         "Success rate with its 95 % interval (Wilson). Of each number the median and, below it, the quartiles: final errors of "
         "every run that has one, and what a run has on its way whatever its end (overshoot, tracking), the others of the runs that "
-        "reached the goal. A count stands below where it is not all runs."
+        "reached the goal. A count stands below where it is not all runs. Click on a head to sort."
     )
-    return f'<section><h2>Controllers</h2>{table(heads, lines)}<p class="soft">{note} Click on a head to sort.</p></section>'
+    return _section("Controllers", table(heads, lines), note)
 
 
-def _rate(controller: ControllerResults) -> Cell:
-    if not len(controller.success):
-        return None, "–"
-    rate = success_rate(int(controller.success.sum()), len(controller.success))
-    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
-    return rate.rate, f"{100 * rate.rate:.0f} % {below(interval)}{below(f'{rate.successes} of {rate.n}')}"
-
-
-def _spread(controller: ControllerResults, metric: Metric) -> Cell:
-    summary = spread(controller.counted(metric))
-    if summary.n == 0:
-        return None, "–"
-    # the number of runs only where it is not all of them
-    count = below(f"n = {summary.n}") if summary.n < len(controller.runs) else ""
-    return summary.median, f"{number(summary.median)} {below(f'[{number(summary.q1)}, {number(summary.q3)}]')}{count}"
-
-
-def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """Tables of paired differences, one for each reference controller, of which the page shows one; empty for a single controller."""
-    labels = labels_of(comparison)
-    if len(labels) < 2:
-        return ""
-    parts = [_against(comparison, against(all_pairs, i), labels, i) for i in references(labels)]
-    note = (
-        "Reached the goal: on how many more seeds (McNemar's test). The numbers: the mean of this line minus the other over the seeds on "
-        f"which both reached the goal{_all_seeds_note(comparison)}, its 95 % bootstrap interval and the p-value below. "
-        f"All p-values are corrected for the {tests(all_pairs)} tests of this page (Holm). Bold with a dot: p is at most 0.05, the "
-        "difference is real. An interval that excludes zero without a dot is what chance gives in one of twenty tests. "
-        f"{_skewed_note(comparison, all_pairs)}"
-    )
-    return f'<section><h2>Paired differences</h2>{_chooser(labels, len(parts))}{"".join(parts)}<p class="soft">{note}</p></section>'
-
-
-def labels_of(comparison: ComparisonResults) -> list[str]:
-    """The controllers' labels."""
-    return [c.label for c in comparison.controllers]
-
-
-def references(labels: Sequence[str]) -> range:
-    """The controllers with which the others are compared: each of few, the first of many."""
-    return range(len(labels) if len(labels) <= MOST_CONTROLLERS else 1)
-
-
-def _skewed_note(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """What `skewed` means, where it is written."""
-    if not any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown):
-        return ""
-    return (
-        "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for skewed "
-        "numbers, too."
-    )
-
-
-def _all_seeds_note(comparison: ComparisonResults) -> str:
-    """The metrics that are compared over all seeds, in brackets."""
-    names = [m.title for m in comparison.shown if m.every_pair]
-    return f" ({', '.join(names)}: over all seeds)" if names else ""
-
-
-def _chooser(labels: Sequence[str], n: int) -> str:
-    """The list in which the reader picks the reference controller, of n; SCRIPT shows the table of that one."""
-    if n < 2:
-        return ""
-    options = "".join(f'<option value="{i}">{escape(label)}</option>' for i, label in enumerate(labels[:n]))
-    return f'<p><label>Compared with <select id="reference">{options}</select></label></p>'
-
-
-def _against(comparison: ComparisonResults, against_reference: list[Pair], labels: Sequence[str], reference: int) -> str:
-    heads = [f"Against {labels[reference]}", "Reached the goal", *(m.label for m in comparison.shown)]
-    lines = [[(labels[p.b], escape(labels[p.b])), _goals(p), *(_difference(p, m) for m in comparison.shown)] for p in against_reference]
-    return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
-
-
-def _goals(pair: Pair) -> Cell:
-    s = pair.success
-    more = signed(s.only_b - s.only_a)
-    counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
-    lines = "".join(map(below, (corrected(pair.adjusted[SUCCESS, "difference"]), *counts)))
-    return s.only_b - s.only_a, f"{real(more) if pair.is_real(SUCCESS) else more} {lines}"
-
-
-def _difference(pair: Pair, metric: Metric) -> Cell:
-    d = pair.differences[metric.name]
-    if d.n == 0:
-        return None, "–"
-    interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
-    mean = signed(d.mean)
-    p = below(corrected(pair.adjusted[metric.name, "difference"])) if math.isfinite(d.p) else ""
-    count = below(f"n = {d.n}") if d.n < pair.success.both else ""
-    skewed = below("skewed") if d.skewed else ""
-    return d.mean, f"{real(mean) if pair.is_real(metric.name) else mean} {below(interval)}{p}{count}{skewed}"
-
-
-def corrected(p: float) -> str:
-    """A p-value as HTML."""
-    return "no test" if math.isnan(p) else escape(p_text(p))
-
-
-def real(text: str) -> str:
-    """A number that differs significantly."""
-    return f'<b class="real">● {text}</b>'
-
-
-def below(text: str) -> str:
-    """Small print below a cell's number."""
-    return f"<small>{text}</small>"
-
-
-def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
-    """A table whose column heads are buttons that sort it; each cell carries its sort key as `data-value`."""
-    top = "".join(f'<th scope="col" aria-sort="none"><button type="button">{escape(h)}</button></th>' for h in heads)
-    body = "".join(f"<tr>{''.join(_cell(c, i) for i, c in enumerate(line))}</tr>" for line in lines)
-    return f'<div class="wide"><table class="sortable"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def _cell(cell: Cell, place: int) -> str:
-    key, content = cell
-    # nine digits: values that differ only beyond the shown ones still sort
-    value = "" if key is None else escape(str(key) if isinstance(key, str | int) else f"{key:.9g}")
-    return f'<th scope="row" data-value="{value}">{content}</th>' if place == 0 else f'<td data-value="{value}">{content}</td>'
-
-
-STYLE = """
-.outcome.open { background: #55606c; }
-.outcome ul { margin: 8px 0 0; padding-left: 1.2em; }
-.wide { overflow-x: auto; background: var(--card); border: 1px solid var(--rule); border-radius: 10px; margin: 8px 0; }
-table { border-collapse: collapse; width: 100%; font-size: .84rem; font-variant-numeric: tabular-nums; }
-th, td { padding: 6px 7px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
-thead th { border-top: 0; vertical-align: bottom; font-size: .78rem; }
-th:first-child { text-align: left; min-width: 9.5em; overflow-wrap: break-word; }
-tbody th { font-weight: 600; }
-td small { font-size: .76rem; display: block; color: var(--soft); white-space: nowrap; }
-td { white-space: nowrap; }
-.real { color: var(--accent); }
-th button { all: unset; cursor: pointer; color: var(--soft); line-height: 1.25; }
-th button:hover, th button:focus-visible { text-decoration: underline; }
-th[aria-sort=ascending] button::after { content: " ▲"; } th[aria-sort=descending] button::after { content: " ▼"; }
-select { font: inherit; }
-.plan { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; }
-.plan dt { color: var(--soft); } .plan dd { margin: 0; overflow-wrap: anywhere; }
-.failure summary .soft { font-weight: 400; }
-.broad { margin-top: 14px; }
-.gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); gap: 10px; margin-top: 10px; }
-.gallery img { display: block; width: 100%; height: auto; border-radius: 6px; }
-.runs { margin: 6px 0; padding-left: 1.2em; font-size: .88rem; }
-code { font: .82rem/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow-wrap: anywhere; }
-@media print { .outcome.open { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  .wide { overflow: visible; } table { font-size: 7pt; } }
-"""
-
-# The page must work from a file:// address without network: the script is inline and uses no library.
-SCRIPT = """<script>
-for (const table of document.querySelectorAll("table.sortable")) {
-  const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];
-  heads.forEach((head, column) => head.querySelector("button").addEventListener("click", () => {
-    const down = head.getAttribute("aria-sort") === "ascending", key = row => row.cells[column].dataset.value;
-    const number = text => text !== "" && isFinite(text);
-    heads.forEach(other => other.setAttribute("aria-sort", other !== head ? "none" : down ? "descending" : "ascending"));
-    const order = (a, b) => number(a) && number(b) ? a - b : a.localeCompare(b, undefined, { numeric: true });
-    [...body.rows].sort((one, two) => {
-      const a = key(one), b = key(two);
-      return a === "" || b === "" ? (a === "") - (b === "") : (down ? -1 : 1) * order(a, b);
-    }).forEach(row => body.append(row));
-  }));
-}
-const reference = document.getElementById("reference");
-if (reference) {
-  const show = () => document.querySelectorAll(".against").forEach(part => { part.hidden = part.dataset.reference !== reference.value; });
-  reference.addEventListener("change", show);
-  show();
-}
-</script>"""
-
-
-# HTML tables of what counts every run, also failed ones: interquartile means, and how probably one controller is better than another.
-FAILED = "A run that did not reach the goal counts as worse than any that did"
-NEVER = "fails"
-"""Stands for an infinite mean or end of an interval: so many runs failed."""
-
-
-def interquartile_means(comparison: ComparisonResults, means: Sequence[Mapping[str, Interquartile]]) -> str:
+def interquartile_means(comparison: ComparisonResults, means: Means) -> str:
     """One row per controller: the interquartile mean of each metric over all its runs, with its interval; means: `interquartiles`."""
-    heads = ["Controller", *(f"{m.label} {_arrow(m)}" for m in comparison.shown)]
+    heads = ["Controller", *map(_with_arrow, comparison.shown)]
     every = zip(comparison.controllers, means, strict=True)
     lines = [[(c.label, escape(c.label)), *(_iqm(found[m.name], len(c.runs)) for m in comparison.shown)] for c, found in every]
     strata = ", resampled within each task" if any(any(c.tasks) for c in comparison.controllers) else ""
@@ -223,21 +257,58 @@ def interquartile_means(comparison: ComparisonResults, means: Sequence[Mapping[s
         f"{FAILED}{_but(comparison)}: where more than a quarter of the runs failed, the mean “{NEVER}”, and where so many could have, "
         "an end of its interval does. A run that reached the goal without having the number is left out."
     )
-    return f'<section><h2>Interquartile means</h2>{table(heads, lines)}<p class="soft">{note}</p></section>'
+    return _section("Interquartile means", table(heads, lines), note)
+
+
+def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
+    """Paired differences against each reference controller, which the reader picks; empty for a single controller."""
+    names = ", ".join(m.title for m in comparison.shown if m.every_pair)
+    every_seed = f" ({names}: over all seeds)" if names else ""
+    skewed = any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown)
+    note = (
+        "Reached the goal: on how many more seeds (McNemar's test). The numbers: the mean of this line minus the other over the seeds on "
+        f"which both reached the goal{every_seed}, its 95 % bootstrap interval "
+        f"and the p-value below. All p-values are corrected for the {tests(all_pairs)} tests of this page (Holm). Bold with a dot: p is at "
+        "most 0.05, the difference is real. An interval that excludes zero without a dot is what chance gives in one of twenty tests. "
+    )
+    if skewed:
+        note += (
+            "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for skewed "
+        )
+        note += "numbers, too."
+    heads = ["Reached the goal", *(m.label for m in comparison.shown)]
+    tables = _against_each(comparison, all_pairs, "Against", heads, lambda p: [_goals(p), *(_difference(p, m) for m in comparison.shown)])
+    options = "".join(f'<option value="{i}">{escape(c.label)}</option>' for i, c in enumerate(comparison.controllers[: len(tables)]))
+    chooser = f'<p><label>Compared with <select id="reference">{options}</select></label></p>' if len(tables) > 1 else ""
+    return _section("Paired differences", chooser + "".join(tables), note) if tables else ""
 
 
 def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """Tables of the probability of improvement, one for each reference controller; empty for a single controller."""
-    labels = labels_of(comparison)
-    if len(labels) < 2:
-        return ""
-    parts = [_improvements(comparison, against(all_pairs, i), labels, i) for i in references(labels)]
+    """The probability of improvement over each reference controller; empty for a single controller."""
     note = (
         "How probably the controller of the line is better than the other from the same start: the share of the common seeds on which it "
         f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal. "
         "Bold with a dot: p, of the sign test and corrected as above, is at most 0.05. This test is exact however skewed the numbers are."
     )
-    return f'<section><h2>Probability of improvement</h2>{"".join(parts)}<p class="soft">{note}</p></section>'
+    heads = [*map(_with_arrow, comparison.shown)]
+    tables = _against_each(comparison, all_pairs, "Better than", heads, lambda p: [_improvement(p, m) for m in comparison.shown])
+    return _section("Probability of improvement", "".join(tables), note) if tables else ""
+
+
+def _section(title: str, content: str, note: str) -> str:
+    return f'<section><h2>{title}</h2>{content}<p class="soft">{note}</p></section>'
+
+
+def _against_each(
+    comparison: ComparisonResults, all_pairs: list[Pair], title: str, heads: Sequence[str], cells: Callable[[Pair], Sequence[Cell]]
+) -> list[str]:
+    """A table for each reference controller (each of few, the first of many), of which the page shows one; none for a single controller."""
+    labels = [c.label for c in comparison.controllers]
+    found = []
+    for i in range(len(labels) if len(labels) <= MOST_CONTROLLERS else 1) if len(labels) > 1 else ():
+        lines = [[(labels[p.b], escape(labels[p.b])), *cells(p)] for p in against(all_pairs, i)]
+        found.append(f'<div class="against" data-reference="{i}">{table([f"{title} {labels[i]}", *heads], lines)}</div>')
+    return found
 
 
 def _but(comparison: ComparisonResults) -> str:
@@ -246,54 +317,100 @@ def _but(comparison: ComparisonResults) -> str:
     return f" (but with its own number for {', '.join(names)})" if names else ""
 
 
-def _arrow(metric: Metric) -> str:
-    return "↑" if metric.higher else "↓"
+def _with_arrow(metric: Metric) -> str:
+    return f"{metric.label} {'↑' if metric.higher else '↓'}"
 
 
-def _iqm(found: Interquartile, runs: int) -> Cell:
+def _rate(controller: ControllerResults) -> Cell:
+    if not len(controller.success):
+        return NO_CELL
+    rate = success_rate(int(controller.success.sum()), len(controller.success))
+    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
+    return rate.rate, f"{100 * rate.rate:.0f} % {below(interval)}{below(f'{rate.successes} of {rate.n}')}"
+
+
+def _spread(controller: ControllerResults, metric: Metric) -> Cell:
+    summary = spread(controller.counted(metric))
+    if summary.n == 0:
+        return NO_CELL
+    quartiles = below(f"[{number(summary.q1)}, {number(summary.q3)}]")
+    return summary.median, f"{number(summary.median)} {quartiles}{_count(summary.n, len(controller.runs))}"
+
+
+def _iqm(found: Interquartile, n: int) -> Cell:
     if not found.n:
-        return None, "–"
+        return NO_CELL
     interval = "no interval" if math.isnan(found.low) else f"[{_bound(found.low)}, {_bound(found.high)}]"
-    count = below(f"n = {found.n}") if found.n < runs else ""
-    return found.mean if math.isfinite(found.mean) else None, f"{_bound(found.mean)} {below(interval)}{count}"
+    return found.mean if math.isfinite(found.mean) else None, f"{_bound(found.mean)} {below(interval)}{_count(found.n, n)}"
+
+
+def _goals(pair: Pair) -> Cell:
+    s, more = pair.success, pair.success.only_b - pair.success.only_a
+    counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
+    return more, f"{real(signed(more), pair.is_real(SUCCESS))} {''.join(map(below, (_corrected(pair, SUCCESS), *counts)))}"
+
+
+def _difference(pair: Pair, metric: Metric) -> Cell:
+    d = pair.differences[metric.name]
+    if d.n == 0:
+        return NO_CELL
+    interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
+    p = below(_corrected(pair, metric.name)) if math.isfinite(d.p) else ""
+    skewed = below("skewed") if d.skewed else ""
+    return d.mean, f"{real(signed(d.mean), pair.is_real(metric.name))} {below(interval)}{p}{_count(d.n, pair.success.both)}{skewed}"
+
+
+def _improvement(pair: Pair, metric: Metric) -> Cell:
+    found = pair.improvements[metric.name]
+    if not found.n:
+        return NO_CELL
+    share, interval = f"{100 * found.share:.0f} %", below(f"[{100 * found.low:.0f}, {100 * found.high:.0f}]")
+    p = below(_corrected(pair, metric.name, "improvement"))
+    return found.share, f"{real(share, pair.is_real(metric.name, 'improvement'))} {interval}{p}{_count(found.n, pair.seeds)}"
+
+
+def _count(n: int, of: int) -> str:
+    return below(f"n = {n}") if n < of else ""
 
 
 def _bound(value: float) -> str:
     return number(value) if math.isfinite(value) else NEVER
 
 
-def _improvements(comparison: ComparisonResults, these: list[Pair], labels: list[str], reference: int) -> str:
-    heads = [f"Better than {labels[reference]}", *(f"{m.label} {_arrow(m)}" for m in comparison.shown)]
-    lines = [[(labels[p.b], escape(labels[p.b])), *(_improvement(p, m) for m in comparison.shown)] for p in these]
-    return f'<div class="against" data-reference="{reference}">{table(heads, lines)}</div>'
+def _corrected(pair: Pair, name: str, of: Of = "difference") -> str:
+    p = pair.adjusted[name, of]
+    return "no test" if math.isnan(p) else escape(p_text(p))
 
 
-def _improvement(pair: Pair, metric: Metric) -> Cell:
-    found = pair.improvements[metric.name]
-    if not found.n:
-        return None, "–"
-    count = below(f"n = {found.n}") if found.n < pair.seeds else ""
-    text, interval = f"{100 * found.share:.0f} %", below(f"[{100 * found.low:.0f}, {100 * found.high:.0f}]")
-    p = below(corrected(pair.adjusted[metric.name, "improvement"]))
-    return found.share, f"{real(text) if pair.is_real(metric.name, 'improvement') else text} {interval}{p}{count}"
+def real(text: str, significant: bool) -> str:
+    """A number, marked if it differs significantly."""
+    return f'<b class="real">● {text}</b>' if significant else text
 
 
-# The statistics of a comparison in a few lines for the terminal: success, interquartile mean, difference from the first controller.
-MOST: Final = 12
-"""Most controllers that are listed."""
+def below(text: str) -> str:
+    """Small print below a cell's number."""
+    return f"<small>{text}</small>"
+
+
+# The statistics in a few lines for the terminal: success, interquartile mean, difference from the first controller.
+MOST: Final = 12  # controllers that are listed
 
 
 def statistics_text(folder: Path) -> str:
-    """A line for each controller, of the first metric that is shown; "" for a single controller, or without a report.
-
-    A star: significant after Holm's correction for all tests of the report.
-    """
+    """A line for each controller, of the first metric that is shown; "" for a single controller, or without a report."""
     if not (folder / f"{CONTROLLERS}.parquet").is_file():
         return ""
     every, pairs = (pl.read_parquet(folder / f"{name}.parquet") for name in (CONTROLLERS, PAIRS))
     if not len(pairs):
         return ""
-    lines = _lines(every, pairs)
+    first = every.row(0, named=True)
+    unit = f" [{first['unit']}]" if first["unit"] else ""
+    lines = [("", "reached", f"{first['title'].lower()}{unit}, IQM", f"against {first['controller']}")]
+    of = {(row["controller"], row["metric"]): row for row in pairs.filter(pl.col("against") == first["controller"]).rows(named=True)}
+    for row in every.filter(pl.col("metric") == first["metric"]).rows(named=True):
+        name, reached = row["controller"], f"{row['succeeded']} of {row['runs']}"
+        found = of.get((name, first["metric"])), of.get((name, SUCCESS))
+        lines.append((name, reached + _star(found[1]), _plain_mean(row), _plain_difference(found[0])))
     widths = [max(map(len, column)) for column in zip(*lines[: MOST + 1], strict=True)]
     text = ["  " + "  ".join(map(str.ljust, line, widths)).rstrip() for line in lines[: MOST + 1]]
     if (more := len(lines) - 1 - MOST) > 0:
@@ -303,38 +420,15 @@ def statistics_text(folder: Path) -> str:
     return "\n".join(text)
 
 
-def _lines(every: pl.DataFrame, pairs: pl.DataFrame) -> list[tuple[str, str, str, str]]:
-    """Head and a line for each controller."""
-    first = every.row(0, named=True)
-    rows = every.filter(pl.col("metric") == first["metric"]).rows(named=True)
-    of = {(row["controller"], row["metric"]): row for row in pairs.filter(pl.col("against") == first["controller"]).rows(named=True)}
-    head = ("", "reached", _title(first), f"against {first['controller']}")
-    return [head, *(_line(row, of.get((row["controller"], first["metric"])), of.get((row["controller"], SUCCESS))) for row in rows)]
-
-
-def _line(row: dict[str, Any], difference: dict[str, Any] | None, success: dict[str, Any] | None) -> tuple[str, str, str, str]:
-    """Label, successes, interquartile mean, difference from the first controller."""
-    return row["controller"], f"{row['succeeded']} of {row['runs']}{_star(success)}", _mean(row), _plain_difference(difference)
-
-
-def _title(row: dict[str, Any]) -> str:
-    unit = f" [{row['unit']}]" if row["unit"] else ""
-    return f"{row['title'].lower()}{unit}, IQM"
-
-
 def _star(row: dict[str, Any] | None) -> str:
     return "*" if row and row["significant"] else ""
 
 
-def _mean(row: dict[str, Any]) -> str:
+def _plain_mean(row: dict[str, Any]) -> str:
     if row["iqm"] is None:
         return "-"
-    interval = "" if row["iqm_low"] is None else f" [{_plain_bound(row['iqm_low'])}, {_plain_bound(row['iqm_high'])}]"
-    return _plain_bound(row["iqm"]) + interval
-
-
-def _plain_bound(value: float) -> str:
-    return plain(value) if math.isfinite(value) else NEVER
+    mean, low, high = (plain(v) if v is not None and math.isfinite(v) else NEVER for v in (row["iqm"], row["iqm_low"], row["iqm_high"]))
+    return mean if row["iqm_low"] is None else f"{mean} [{low}, {high}]"
 
 
 def _plain_difference(row: dict[str, Any] | None) -> str:

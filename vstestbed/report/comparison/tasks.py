@@ -1,7 +1,4 @@
-"""Report of a comparison with tasks: a table of laws by tasks that names every failure, and figures over the tasks' amounts.
-
-The amount of a run is the parameter that varies within its task, such as `20 deg` for a turn; without one it is a bare number.
-"""
+"""Report of a comparison with tasks: laws by tasks with every failure, figures over the amounts (what varies in a task: `20 deg`)."""
 
 from __future__ import annotations
 
@@ -18,15 +15,12 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.comparison import baseline
-from vstestbed.report.comparison import failures as comparison_failures
-from vstestbed.report.comparison import tables as comparison_tables
-from vstestbed.report.comparison import tables as robust_tables
-from vstestbed.report.comparison.columns import TASK, ComparisonResults, ControllerResults, Metric
-from vstestbed.report.comparison.pairs import pairs, write_records
-from vstestbed.report.comparison.statistics import interquartiles, success_rate
+from vstestbed.report.comparison import baseline, tables
+from vstestbed.report.comparison.page import failures_section
+from vstestbed.report.comparison.results import TASK, ComparisonResults, ControllerResults, Metric, interquartiles, pairs, write_records
+from vstestbed.report.comparison.statistics import spread, success_rate
 from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
-from vstestbed.report.html.template import PAGE, STYLE, figure
+from vstestbed.report.html.template import SCRIPT, figure, made_by, page, plain_table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,16 +28,11 @@ if TYPE_CHECKING:
 
 AMOUNT: Final = "amount"
 TIME: Final = "time_to_converge_s"
-DRAWN: Final = (TIME, "max_retreat_m")
-"""Metrics that are drawn where a comparison names none."""
-MOST_ROWS: Final = 3
-"""Metrics that are drawn: the first ones; all have tables."""
-MOST_AMOUNTS: Final = 20
-"""Most failed runs of a cell that are named."""
-ROUNDING: Final = 1e-6
-"""Values below this are rounding errors in the unit of any metric."""
-MARKERS: Final = "os^DvX*P<h>pd"
-"""One marker a law, which tells them apart where colours do not: in grey, and with more laws than colours."""
+DRAWN: Final = (TIME, "max_retreat_m")  # Metrics that are drawn where a comparison names none
+MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
+MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
+ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
+MARKERS: Final = "os^DvX*P<h>pd"  # One marker a law, which tells them apart where colours do not: in grey, and with more laws than colours
 DPI: Final = 200
 
 
@@ -72,9 +61,7 @@ class Cell:
     @property
     def time_s(self) -> float:
         """Median time to converge [s], NaN if no run converged."""
-        counted = self.controller.counted(Metric.of(TIME))
-        counted = counted[np.isfinite(counted)]
-        return float(np.median(counted)) if len(counted) else float("nan")
+        return spread(self.controller.counted(Metric.of(TIME))).median
 
     def spread(self, metric: Metric) -> str:
         """Median and largest value of a metric over the runs that count (`Metric.every_run`), as text; empty if none has it."""
@@ -119,19 +106,32 @@ def over_all_tasks(table: pl.DataFrame, axes: Sequence[str], metrics: Sequence[s
 
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
     """Markdown tables, laws by tasks: successes and failures; then median and largest value of each metric but the time."""
-    first = _markdown(found, lambda cell: "; ".join(cell.summary_lines()))
-    return "\n".join(
-        [first, *(f"{m.label}: median and largest of {m.over}\n\n{_markdown(found, _spread_of(m))}" for m in _tabled(metrics))]
-    )
+
+    def lines(text: Callable[[Cell], str]) -> str:
+        heads, rows = _grid(found, text)
+        top = ["| | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
+        return "\n".join([*top, *(f"| `{law}` | {' | '.join(cells)} |" for law, cells in rows)]) + "\n"
+
+    first = lines(lambda cell: "; ".join(cell.summary_lines()))
+    return "\n".join([first, *(f"{title}\n\n{lines(text)}" for title, text in _spreads(metrics))])
 
 
-def _tabled(metrics: Sequence[str]) -> list[Metric]:
-    """The metrics with a table of their own; the time stands in the first table already."""
-    return [Metric.of(name) for name in metrics if name != TIME]
+def _html(found: Sequence[Cell], text: Callable[[Cell], str]) -> str:
+    heads, rows = _grid(found, text)
+    return plain_table(["", *heads], [[escape(law), *cells] for law, cells in rows])
 
 
-def _spread_of(metric: Metric) -> Callable[[Cell], str]:
-    return lambda cell: cell.spread(metric)
+def _spreads(metrics: Sequence[str]) -> list[tuple[str, Callable[[Cell], str]]]:
+    """Title and cells of a table for each metric but the time, which stands in the first table already."""
+    shown = [Metric.of(name) for name in metrics if name != TIME]
+    return [(f"{m.label}: median and largest of {m.over}", lambda cell, m=m: cell.spread(m)) for m in shown]
+
+
+def _grid(found: Sequence[Cell], text: Callable[[Cell], str]) -> tuple[list[str], list[tuple[str, list[str]]]]:
+    """The tasks, and each law with a text for each task, empty where it has no runs."""
+    tasks, laws = _tasks_and_laws(found)
+    of = {(c.law, c.task): text(c) for c in found}
+    return tasks, [(law, [of.get((law, task), "") for task in tasks]) for law in laws]
 
 
 def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
@@ -139,39 +139,11 @@ def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
     return list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
 
 
-def _markdown(found: Sequence[Cell], text: Callable[[Cell], str]) -> str:
-    tasks, laws = _tasks_and_laws(found)
-    of = {(c.law, c.task): c for c in found}
-    lines = ["| | " + " | ".join(tasks) + " |", "|---" * (len(tasks) + 1) + "|"]
-    lines += [f"| `{law}` | " + " | ".join(text(of[law, t]) if (law, t) in of else "" for t in tasks) + " |" for law in laws]
-    return "\n".join(lines) + "\n"
-
-
-def _html(found: Sequence[Cell], cell: Callable[[Cell | None], str]) -> str:
-    tasks, laws = _tasks_and_laws(found)
-    of = {(c.law, c.task): c for c in found}
-    head = "".join(f"<th>{escape(t)}</th>" for t in tasks)
-    rows = "".join(f'<tr><th scope="row">{escape(law)}</th>{"".join(cell(of.get((law, t))) for t in tasks)}</tr>' for law in laws)
-    return f'<div class="wide"><table><thead><tr><th></th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
-
-
-def _td(cell: Cell | None) -> str:
-    if cell is None:
-        return "<td></td>"
-    first, *failures = cell.summary_lines()
+def _summary_cell(cell: Cell) -> str:
+    first, *failures = map(escape, cell.summary_lines())
     rate = success_rate(int(cell.controller.success.sum()), len(cell.controller.success))
-    interval = f"<small>[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %</small>"
-    return f"<td>{escape(first)}{interval}{''.join(f'<small>{escape(f)}</small>' for f in failures)}</td>"
-
-
-def _spreads(found: Sequence[Cell], metrics: Sequence[str]) -> str:
-    """A table for each metric but the time."""
-    tables = [f"<h3>{escape(m.label)}: median and largest of {m.over}</h3>{_html(found, _td_of(m))}" for m in _tabled(metrics)]
-    return f"<section><h2>In numbers</h2>{''.join(tables)}</section>" if tables else ""
-
-
-def _td_of(metric: Metric) -> Callable[[Cell | None], str]:
-    return lambda cell: f"<td>{escape(cell.spread(metric)) if cell else ''}</td>"
+    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %"
+    return first + "".join(map(tables.below, (interval, *failures)))
 
 
 def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
@@ -194,7 +166,6 @@ def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figu
 
 
 def _unit(here: Sequence[Cell]) -> str:
-    """Unit of a task's amounts; empty for bare numbers."""
     return here[0].amounts[0].partition(" ")[2]
 
 
@@ -230,40 +201,28 @@ def write_task_report(
 ) -> Path:
     """Write `report.html`, `tasks.md`, `figures/tasks.*`, `controllers.*` and `pairs.*` into a comparison's folder; returns the page.
 
-    Args:
-        folder: the comparison's folder. table: one row per run, with the columns `task` and `amount`.
-        axes: columns that distinguish the controllers, `task` among them. metrics: the first three are drawn.
-        description: what is compared. command: the command line that repeats the comparison. call: draws the figures.
-
-    Raises:
-        OutputError: a file cannot be written.
+    As `page.write_comparison_report`; the table has the columns `task` and `amount`, and the first three metrics are drawn.
     """
     found = cells(table, axes)
     drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics)
     write_whole(folder / "tasks.md", markdown(found, metrics))
     n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
+    numbers = "".join(f"<h3>{escape(title)}</h3>{_html(found, lambda c, text=text: escape(text(c)))}" for title, text in _spreads(metrics))
     caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
     body = [
         f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
         "and each failure by its outcome.</p>",
-        _html(found, _td),
+        _html(found, _summary_cell),
         baseline.section(folder),
         f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", result_of(drawn[0]), caption)}</div></section>',
-        _spreads(found, metrics),
+        f"<section><h2>In numbers</h2>{numbers}</section>" if numbers else "",
         *_statistics(folder, over_all_tasks(table, axes, metrics)),
-        comparison_failures.section(folder, ComparisonResults(table, axes, metrics)),
-        f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>",
+        failures_section(folder, ComparisonResults(table, axes, metrics)),
+        made_by(command),
     ]
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
-    page = PAGE.format(
-        title=escape(heading),
-        style=STYLE + comparison_tables.STYLE,
-        heading=escape(f"{heading}: tasks"),
-        description=f"<p>{escape(description)}</p>",
-        body="\n".join(body),
-    )
     result_of(drawn[1])
-    return write_whole(folder / "report.html", page)
+    return write_whole(folder / "report.html", page(f"{heading}: tasks", body, f"<p>{escape(description)}</p>", heading))
 
 
 def _statistics(folder: Path, laws: ComparisonResults) -> tuple[str, ...]:
@@ -276,15 +235,14 @@ def _statistics(folder: Path, laws: ComparisonResults) -> tuple[str, ...]:
     )
     return (
         f"<section><h2>Over all tasks</h2><p>{words}</p></section>",
-        robust_tables.interquartile_means(laws, means),
-        comparison_tables.differences(laws, all_pairs),
-        robust_tables.improvements(laws, all_pairs),
-        comparison_tables.SCRIPT,
+        tables.interquartile_means(laws, means),
+        tables.differences(laws, all_pairs),
+        tables.improvements(laws, all_pairs),
+        SCRIPT,
     )
 
 
 def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:
-    """Write the figure for a paper, as PDF and PNG, into the folder."""
     with style(paper=True):
         drawn = draw(found, metrics, 8.2)
         save(drawn, folder / "tasks.pdf")
@@ -292,6 +250,5 @@ def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:
 
 
 def _on_page(found: Sequence[Cell], metrics: Sequence[str]) -> str:
-    """The figure as SVG, for the page."""
     with style():
         return to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")

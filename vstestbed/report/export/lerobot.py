@@ -45,8 +45,7 @@ from vstestbed.scenario.scenario import Scenario
 
 IMAGE = "observation.image"
 Features = dict[str, dict[str, Any]]
-Numbers = dict[str, NDArray[Any]]
-"""Values of features by name, (frames, k) each."""
+Numbers = dict[str, NDArray[Any]]  # Values of features by name, (frames, k) each
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 SENSOR_UNITS = {
     "odo_x": "m",
@@ -82,11 +81,12 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
 def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     """The values of a run's frames, but for picture and counters; and the names of the entries of `observation.state`.
 
-    A picture that never arrived has no frame, as the environment has no step of it: `timestamp` counts frames at the camera's rate, as
-    LeRobot wants it, `sim_time` is when they were taken.
+    A picture that never arrived has no frame: `timestamp` counts frames at the camera's rate, `sim_time` is when they were taken.
     """
     s = run.scenario
-    blocks = list(run.log.blocks(_columns(run)))
+    markers = [f"{axis}{at}_{i}" for i in range(s.rows) for axis in "uv" for at in ("", "_goal")]
+    columns = ["t", *markers, *(f"cmd_{name}" for name in TWIST), *(f"q_{name}" for name in s.robot.joints), *s.own_columns]
+    blocks = list(run.log.blocks(columns))
     log = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
     n, frames = s.rows, len(log["t"])
     state = _state(s, log)
@@ -103,23 +103,13 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
 
 
 def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
-    """The commanded velocities along the robot's motions as actions in [-1, 1], (frames, n): u = pinv(basis) twist.
-
-    The motions of an arm of fewer than six joints depend on the joints, which are those of the exposure here.
-    """
+    """The commands along the robot's motions (of an arm under six joints those at the exposure), in [-1, 1]: u = pinv(basis) twist."""
     robot, mount = scenario.robot, Mount.of(scenario.believed_camera.mount.T)
     scale = ActionScale.of(scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
     twists = np.stack([log[f"cmd_{name}"] for name in TWIST], axis=1)
     q = np.stack([log[f"q_{name}"] for name in robot.joints], axis=1) if robot.joints else np.zeros((len(twists), 0))
     bases = (robot.motion_basis(mount_at(scenario, mount, at), at) for at in q)
     return np.array([scale.action(np.linalg.pinv(basis) @ twist) for basis, twist in zip(bases, twists, strict=True)])
-
-
-def _columns(run: RecordedRun) -> list[str]:
-    """The columns of the log that are read."""
-    s = run.scenario
-    markers = [f"{axis}{at}_{i}" for i in range(s.rows) for axis in "uv" for at in ("", "_goal")]
-    return ["t", *markers, *(f"cmd_{name}" for name in TWIST), *(f"q_{name}" for name in s.robot.joints), *s.own_columns]
 
 
 def _state(scenario: Scenario, log: dict[str, Array]) -> dict[str, Array]:
@@ -154,7 +144,6 @@ def _vector(names: list[str]) -> dict[str, Any]:
 
 
 def _video(scenario: Scenario) -> dict[str, Any]:
-    """What LeRobot notes of a video."""
     size = {
         "video.height": scenario.camera.height + scenario.camera.height % 2,
         "video.width": scenario.camera.width + scenario.camera.width % 2,
@@ -170,11 +159,9 @@ def rate_of(scenario: Scenario) -> float:
 
 
 # Statistics of a dataset's features, by which LeRobot normalises: of each episode, and of all.
-Statistics = dict[str, NDArray[Any]]
-"""min, max, mean, std, count, q01 ... q99 of a feature."""
+Statistics = dict[str, NDArray[Any]]  # min, max, mean, std, count, q01 ... q99 of a feature
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
-SIDE_PX = 150
-"""Pictures are counted on a grid of about so many pixels along their shorter side."""
+SIDE_PX = 150  # Pictures are counted on a grid of about so many pixels along their shorter side
 
 
 def statistics(values: NDArray[Any]) -> Statistics:
@@ -225,8 +212,7 @@ class PictureStatistics:
 
 VERSION = "v3.0"
 FILES_IN_CHUNK = 1000
-DATA_MB, VIDEO_MB = 100, 200
-"""Most megabytes of a file, unless one episode has more."""
+DATA_MB, VIDEO_MB = 100, 200  # Most megabytes of a file, unless one episode has more
 EPISODES_IN_FILE = 1000
 NUMBERED = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 DATA, VIDEO, EPISODES = f"data/{NUMBERED}.parquet", f"videos/{{video_key}}/{NUMBERED}.mp4", f"meta/episodes/{NUMBERED}.parquet"
@@ -238,12 +224,11 @@ def write_dataset(runs: Iterable[RecordedRun], out: Path, tick: Callable[[], Non
     """Write runs as a dataset, which appears whole or not at all; one run is in memory at a time, and its pictures are not.
 
     Args:
-        runs: of one robot, camera and number of markers. out: its folder. tick: called after each frame.
-        within: the folder that the runs' folders are named relative to.
+        runs: of one robot, camera and number of markers. out: its folder. tick: called after each frame. within: the folder that the
+            runs' folders are named relative to.
 
-    Raises:
-        ParameterError: the runs differ in what a frame holds. OutputError: `out` holds something already, or cannot be made.
-        EnvironmentLackError: pictures cannot be drawn here, no H.264 encoder, no space.
+    ParameterError: the runs differ in what a frame holds. OutputError: `out` holds something already, or cannot be made.
+    EnvironmentLackError: pictures cannot be drawn here, no H.264 encoder, no space.
     """
     with whole_folder(out) as folder:
         writer = DatasetWriter(folder, within)
@@ -257,11 +242,7 @@ def write_dataset(runs: Iterable[RecordedRun], out: Path, tick: Callable[[], Non
 
 
 class DatasetWriter:
-    """Writes a dataset episode by episode.
-
-    Args:
-        folder: to be filled. within: see `write_dataset`.
-    """
+    """Writes a dataset into a folder episode by episode; within: see `write_dataset`."""
 
     def __init__(self, folder: Path, within: Path | None = None):
         self._folder, self._within = folder, within
@@ -277,11 +258,7 @@ class DatasetWriter:
         self._taken: dict[str, None] = {}
 
     def add(self, run: RecordedRun, tick: Callable[[], None] = lambda: None) -> None:
-        """Write a run as the next episode.
-
-        Raises:
-            ParameterError: its frames hold something else than those before.
-        """
+        """Write a run as the next episode. ParameterError: its frames hold something else than those before."""
         numbers, state = numbers_of(run)
         self._check(run, state)
         n, task = len(numbers["timestamp"]), run.scenario.description or run.scenario.name
@@ -425,7 +402,6 @@ _INDEXED_BY_TASK = {
 
 
 def _place(number: int) -> dict[str, int]:
-    """Chunk and number of a file in it."""
     chunk, file = divmod(number, FILES_IN_CHUNK)
     return {"chunk_index": chunk, "file_index": file}
 

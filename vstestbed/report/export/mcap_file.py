@@ -42,8 +42,7 @@ try:
 except ImportError as error:
     raise EnvironmentLackError(f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'") from error
 
-Message = tuple[str, int, Any]
-"""Topic, time [ns], message."""
+Message = tuple[str, int, Any]  # topic, time [ns], message
 ATTACHED = {
     "scenario.yaml": "application/yaml",
     "resolved.yaml": "application/yaml",
@@ -57,11 +56,8 @@ TIMED_BY_COMMAND = ("/robot/command", "/robot/applied")
 def write_mcap(run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None) -> Path:
     """Write a run as an MCAP file, which appears whole or not at all; an older one of that name is replaced.
 
-    Args:
-        run: the run. path: of the file. start_s: what t = 0 is in the file [s since 1970]. tick: called after each frame.
-
-    Raises:
-        EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be written.
+    `start_s`: what t = 0 is in the file [s since 1970]. tick: called after each frame.
+    EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be written.
     """
     topics = Topics(run, start_s)
     with writing(path), PartFile(path) as part:
@@ -81,15 +77,7 @@ def write_mcap(run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callabl
 def write_mcaps(
     runs: Iterable[RecordedRun], out: Path, within: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None
 ) -> Path:
-    """Write a file for each run into a folder, which appears whole or not at all.
-
-    Args:
-        runs, start_s, tick: see `write_mcap`. out: the folder. within: the folder in which the runs' are; each file has the same place
-            in `out`.
-
-    Raises:
-        EnvironmentLackError, OutputError: see `write_mcap`; `out` holds something already.
-    """
+    """Write a file for each run into a new folder `out`, which appears whole or not at all, at the run's place within a folder."""
     with whole_folder(out) as folder:
         for run in runs:
             path = folder / f"{run.folder.relative_to(within).as_posix()}.mcap"
@@ -101,9 +89,7 @@ def write_mcaps(
 def described(run: RecordedRun) -> dict[str, str]:
     """What a reader must know of a run and of its export, as MCAP's metadata has it."""
     s = run.scenario
-    lens = (
-        "K, D as calibrated; /truth has the true lens" if lens_model(s.camera) else f"none: no standard model of {type(s.camera).__name__}"
-    )
+    other = f"none: no standard model of {type(s.camera).__name__}"
     return {
         "scenario": s.name,
         "description": s.description,
@@ -111,18 +97,14 @@ def described(run: RecordedRun) -> dict[str, str]:
         "outcome": run.outcome,
         "success": json.dumps(run.success),
         "pictures": run.how_taken,
-        "calibration": lens,
+        "calibration": "K, D as calibrated; /truth has the true lens" if lens_model(s.camera) else other,
         "times": "simulated; pictures and measurements at the middle of the exposure, commands when they are in force",
         "vstestbed": vstestbed_version(),
     }
 
 
 class Topics:
-    """The messages of a run, frame by frame.
-
-    Args:
-        run: the run. start_s: what t = 0 is in the file [s since 1970].
-    """
+    """The messages of a run, frame by frame; start_s: see `write_mcap`."""
 
     def __init__(self, run: RecordedRun, start_s: float):
         self._scenario, self._noisy = run.scenario, run.noisy
@@ -143,17 +125,17 @@ class Topics:
             if (known := calibration(now, camera)) is not None:
                 yield topic, now, known
         yield "/camera/image", now, image(now, frame.picture, self._noisy)
-        n = len(state.uv)
+        n, sizes = len(state.uv), SIZES_PX
         true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
-        sizes = SIZES_PX
         yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
         yield "/camera/goal", now, circles(now, state.goal_uv, self._goal_colors, sizes["goal"])
         yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
         yield "/truth/transforms", now, transforms(now, self._poses(frame), frame.bodies)
-        for topic, series in self._series.items():
-            at = row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t
-            time_ns = self.time_ns(at)
-            yield topic, time_ns, series.message(time_ns, row)
+        for topic, (kind, columns) in self._series.items():
+            time_ns = self.time_ns(row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t)
+            made = kind(**{field: row[column] for field, column in columns.items()})
+            made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
+            yield topic, time_ns, made
 
     def _poses(self, frame: Taken) -> dict[str, Any]:
         """Poses in the world: camera, target, and the camera's goal, where there is one."""
@@ -163,15 +145,14 @@ class Topics:
         return found if T_goal is None else found | {"goal": state.T_world_target @ inverse(T_goal)}
 
 
-def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, TimeSeries]]:
-    """The time series by topic: columns of the log whose values are in no other message."""
-    groups: dict[str, list[str]] = {}
+def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, tuple[Any, dict[str, str]]]]:
+    """By topic the class of a message, and the columns of the log by its fields: those whose values are in no other message."""
+    groups: dict[str, dict[str, str]] = {}
     for column in columns:
         if topic := _topic(column, scenario):
-            groups.setdefault(topic, []).append(column)
+            groups.setdefault(topic, {})[name_with_unit(_short(topic, column), meaning(column, scenario).unit)] = column
     for topic, those in groups.items():
-        names = [name_with_unit(_short(topic, column), meaning(column, scenario).unit) for column in those]
-        yield topic, TimeSeries("".join(word.title() for word in topic.split("/")).replace("_", ""), names, those)
+        yield topic, (_message_class("".join(word.title() for word in topic.split("/")).replace("_", ""), list(those)), those)
 
 
 def _topic(column: str, scenario: Scenario) -> str | None:
@@ -202,8 +183,7 @@ def _short(topic: str, column: str) -> str:
 #
 # Frames of reference: `world` (z up), `camera` (x right, y down, z forward), `target`, `goal` (of the camera), the robot's bodies.
 NS = 1_000_000_000
-FIRST_PIXEL = 0.5
-"""Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in logs and in K it is 0."""
+FIRST_PIXEL = 0.5  # Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in logs and in K it is 0
 LINE_PX = 1.5
 SEEN, TRUE = (1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
 """Colours (red, green, blue, alpha) of circles round measured and true markers; those at the goal have the marker's own."""
@@ -272,36 +252,17 @@ def transforms(time_ns: int, T_world: dict[str, Array], bodies: Bodies) -> Frame
     when = stamp(time_ns)
     named = [(name, T[:3, 3], quaternion_wxyz(T[:3, :3])) for name, T in T_world.items()]
     named += [body for body in zip(*bodies, strict=True) if body[0].startswith(("robot/", "leader/"))]
-    return FrameTransforms(transforms=list(_transforms(when, named)))
-
-
-def _transforms(when: Timestamp, named: Iterable[tuple[str, Array, Array]]) -> Iterator[FrameTransform]:
-    for name, (x, y, z), (qw, qx, qy, qz) in named:
-        yield FrameTransform(
+    found = [
+        FrameTransform(
             timestamp=when,
             parent_frame_id="world",
             child_frame_id=name,
             translation=Vector3(x=x, y=y, z=z),
             rotation=Quaternion(w=qw, x=qx, y=qy, z=qz),
         )
-
-
-class TimeSeries:
-    """Time series side by side: a message of its own, with a time stamp and a number for each column.
-
-    Args:
-        name: of the message. fields: names of its numbers, which end with their units. columns: of the log, one for each.
-    """
-
-    def __init__(self, name: str, fields: Sequence[str], columns: Sequence[str]):
-        self._fields, self._columns = tuple(fields), tuple(columns)
-        self._message = _message_class(name, self._fields)
-
-    def message(self, time_ns: int, row: dict[str, float]) -> Any:
-        """The numbers of a row of the log."""
-        made = self._message(**{field: row[column] for field, column in zip(self._fields, self._columns, strict=True)})
-        made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
-        return made
+        for name, (x, y, z), (qw, qx, qy, qz) in named
+    ]
+    return FrameTransforms(transforms=found)
 
 
 def _message_class(name: str, fields: Sequence[str]) -> Any:

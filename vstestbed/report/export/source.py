@@ -36,37 +36,28 @@ class Bodies(NamedTuple):
 
 
 class Taken(NamedTuple):
-    """One frame of a recorded run.
+    """One frame of a recorded run."""
 
-    Attributes:
-        row: of the log. state: the same as a film has it. picture: (H, W, 3) uint8 RGB. bodies: valid until the next frame.
-    """
-
-    row: dict[str, float]
-    state: FilmFrame
-    picture: Image
-    bodies: Bodies
+    row: dict[str, float]  # of the log
+    state: FilmFrame  # the same as a film has it
+    picture: Image  # (H, W, 3) uint8 RGB
+    bodies: Bodies  # valid until the next frame
 
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """A run's folder.
+    """A run's folder."""
 
-    Attributes:
-        folder: of the run. scenario: with its start and its noise. log: on disk. summary: as written; None of a run that was cut off.
-    """
-
-    folder: Path
-    scenario: Scenario
-    log: FolderLog
-    summary: dict[str, Any] | None
+    folder: Path  # of the run
+    scenario: Scenario  # with its start and its noise
+    log: FolderLog  # on disk
+    summary: dict[str, Any] | None  # as written; None of a run that was cut off
 
     @classmethod
     def of(cls, folder: Path, plugins: Sequence[str] = ()) -> RecordedRun:
         """Read a run's folder; plugins: as of `load`.
 
-        Raises:
-            RunFolderError: it has no run, a damaged one, or one without a frame. ScenarioError: its scenario cannot be read.
+        RunFolderError: it has no run, a damaged one, or one without a frame. ScenarioError: its scenario cannot be read.
         """
         if not (folder / "scenario.yaml").is_file():
             raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder")
@@ -114,11 +105,7 @@ class RecordedRun:
         return ", ".join(words)
 
     def frames(self) -> Iterator[Taken]:
-        """The frames in their order, each with its picture drawn anew.
-
-        Raises:
-            EnvironmentLackError: it cannot be drawn here.
-        """
+        """The frames in their order, each with its picture drawn anew. EnvironmentLackError: it cannot be drawn here."""
         s = self.scenario
         noise = s.noise
         scene = (s.robot, s.camera, s.target_in_run, s.world)
@@ -201,8 +188,7 @@ _PATTERNS: tuple[tuple[str, Meaning], ...] = (
 )
 _SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "mps": "m/s", "radps": "rad/s", "n": "N", "nm": "Nm"}
 """Unit by the last part of a name, for columns of plugins."""
-IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}
-"""Units as parts of names."""
+IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}  # Units as parts of names
 
 
 def meaning(column: str, scenario: Scenario) -> Meaning:
@@ -241,14 +227,10 @@ def write_csv(
     within: Path | None = None,
     table: pl.DataFrame | None = None,
 ) -> Path:
-    """Write the logs of runs into a folder, which appears whole or not at all.
+    """Write the logs of runs into a new folder `out`, which appears whole or not at all.
 
-    Args:
-        runs: the runs. out: the folder. tick: called after each frame.
-        within: the folder in which the runs' folders are; each file has the same place in `out`. table: of a comparison's runs.
-
-    Raises:
-        OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: no space.
+    `within`: the folder in which the runs' folders are; each file has the same place in `out`. table: of a comparison's runs. tick: called
+    after each frame. OutputError: `out` holds something already, or cannot be made. EnvironmentLackError: no space.
     """
     known: dict[str, Meaning] = {}
     with whole_folder(out) as folder:

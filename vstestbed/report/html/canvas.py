@@ -91,6 +91,14 @@ def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
     return figure
 
 
+def panels(figure: Figure, n: int, columns: int, **shared: Any) -> list[Any]:
+    """The first n axes of a grid in the figure, row by row; the others of the last row are hidden."""
+    found = figure.subplots(-(-n // columns), columns, squeeze=False, **shared).ravel().tolist()
+    for axes in found[n:]:
+        axes.set_visible(False)
+    return found[:n]
+
+
 def to_svg(figure: Figure, key: str, label: str) -> str:
     """The figure as an `<svg>` element for HTML; `key`: prefix of its identifiers, `label`: text for screen readers."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
@@ -110,11 +118,7 @@ def to_svg(figure: Figure, key: str, label: str) -> str:
 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
-    """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes."""
     kind, sink = path.suffix.lower()[1:], io.BytesIO()
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
     with _without_warnings():

@@ -18,9 +18,6 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.report.html.canvas import INK, RULE, WIDTH_IN
 
-# Numbers along an axis: where they stand, and as text.
-
-
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -68,12 +65,9 @@ def _power(value: float) -> str:
 
 
 Pair = tuple[float, float]
-POINT = 10
-"""Steps of a coordinate per point (1/72 in): all coordinates of curves are whole numbers."""
-LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0
-"""Margins around the panels and between two of them [pt]."""
-DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}
-"""Lengths of dashes and gaps, in widths of the line."""
+POINT = 10  # Steps of a coordinate per point (1/72 in): all coordinates of curves are whole numbers
+LEFT, RIGHT, BOTTOM, TOP, GAP = 64.0, 13.0, 32.0, 10.0, 13.0  # Margins around the panels and between two of them [pt]
+DASHES = {"-": (), ":": (1.0, 1.65), "--": (3.7, 1.6)}  # Lengths of dashes and gaps, in widths of the line
 MARKS = {
     "o": "m{0} 0a{1} {1} 0 1 0 {2} 0a{1} {1} 0 1 0 {3} 0",
     "x": "m{0} {0}l{2} {2}m0 {3}l{3} {2}",
@@ -85,25 +79,19 @@ MARKS = {
 
 @dataclass(frozen=True)
 class Curve:
-    """A line through points (x, y) [data units]; NaN is a gap, and an infinite coordinate is the panel's border.
-
-    Attributes:
-        linestyle: of DASHES, `none`, or as (0, lengths) in widths of the line. marker: of MARKS, at each point.
-        fill: colour inside, of the closed line or of its markers. zorder: of several curves, the higher lies above.
-        label: entry in the legend; "" for none. A curve without points is an entry alone.
-    """
+    """A line through points (x, y) [data units]; NaN is a gap, and an infinite coordinate is the panel's border."""
 
     x: Array
     y: Array
     color: str = INK
     linewidth: float = 1.4
     alpha: float = 1.0
-    linestyle: Any = "-"
-    marker: str = ""
+    linestyle: Any = "-"  # of DASHES, `none`, or as (0, lengths) in widths of the line
+    marker: str = ""  # of MARKS, at each point
     markersize: float = 6.0
-    fill: str = "none"
-    label: str = ""
-    zorder: float = 2.0
+    fill: str = "none"  # colour inside, of the closed line or of its markers
+    label: str = ""  # entry in the legend; "" for none. A curve without points is an entry alone
+    zorder: float = 2.0  # of several curves, the higher lies above
 
     def drawn(self, x: Array, y: Array) -> str:
         """The SVG of the curve through points [pt]."""
@@ -164,28 +152,22 @@ def text(x: float, y: float, words: str, anchor: str = "middle", color: str = IN
 
 @dataclass
 class ChartPanel:
-    """A pair of axes: curves, words, limits and labels; limits that are not given follow from the curves.
-
-    Attributes:
-        words: (x, y, text, anchor, colour) at points [data units]; at y = infinity below the upper border.
-        xlim, ylim: limits, in the order left, right and bottom, top. lowest: lower limit of y; least: least span of y.
-        equal: whether a unit is as long in x as in y. bare: without axes. log: whether y is logarithmic.
-        share: of the chart's height, as a multiple of another panel's.
-        in_words: number of a tick as text, of x and of y; None for `numerals`.
-    """
+    """A pair of axes: curves, words, limits and labels; limits that are not given follow from the curves."""
 
     curves: list[Curve] = field(default_factory=list)
+    # (x, y, text, anchor, colour) at points [data units]; at y = infinity below the upper border
     words: list[tuple[float, float, str, str, str]] = field(default_factory=list)
     labels: tuple[str, str] = ("", "")
     title: str = ""
-    xlim: Pair | None = None
+    xlim: Pair | None = None  # xlim, ylim: limits, in the order left, right and bottom, top
     ylim: Pair | None = None
-    lowest: float | None = None
-    least: float = 0.0
-    equal: bool = False
-    bare: bool = False
-    log: bool = False
-    share: float = 1.0
+    lowest: float | None = None  # lower limit of y
+    least: float = 0.0  # least span of y
+    equal: bool = False  # whether a unit is as long in x as in y
+    bare: bool = False  # without axes
+    log: bool = False  # whether y is logarithmic
+    share: float = 1.0  # of the chart's height, as a multiple of another panel's
+    # number of a tick as text, of x and of y; None for `numerals`
     in_words: tuple[Callable[[float], str] | None, Callable[[float], str] | None] = (None, None)
 
     def plot(self, x: Any, y: Any, **look: Any) -> None:
@@ -254,7 +236,6 @@ class ChartPanel:
             yield text(left + width / 2, top + height + 23, self.labels[0])
 
     def _numbers(self, axis: int, at: Array) -> list[str]:
-        """The ticks of x (0) or y (1) as text."""
         in_words = self.in_words[axis]
         # a logarithmic axis of less than a factor of two has the numbers of a linear one
         powers = self.log and axis == 1 and len(at) > 1 and at[-1] >= 2 * at[0]
@@ -262,7 +243,6 @@ class ChartPanel:
 
 
 def _bordered(values: Array, limits: Pair) -> Array:
-    """The values, infinite ones at the limits."""
     return np.where(np.isinf(values), np.where(values > 0, max(limits), min(limits)), values)
 
 

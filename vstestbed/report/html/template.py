@@ -1,11 +1,10 @@
-"""HTML template and style sheet of the pages: one column on a phone, two on a desk, light or dark as the reader's system.
-
-The page loads nothing from outside: no font, script or image, so that it opens the same without network and years later.
-"""
+"""HTML template, style sheet and parts of the pages, which load nothing from outside: the same without network and years later."""
 
 from __future__ import annotations
 
 import base64
+import math
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -63,6 +62,57 @@ a { color: var(--accent); }
   .plots { columns: 2 80mm; } .films { display: none; } }
 """
 
+TABLES = """
+.outcome.open { background: #55606c; }
+.outcome ul { margin: 8px 0 0; padding-left: 1.2em; }
+.wide { overflow-x: auto; background: var(--card); border: 1px solid var(--rule); border-radius: 10px; margin: 8px 0; }
+table { border-collapse: collapse; width: 100%; font-size: .84rem; font-variant-numeric: tabular-nums; }
+th, td { padding: 6px 7px; text-align: right; vertical-align: top; border-top: 1px solid var(--rule); font-weight: 400; }
+thead th { border-top: 0; vertical-align: bottom; font-size: .78rem; }
+th:first-child { text-align: left; min-width: 9.5em; overflow-wrap: break-word; }
+tbody th { font-weight: 600; }
+td small { font-size: .76rem; display: block; color: var(--soft); white-space: nowrap; }
+td { white-space: nowrap; }
+.real { color: var(--accent); }
+th button { all: unset; cursor: pointer; color: var(--soft); line-height: 1.25; }
+th button:hover, th button:focus-visible { text-decoration: underline; }
+th[aria-sort=ascending] button::after { content: " ▲"; } th[aria-sort=descending] button::after { content: " ▼"; }
+select { font: inherit; }
+.plan { display: grid; grid-template-columns: max-content 1fr; gap: 2px 18px; }
+.plan dt { color: var(--soft); } .plan dd { margin: 0; overflow-wrap: anywhere; }
+.failure summary .soft { font-weight: 400; }
+.broad { margin-top: 14px; }
+.gallery { display: grid; grid-template-columns: repeat(auto-fill, minmax(200px, 1fr)); gap: 10px; margin-top: 10px; }
+.gallery img { display: block; width: 100%; height: auto; border-radius: 6px; }
+.runs { margin: 6px 0; padding-left: 1.2em; font-size: .88rem; }
+code { font: .82rem/1.45 ui-monospace, SFMono-Regular, Menlo, Consolas, monospace; overflow-wrap: anywhere; }
+@media print { .outcome.open { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  .wide { overflow: visible; } table { font-size: 7pt; } }
+"""
+
+# The page must work from a file:// address without network: the script is inline and uses no library.
+SCRIPT = """<script>
+for (const table of document.querySelectorAll("table.sortable")) {
+  const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];
+  heads.forEach((head, column) => head.querySelector("button").addEventListener("click", () => {
+    const down = head.getAttribute("aria-sort") === "ascending", key = row => row.cells[column].dataset.value;
+    const number = text => text !== "" && isFinite(text);
+    heads.forEach(other => other.setAttribute("aria-sort", other !== head ? "none" : down ? "descending" : "ascending"));
+    const order = (a, b) => number(a) && number(b) ? a - b : a.localeCompare(b, undefined, { numeric: true });
+    [...body.rows].sort((one, two) => {
+      const a = key(one), b = key(two);
+      return a === "" || b === "" ? (a === "") - (b === "") : (down ? -1 : 1) * order(a, b);
+    }).forEach(row => body.append(row));
+  }));
+}
+const reference = document.getElementById("reference");
+if (reference) {
+  const show = () => document.querySelectorAll(".against").forEach(part => { part.hidden = part.dataset.reference !== reference.value; });
+  reference.addEventListener("change", show);
+  show();
+}
+</script>"""
+
 # The empty icon keeps browsers from asking for /favicon.ico.
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -86,7 +136,44 @@ PAGE = """<!DOCTYPE html>
 """
 
 
-# HTML parts of the pages: cards with a figure, films, folded text.
+def page(heading: str, body: Iterable[str], description: str = "", title: str = "", style: str = STYLE + TABLES) -> str:
+    """A whole page; title (as a rule the heading) and heading are text, all else is HTML, empty parts of the body are left out."""
+    title, content = escape(title or heading), "\n".join(filter(None, body))
+    return PAGE.format(title=title, style=style, heading=escape(heading), description=description, body=content)
+
+
+def made_by(command: str) -> str:
+    """The section with the command that repeats a study; empty without one."""
+    return f"<section><h2>How it was made</h2><p>Made again by<br><code>{escape(command)}</code></p></section>" if command else ""
+
+
+Cell = tuple[float | str | None, str]  # sort key of a table cell (None sorts last), and its HTML
+
+
+def table(heads: Sequence[str], lines: Sequence[Sequence[Cell]]) -> str:
+    """A table whose column heads are buttons that sort it; each cell carries its sort key as `data-value`."""
+    top = "".join(f'<th scope="col" aria-sort="none"><button type="button">{escape(h)}</button></th>' for h in heads)
+    body = "".join(f"<tr>{''.join(_cell(c, i) for i, c in enumerate(line))}</tr>" for line in lines)
+    return f'<div class="wide"><table class="sortable"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _cell(cell: Cell, place: int) -> str:
+    key, content = cell
+    # nine digits: values that differ only beyond the shown ones still sort
+    value = "" if key is None else escape(str(key) if isinstance(key, str | int) else f"{key:.9g}")
+    return f'<th scope="row" data-value="{value}">{content}</th>' if place == 0 else f'<td data-value="{value}">{content}</td>'
+
+
+def plain_table(heads: Sequence[str], lines: Iterable[Sequence[str]], named: bool = True) -> str:
+    """A table that does not sort; heads are text, cells are HTML, the first of a line is its name if `named`."""
+    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    first = '<th scope="row">{}</th>' if named else "<td>{}</td>"
+    rows = (first.format(line[0]) + "".join(f"<td>{cell}</td>" for cell in line[1:]) for line in lines)
+    return (
+        f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{"".join(f"<tr>{row}</tr>" for row in rows)}</tbody></table></div>'
+    )
+
+
 def figure(title: str, content: str, caption: str = "") -> str:
     """A card with title, content (HTML) and caption."""
     below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
@@ -113,6 +200,28 @@ def data_url(kind: str, content: bytes) -> str:
 def folded(title: str, text: str) -> str:
     """Preformatted text, folded under a title that opens it."""
     return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>"
+
+
+def number(value: object) -> str:
+    """A number with three significant figures, as HTML: fixed point where that is short, else a power of ten; a dash if unknown."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return "–" if value is None else escape(str(value))
+    if isinstance(value, int):
+        return str(value)
+    if not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        return f"{mantissa}·10<sup>{int(exponent)}</sup>"
+    digits = max(0, 2 - math.floor(math.log10(abs(value))))  # three significant figures
+    return f"{value:.{digits}f}"
+
+
+def plain(value: object) -> str:
+    """As `number`, without HTML, for text that is escaped as a whole: `1.23·10^-7`."""
+    return number(value).replace("<sup>", "^").replace("</sup>", "")
 
 
 # A page inside a Jupyter notebook's cell.

@@ -105,11 +105,9 @@ def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> 
 
 
 def error(tracks: Tracks) -> Chart:
-    """RMS image error over time, logarithmic, with the threshold and the intervals without target; a panel for each unit in the log.
+    """RMS image error over time, logarithmic, with threshold and intervals without target; a panel for each unit in the log.
 
-    In pixels over the coordinates of the markers, and of a law that compares pictures in grey levels over their pixels. For a tilted
-    craft also the error of the image rotated into its level frame, which decides convergence. Below, of a law with modes, the one that
-    it was in.
+    Of a tilted craft also the error of the image rotated into its level frame, which decides convergence. Below, the law's mode.
     """
     modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
     both = tracks.setting.image_errors
@@ -120,8 +118,7 @@ def error(tracks: Tracks) -> Chart:
         _mark_views(panel, tracks)
     if modes:
         _mark_modes(chart.panels[-1], tracks)
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None:
@@ -170,8 +167,7 @@ def pose_error(tracks: Tracks) -> Chart | None:
     for panel, value, color, label in zip(chart.panels, (position, angle), LINE_COLORS, ("position [m]", "rotation [deg]"), strict=False):
         panel.plot(tracks.t, value, color=color)
         panel.log, panel.labels = True, ("", label)
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def twist(tracks: Tracks) -> Chart:
@@ -184,8 +180,7 @@ def twist(tracks: Tracks) -> Chart:
             panel.plot(tracks.t, tracks.column(f"act_{part}{axis}"), color=color, **BAND)
             panel.plot(t_command, tracks.column(f"cmd_{part}{axis}"), color=color, linewidth=1.1, label=f"{part}{axis}")
         panel.least, panel.labels = LEAST_TWIST, ("", label)
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def depth(tracks: Tracks) -> Chart | None:
@@ -200,8 +195,7 @@ def depth(tracks: Tracks) -> Chart | None:
             panel.plot(tracks.t, true[:, i], color=color, **BAND)
         panel.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **({"label": tracks.names[i]} if tracks.names else {}))
     panel.least, panel.labels = LEAST_DEPTH * float(np.nanmedian(np.abs(used))), ("", "depth [m]")
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 JOINT_PANELS = (("q", "position [rad, m]"), ("qd", "velocity [rad/s, m/s]"), ("ctrl", "input [own unit]"))
@@ -222,8 +216,7 @@ def joints(tracks: Tracks) -> Chart | None:
             entry = {"label": name} if len(names) <= 16 else {}
             panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color, linewidth=1.2, **entry)
         panel.labels = "", label
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def _moving(tracks: Tracks, stem: str) -> list[str]:
@@ -237,7 +230,7 @@ def _edge(trail: Array, which: int) -> Array:
     return finite[[which]].T if len(finite) else np.empty((trail.shape[1], 0))
 
 
-def over_time(chart: Chart, tracks: Tracks) -> None:
+def over_time(chart: Chart, tracks: Tracks) -> Chart:
     """Give all panels the time from the log's first to its last row, and shade the intervals in which the target was lost."""
     t = tracks.t[np.isfinite(tracks.t)]
     for panel in chart.panels:
@@ -246,3 +239,4 @@ def over_time(chart: Chart, tracks: Tracks) -> None:
             panel.xlim = float(t[0]), float(t[-1])
         for start, end in tracks.lost_intervals():
             panel.area((start, end), (-np.inf, np.inf), LOST, 0.16, "target lost")
+    return chart

@@ -3,69 +3,60 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from html import escape
 from typing import Any, Final
 
 from vstestbed.loop.stability import reversal
 from vstestbed.report.html.canvas import LINE_COLORS
+from vstestbed.report.html.template import number, plain
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 from vstestbed.tasks.metrics import own_titles
 
 Summary = Mapping[str, Any]
-
-
-TILES: Final = (
-    ("time_to_converge_s", "Time to converge", "s"),
-    ("final_error_px", "Measured image error", "px"),
-    ("final_position_error_m", "True position error", "m"),
-    ("final_rotation_error_deg", "True rotation error", "deg"),
-    ("path_length_m", "Path length", "m"),
-    ("real_time_factor", "Real-time factor, films included", "×"),
-)
-GREY_TILE: Final = ("final_error_grey", "Measured image error", "grey levels")
-"""In place of the second tile, of a law that works on grey levels and measures no markers."""
-CONTINUING_TILES: Final = (("worst_task_error_m", "Largest error once settled", "m"), *TILES[4:])
+TILES: Final = {
+    "time_to_converge_s": ("Time to converge", "s"),
+    "final_error_px": ("Measured image error", "px"),
+    "final_error_grey": ("Measured image error", "grey levels"),
+    "worst_task_error_m": ("Largest error once settled", "m"),
+    "final_position_error_m": ("True position error", "m"),
+    "final_rotation_error_deg": ("True rotation error", "deg"),
+    "path_length_m": ("Path length", "m"),
+    "real_time_factor": ("Real-time factor, films included", "×"),
+}
+ROWS: Final = {
+    "seed": ("Seed", ""),
+    "sim_time_s": ("Simulated time", "s"),
+    "wall_time_s": ("Wall time", "s"),
+    "frames": ("Frames", ""),
+    "frames_lost": ("Frames without target", ""),
+    "path_ratio": ("Path over straight line", "×"),
+    "max_retreat_m": ("Largest retreat", "m"),
+    "max_rotation_deg": ("Largest rotation", "deg"),
+    "max_feature_excursion_px": ("Largest feature excursion", "px"),
+    "feature_overshoot": ("Overshoot of features", "×"),
+    "min_border_margin_px": ("Smallest margin to the border", "px"),
+    "peak_speed_mps": ("Peak speed", "m/s"),
+    "peak_rate_radps": ("Peak rate of turn", "rad/s"),
+    "saturated_fraction": ("Frames with a limited command", "%"),
+}
+OF_SOME_RUNS: Final = {
+    "tracking_rms_px": ("Tracking error, RMS", "px"),
+    "tracking_max_px": ("Tracking error, largest", "px"),
+    "tracking_rms_m": ("Camera from its goal, RMS", "m"),
+    "tracking_max_m": ("Camera from its goal, largest", "m"),
+    "law_switches": ("Switches of the law", ""),
+    "law_shortest_stay_s": ("Shortest time between two switches", "s"),
+    "pictures_lost": ("Pictures lost", ""),
+    "pictures_refused": ("Pictures refused, out of order", ""),
+    "commands_lost": ("Commands lost", ""),
+    "swung_s": ("Longest time for which the command swung", "s"),
+    "swing_frames": ("Period of that swing, in frames", ""),
+}
+"""Of a moving target (measured after settling); a law with modes; wrong time stamps or a lossy link; a command that swung."""
+TITLES: Final = TILES | ROWS | OF_SOME_RUNS  # title and unit of each number of `summary.json`
+CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """Tiles of a continuing task, which has no goal pose to measure an error from."""
-ROWS: Final = (
-    ("seed", "Seed", ""),
-    ("sim_time_s", "Simulated time", "s"),
-    ("wall_time_s", "Wall time", "s"),
-    ("frames", "Frames", ""),
-    ("frames_lost", "Frames without target", ""),
-    ("path_ratio", "Path over straight line", "×"),
-    ("max_retreat_m", "Largest retreat", "m"),
-    ("max_rotation_deg", "Largest rotation", "deg"),
-    ("max_feature_excursion_px", "Largest feature excursion", "px"),
-    ("feature_overshoot", "Overshoot of features", "×"),
-    ("min_border_margin_px", "Smallest margin to the border", "px"),
-    ("peak_speed_mps", "Peak speed", "m/s"),
-    ("peak_rate_radps", "Peak rate of turn", "rad/s"),
-    ("saturated_fraction", "Frames with a limited command", "%"),
-)
-TRACKING_ROWS: Final = (
-    ("tracking_rms_px", "Tracking error, RMS", "px"),
-    ("tracking_max_px", "Tracking error, largest", "px"),
-    ("tracking_rms_m", "Camera from its goal, RMS", "m"),
-    ("tracking_max_m", "Camera from its goal, largest", "m"),
-)
-"""Rows of a run with a moving target; measured after settling."""
-MODE_ROWS: Final = (
-    ("law_switches", "Switches of the law", ""),
-    ("law_shortest_stay_s", "Shortest time between two switches", "s"),
-)
-"""Rows of a law with modes."""
-LINK_ROWS: Final = (
-    ("pictures_lost", "Pictures lost", ""),
-    ("pictures_refused", "Pictures refused, out of order", ""),
-    ("commands_lost", "Commands lost", ""),
-)
-"""Rows of a run with wrong time stamps, pictures out of order or a link that loses."""
-SWING_ROWS: Final = (
-    ("swung_s", "Longest time for which the command swung", "s"),
-    ("swing_frames", "Period of that swing, in frames", ""),
-)
-"""Rows of a run whose command swung."""
 
 
 def headline(summary: Summary) -> str:
@@ -99,26 +90,30 @@ def outcome_text(summary: Summary) -> str:
 
 
 def tiles(summary: Summary) -> str:
-    """The most important numbers."""
-    shown = CONTINUING_TILES if "worst_task_error_m" in summary else TILES
-    if "final_error_grey" in summary and summary.get("final_error_px") is None:
-        shown = tuple(GREY_TILE if tile[0] == "final_error_px" else tile for tile in shown)
-    items = [f"<div><dt>{name}</dt><dd>{_with_unit(summary.get(key), unit)}</dd></div>" for key, name, unit in shown]
-    return f'<dl class="tiles">{"".join(items)}</dl>'
+    """The most important numbers; of a law that works on grey levels and measures no markers the error in grey levels."""
+    other = "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
+    ended = (name for name in TILES if name not in (f"final_error_{other}", "worst_task_error_m"))
+    shown = CONTINUING if "worst_task_error_m" in summary else ended
+    return _list("tiles", ((TITLES[name][0], _with_unit(summary.get(name), TITLES[name][1])) for name in shown))
 
 
 def table(summary: Summary) -> str:
     """The other numbers, one per line; those of the scenario's own metrics come last."""
+    own = own_titles()
+    names = (*ROWS, *(name for name in OF_SOME_RUNS if summary.get(name) is not None), *(name for name in own if name in summary))
     items = []
-    own = tuple((key, *title) for key, title in own_titles().items() if key in summary)
-    for key, name, unit in (
-        ROWS + tuple(row for row in TRACKING_ROWS + MODE_ROWS + LINK_ROWS + SWING_ROWS if summary.get(row[0]) is not None) + own
-    ):
-        value = summary.get(key)
+    for name in names:
+        title, unit = TITLES.get(name) or own[name]
+        value = summary.get(name)
         if unit == "%" and isinstance(value, float):  # the summary holds shares
             value = 100 * value
-        items.append(f"<div><dt>{escape(name)}</dt><dd>{_with_unit(value, escape(unit))}</dd></div>")
-    return f'<dl class="numbers">{"".join(items)}</dl>'
+        items.append((escape(title), _with_unit(value, escape(unit))))
+    return _list("numbers", items)
+
+
+def _list(kind: str, items: Iterable[tuple[str, str]], more: str = "") -> str:
+    """Titles with their values, all HTML."""
+    return f'<dl class="{kind}"{more}>{"".join(f"<div><dt>{title}</dt><dd>{value}</dd></div>" for title, value in items)}</dl>'
 
 
 def timing(summary: Summary) -> str:
@@ -140,30 +135,8 @@ def provenance(summary: Summary) -> str:
     versions = dict(summary.get("versions") or {})
     if not versions:
         return ""
-    items = [f"<div><dt>{escape(str(k))}</dt><dd>{escape(str(v))}</dd></div>" for k, v in versions.items()]
-    return f'<details><summary>Made with</summary><dl class="numbers" style="border:0">{"".join(items)}</dl></details>'
-
-
-def number(value: object) -> str:
-    """A number with three significant figures, as HTML: fixed point where that is short, else a power of ten; a dash if unknown."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return "–" if value is None else escape(str(value))
-    if isinstance(value, int):
-        return str(value)
-    if not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    if not 1e-4 <= abs(value) < 1e6:
-        mantissa, exponent = f"{value:.2e}".split("e")
-        return f"{mantissa}·10<sup>{int(exponent)}</sup>"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))  # three significant figures
-    return f"{value:.{digits}f}"
-
-
-def plain(value: object) -> str:
-    """As `number`, without HTML, for text that is escaped as a whole: `1.23·10^-7`."""
-    return number(value).replace("<sup>", "^").replace("</sup>", "")
+    items = _list("numbers", ((escape(str(k)), escape(str(v))) for k, v in versions.items()), ' style="border:0"')
+    return f"<details><summary>Made with</summary>{items}</details>"
 
 
 def _with_unit(value: object, unit: str) -> str:
@@ -179,5 +152,4 @@ def _is_number(value: object) -> bool:
 
 
 def _sentence(words: str) -> str:
-    """The text with a capital letter and a full stop."""
     return words[:1].upper() + words[1:].rstrip(".") + "." if words else ""

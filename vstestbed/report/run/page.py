@@ -15,109 +15,68 @@ from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.html.chart import Chart
-from vstestbed.report.html.template import PAGE, STYLE, cell, figure, film, folded, picture
+from vstestbed.report.html.template import STYLE, cell, figure, film, folded, page, picture
 from vstestbed.report.run import figures, numbers, robots, space
-from vstestbed.report.run import robots as plane
-from vstestbed.report.run import space as angles
 from vstestbed.report.run.tracks import Setting, Tracks
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording, Rows
 
-FARTHEST_M: Final = 1e6
-"""Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target."""
+FARTHEST_M: Final = 1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
 EMBED_BYTES: Final = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
 
-NOTEBOOK_PX: Final = 720
-"""Height of the report in a notebook [px]."""
+NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
 
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 
-# Of each figure: key, title, caption, function that draws it or gives None.
-Plot = tuple[str, str, str, Callable[[Tracks], Chart | None]]
-PLOTS: Final[tuple[Plot, ...]] = (
-    (
-        "features",
+# Title and caption of each figure, by the function that draws it or gives None.
+PLOTS: Final[dict[Callable[[Tracks], Chart | None], tuple[str, str]]] = {
+    figures.features: (
         "Features in the image",
         "The path of each marker, or of a region's middle, through the image; the frame is the image border.",
-        figures.features,
     ),
-    (
-        "polar",
+    space.polar: (
         "Features in polar coordinates",
         "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the distance from it.",
-        angles.polar,
     ),
-    (
-        "spherical",
+    space.spherical: (
         "Features in spherical coordinates",
         "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the angle from it.",
-        angles.spherical,
     ),
-    (
-        "sphere",
+    space.on_sphere: (
         "Features on the sphere",
         "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
-        angles.on_sphere,
     ),
-    (
-        "error",
+    figures.error: (
         "Error in the image",
         "Root mean square of goal minus measured: over the markers' coordinates [px], or over the picture's pixels, with the law's weights "
         "[grey levels].",
-        figures.error,
     ),
-    ("path", "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks.", space.camera_path),
-    (
-        "plane",
+    space.camera_path: ("Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks."),
+    robots.plane: (
         "Path on the floor",
         "From above, equal scale. Shaded: the region in the image, at the landmarks' height, at the start and at the end.",
-        plane.plane,
     ),
-    (
-        "off",
+    robots.task_error: (
         "Error of the task",
         "True error: distance of the camera from its goal or path, gap minus the desired gap, or lateral offset to the left of the line.",
-        robots.task_error,
     ),
-    ("twist", "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band).", figures.twist),
-    (
-        "velocity",
+    figures.twist: ("Camera twist", "In the camera's frame: commanded (thin line) and true (pale band)."),
+    robots.velocity: (
         "Velocity of the craft",
         "In its level frame: commanded (thin line) and its own estimate of the velocity flown (pale band).",
-        robots.velocity,
     ),
-    (
-        "tilt",
-        "Tilt",
-        "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted).",
-        robots.tilt,
-    ),
-    ("rates", "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band).", robots.rates),
-    ("rotors", "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes.", robots.rotors),
-    ("pose", "Distance from the goal", "True pose against the goal pose.", figures.pose_error),
-    ("depth", "Depth of the markers", "As the law used it (thin line) and true (pale band).", figures.depth),
-    (
-        "place",
-        "Localisation error",
-        "Estimated minus true position (distance) and heading (counter-clockwise).",
-        robots.localisation_error,
-    ),
-    ("wheels", "Wheels and steering", "Commanded (thin line) and measured (pale band).", robots.wheels),
-    (
-        "slip",
-        "Slip",
-        "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames.",
-        robots.slip,
-    ),
-    (
-        "joints",
-        "Joints and actuators",
-        "Positions [rad or m], velocities, and actuator inputs in the actuators' own units.",
-        figures.joints,
-    ),
-)
+    robots.tilt: ("Tilt", "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted)."),
+    robots.rates: ("Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band)."),
+    robots.rotors: ("Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes."),
+    figures.pose_error: ("Distance from the goal", "True pose against the goal pose."),
+    figures.depth: ("Depth of the markers", "As the law used it (thin line) and true (pale band)."),
+    robots.localisation_error: ("Localisation error", "Estimated minus true position (distance) and heading (counter-clockwise)."),
+    robots.wheels: ("Wheels and steering", "Commanded (thin line) and measured (pale band)."),
+    robots.slip: ("Slip", "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames."),
+    figures.joints: ("Joints and actuators", "Positions [rad or m], velocities, and actuator inputs in the actuators' own units."),
+}
 
 
 TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
@@ -130,14 +89,12 @@ def write_report(
 
     Args:
         run_dir: the folder with both scenarios, `summary.json`, `log.parquet` (or `log.part`) and films, if there are any.
-        log: the run's log, if the caller has it already; else that of the folder, of which little is in memory at a time.
-        setting: scenario data for the figures; by default from the folder's scenario.
+        log, setting: log and scenario data of the figures, if the caller has them already; else those of the folder.
         plugins: files or modules, besides those that `scenario.yaml` names.
 
     Raises:
-        RunFolderError: the folder holds no run, a damaged one, or one without a frame. ScenarioError, PluginError: its scenario cannot be
-            loaded.
-        OutputError: the page cannot be written.
+        RunFolderError: the folder holds no run, a damaged one, or one without a frame.
+        ScenarioError, PluginError: its scenario cannot be loaded. OutputError: the page cannot be written.
     """
     from vstestbed.scenario.dump import load_run  # here: the figures themselves need no scenario
     from vstestbed.scenario.load import GIVEN, RESOLVED, text_of
@@ -167,11 +124,9 @@ def render_page(
     """The report as HTML that refers to nothing outside itself (films of more than 30 MB together excepted).
 
     Args:
-        log: one row per frame, the columns of `log.parquet`; may be empty.
-        summary: the content of `summary.json`; a missing number shows as a dash.
-        texts: the scenario as given and as it ran, by the names of the files, shown verbatim.
-        videos: films by name (`camera`, `overview`).
-        setting: scenario data for the figures.
+        log: one row per frame, the columns of `log.parquet`; may be empty. summary: that of `summary.json`; missing numbers show as dashes.
+        texts: the scenario as given and as it ran, by the names of the files, shown verbatim. videos: films by name (`camera`, `overview`).
+        setting: data for the figures.
         goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
@@ -191,8 +146,7 @@ def render_page(
     subtitle = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
     if setting.changed:
         subtitle += f'<p class="soft">Changed in this run: {", ".join(f"<code>{escape(one)}</code>" for one in setting.changed)}</p>'
-    title = f"{name}: {numbers.outcome_text(summary)}"
-    return PAGE.format(title=escape(title), style=STYLE, heading=escape(name), description=subtitle, body="\n".join(filter(None, body)))
+    return page(name, body, subtitle, f"{name}: {numbers.outcome_text(summary)}", STYLE)
 
 
 def recording_cell(recording: Recording) -> str:
@@ -204,8 +158,7 @@ def recording_cell(recording: Recording) -> str:
 
 
 def _figures(tracks: Tracks) -> str:
-    """All figures that apply to this run, as inline SVG."""
-    charts = ((title, draw(tracks), caption) for _, title, caption, draw in PLOTS)
+    charts = ((title, draw(tracks), caption) for draw, (title, caption) in PLOTS.items())
     return "".join(figure(title, chart.svg(title), caption) for title, chart, caption in charts if chart is not None)
 
 
@@ -222,7 +175,6 @@ def _films(videos: Mapping[str, Path]) -> str:
 
 
 def _goal_pictures(pictures: Sequence[bytes]) -> str:
-    """The pictures with which law or detector compared."""
     cards = "".join(picture("Goal" if len(pictures) == 1 else f"View {i + 1}", png) for i, png in enumerate(pictures))
     return f'<section class="films"><h2>Picture of the goal</h2><div class="grid">{cards}</div></section>' if cards else ""
 

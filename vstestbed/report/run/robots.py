@@ -16,9 +16,7 @@ from vstestbed.report.run.tracks import GroundTask, Tracks, largest_deviation, v
 # Figures over time of a quadrotor: velocity, attitude and body rates with their references; rotors, wind.
 
 
-AXES = ("ahead", "left", "up")
-LIMIT_RADPS = 1000.0
-"""Speed limit of a rotor [rad/s], from models/quadrotor.xml."""
+LIMIT_RADPS = 1000.0  # Speed limit of a rotor [rad/s], from models/quadrotor.xml
 
 
 def velocity(tracks: Tracks) -> Chart | None:
@@ -29,14 +27,7 @@ def velocity(tracks: Tracks) -> Chart | None:
     # applied_*: the camera twist in the camera frame after the robot's limits; the mount's adjoint takes it to the craft
     applied = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
     commanded = applied @ adjoint(camera.mount.T).T
-    chart = Chart(4.4, 3)
-    for i, panel in enumerate(chart.panels):
-        panel.rule(0)
-        panel.plot(tracks.t, flown[:, i], color=LINE_COLORS[i], **BAND)
-        panel.plot(tracks.t, commanded[:, i], color=LINE_COLORS[i], linewidth=1.0)
-        panel.labels = "", f"{AXES[i]} [m/s]"
-    over_time(chart, tracks)
-    return chart
+    return _three(tracks, flown, commanded, [f"{axis} [m/s]" for axis in ("ahead", "left", "up")])
 
 
 def tilt(tracks: Tracks) -> Chart | None:
@@ -44,7 +35,8 @@ def tilt(tracks: Tracks) -> Chart | None:
     estimated, reference, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
     if camera is None or not np.isfinite(estimated).any():
         return None
-    true = _tilt_of(tracks.poses("cam") @ inverse(camera.mount.T))
+    up = (tracks.poses("cam") @ inverse(camera.mount.T))[:, 2, :3]  # the world's z axis in the base frame: independent of yaw
+    true = np.column_stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1, 1))])
     chart = Chart(3.0)
     (panel,) = chart.panels
     panel.rule(0)
@@ -53,8 +45,7 @@ def tilt(tracks: Tracks) -> Chart | None:
         panel.plot(tracks.t, np.degrees(estimated[:, i]), color=LINE_COLORS[i], linewidth=1.0, label=name)
         panel.plot(tracks.t, np.degrees(reference[:, i]), color=LINE_COLORS[i], linewidth=1.0, linestyle=":")
     panel.labels = "", "tilt [deg]"
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def rates(tracks: Tracks) -> Chart | None:
@@ -62,20 +53,18 @@ def rates(tracks: Tracks) -> Chart | None:
     flown, reference = (tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz"))) for what in ("est", "ref"))
     if not np.isfinite(flown).any():
         return None
+    return _three(tracks, np.degrees(flown), np.degrees(reference), [f"{axis} [deg/s]" for axis in ("roll", "pitch", "yaw")])
+
+
+def _three(tracks: Tracks, measured: Array, reference: Array, labels: list[str]) -> Chart:
+    """Three panels with a column each of what was measured (pale band) and its reference (thin line), both (T, 3)."""
     chart = Chart(4.4, 3)
     for i, panel in enumerate(chart.panels):
         panel.rule(0)
-        panel.plot(tracks.t, np.degrees(flown[:, i]), color=LINE_COLORS[i], **BAND)
-        panel.plot(tracks.t, np.degrees(reference[:, i]), color=LINE_COLORS[i], linewidth=1.0)
-        panel.labels = "", f"{('roll', 'pitch', 'yaw')[i]} [deg/s]"
-    over_time(chart, tracks)
-    return chart
-
-
-def _tilt_of(T_world_base: Array) -> Array:
-    """Roll and pitch (n, 2) [rad] of poses (n, 4, 4)."""
-    up = T_world_base[:, 2, :3]  # the world's z axis in the base frame: independent of yaw
-    return np.column_stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1, 1))])
+        panel.plot(tracks.t, measured[:, i], color=LINE_COLORS[i], **BAND)
+        panel.plot(tracks.t, reference[:, i], color=LINE_COLORS[i], linewidth=1.0)
+        panel.labels = "", labels[i]
+    return over_time(chart, tracks)
 
 
 def rotors(tracks: Tracks) -> Chart | None:
@@ -94,8 +83,7 @@ def rotors(tracks: Tracks) -> Chart | None:
     for i in range(3) if windy else ():
         chart.panels[1].plot(tracks.t, wind[:, i], color=LINE_COLORS[i], linewidth=1.0, label=f"wind {'xyz'[i]}")
         chart.panels[1].labels = "", "wind [m/s]"
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 # Figures over time of a ground vehicle: wheels, slip, localisation error, error of the task.
@@ -110,7 +98,8 @@ def wheels(tracks: Tracks) -> Chart | None:
     """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
     if tracks.setting.ground_task is None:
         return None
-    panels = _wheel_panels(tracks)
+    panels = [(stem, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering), label) for stem, steering, label in WHEEL_PANELS]
+    panels = [panel for panel in panels if panel[1] or panel[2]]
     names = list(dict.fromkeys(n for _, measured, commanded, _ in panels for n in (*measured, *commanded)))
     if not names:
         return None
@@ -124,14 +113,7 @@ def wheels(tracks: Tracks) -> Chart | None:
         panel.labels = "", label
     for name in names:  # an entry of full colour, where the first curve may be a pale band
         chart.panels[0].plot([], [], color=color[name], label=name)
-    over_time(chart, tracks)
-    return chart
-
-
-def _wheel_panels(tracks: Tracks) -> list[tuple[str, list[str], list[str], str]]:
-    """The panels with data: column of the measurement, measured joints, commanded joints, label."""
-    panels = [(stem, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering), label) for stem, steering, label in WHEEL_PANELS]
-    return [panel for panel in panels if panel[1] or panel[2]]
+    return over_time(chart, tracks)
 
 
 def _joints(tracks: Tracks, stem: str, steering: bool) -> list[str]:
@@ -156,8 +138,7 @@ def localisation_error(tracks: Tracks) -> Chart | None:
     upper.lowest = 0  # a distance
     upper.labels = "", "position [m]"
     lower.labels = "", "heading [deg]"
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def slip(tracks: Tracks) -> Chart | None:
@@ -173,8 +154,7 @@ def slip(tracks: Tracks) -> Chart | None:
         panel.plot(tracks.t, value, color=LINE_COLORS[0], linewidth=1.0)
         panel.least, panel.lowest = least, 0
         panel.labels = "", label
-    over_time(chart, tracks)
-    return chart
+    return over_time(chart, tracks)
 
 
 def task_error(tracks: Tracks) -> Chart | None:
@@ -188,27 +168,19 @@ def task_error(tracks: Tracks) -> Chart | None:
     if band is not None:
         last = max(float(np.nanmax(tracks.t)), settle)
         panel.area((settle, last), (-band, band), GOAL, 0.14, f"band, {band:g} m to each side")
-        worst = _worst(tracks.t, value, settle)
-        panel.title = "" if np.isnan(worst) else f"at most {worst:.3f} m off once settled"
+        later = np.abs(value[(tracks.t >= settle) & np.isfinite(value)])
+        panel.title = f"at most {later.max():.3f} m off once settled" if len(later) else ""
     panel.rule(0)
     panel.plot(tracks.t, value, color=LINE_COLORS[0])
     panel.labels = "", "off [m]"
-    over_time(chart, tracks)
-    return chart
-
-
-def _worst(t: Array, value: Array, settled: float) -> float:
-    """Largest magnitude after the settling time [s]; NaN without a value after it."""
-    later = np.abs(value[(t >= settled) & np.isfinite(value)])
-    return float(later.max()) if len(later) else float("nan")
+    return over_time(chart, tracks)
 
 
 # Floor plan of a vehicle's run: true path, estimated path, odometry, landmarks, and the visible region. Equal scale.
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 """Corners of an arrow head of length about 1 that points along x: the vehicle."""
-HEADING_EVERY = 0.09
-"""Distance between the headings that are drawn along the path, as a share of the figure's extent."""
-TRUE, ESTIMATED, ODOMETRY = LINE_COLORS[0], LINE_COLORS[1], LINE_COLORS[3]
+HEADING_EVERY = 0.09  # Distance between the headings that are drawn along the path, as a share of the figure's extent
+TRUE = LINE_COLORS[0]
 
 
 def plane(tracks: Tracks) -> Chart | None:
@@ -228,7 +200,8 @@ def plane(tracks: Tracks) -> Chart | None:
     _draw_views(panel, tracks, ground_task, landmarks, span)
     _draw_task(panel, tracks, ground_task, span)
     _draw_paths(panel, tracks, ground_task, span)
-    _draw_landmarks(panel, landmarks)
+    for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
+        panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
     panel.equal, panel.labels = True, ("x [m]", "y [m]")
     panel.xlim, panel.ylim = (low[0], high[0]), (low[1], high[1])
     chart.fit(1.9, 5.0)
@@ -269,7 +242,6 @@ def _draw_views(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, land
 
 
 def _draw_task(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
-    """Reference path, path of the target, goals."""
     if len(ground_task.reference_path):
         panel.plot(*ground_task.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
     target = _moving_target(tracks)
@@ -284,7 +256,7 @@ def _draw_task(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span:
 def _draw_paths(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span: float) -> None:
     """The true path as a pale band with headings, the other paths over it; the vehicle at start and end."""
     true = tracks.planar_poses("base")
-    for stem, color, label in (("odo", ODOMETRY, "by odometry alone"), ("est", ESTIMATED, "as estimated")):
+    for stem, label, color in reversed(ESTIMATES):
         path = tracks.planar_poses(stem)
         if np.isfinite(path).any():
             panel.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
@@ -308,11 +280,6 @@ def _evenly(xy: Array, distance: float) -> Any:
     return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
 
 
-def _draw_landmarks(panel: ChartPanel, landmarks: Array) -> None:
-    for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
-        panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
-
-
 def _dart(panel: ChartPanel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
     """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
     # rows are points, hence the transposed rotation
@@ -325,5 +292,4 @@ def _dart(panel: ChartPanel, place: Array, size: float, label: str, color: str, 
 
 
 def _length(metres: float) -> str:
-    """A length as text, in m, cm or mm."""
     return f"{metres:.2f} m" if metres >= 1 else f"{100 * metres:.1f} cm" if metres >= 0.01 else f"{1000 * metres:.1f} mm"

@@ -26,10 +26,7 @@ PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 
 
 def camera_path(tracks: Tracks) -> Chart | None:
-    """The camera's path in the world, its viewing pyramids along it, the markers, the goal view; None for a ground vehicle.
-
-    A ground vehicle's camera stays at its height: its path is drawn in the plane (`floor_plan`).
-    """
+    """The camera's path in the world, its viewing pyramids, the markers, the goal view; None for a vehicle, which has a floor plan."""
     if tracks.setting.ground_task is not None:
         return None
     cameras = tracks.poses("cam")
@@ -38,7 +35,8 @@ def camera_path(tracks: Tracks) -> Chart | None:
         return None
     targets = tracks.poses("tgt")
     targets = targets[np.isfinite(targets).all(axis=(1, 2))]
-    goal = _goal_camera(tracks, targets)
+    view = tracks.setting.T_camera_target
+    goal = targets[-1] @ inverse(view) if view is not None and len(targets) else None  # for the last pose of the target
     shown = [cameras[:, :3, 3], targets[:, :3, 3]] + ([goal[None, :3, 3]] if goal is not None else [])
     if len(targets) and tracks.setting.points is not None:
         shown.append(transform(targets[-1], tracks.setting.points))
@@ -53,12 +51,6 @@ def camera_path(tracks: Tracks) -> Chart | None:
     _draw_target(space, targets, tracks.setting.points, size)
     chart.fit(1.9, 4.2)
     return chart
-
-
-def _goal_camera(tracks: Tracks, targets: Array) -> Array | None:
-    """Goal pose T_world_camera (4, 4) for the target's last pose; None without a goal view."""
-    view = tracks.setting.T_camera_target
-    return targets[-1] @ inverse(view) if view is not None and len(targets) else None
 
 
 def _draw_cameras(space: Space, cameras: Array, goal: Array | None, size: float) -> None:
@@ -98,8 +90,7 @@ def _pyramid(T: Array, size: float) -> Array:
 # The unit sphere around the camera centre in 3-D: graticule, axes, viewpoint.
 #
 # Camera axes (x right, y down, z forward) are drawn as (x, z, -y), so that down is down.
-FAR = 0.4
-"""Factor of the opacity of lines on the far side."""
+FAR = 0.4  # Factor of the opacity of lines on the far side
 
 
 def drawn(p: Array) -> Array:
@@ -204,13 +195,7 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | No
 
 
 def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Array:
-    """The feature's two coordinates of each marker, phi first, shape (T, N, 2) [rad, and 1 or rad]; NaN where not seen.
-
-    Args:
-        tracks: the run.
-        feature: the feature that measures them.
-        suffix: "" for the measured markers, `_true` or `_goal`.
-    """
+    """The feature's coordinates of each marker, phi first, (T, N, 2) [rad, and 1 or rad]; suffix: "" (measured), `_true` or `_goal`."""
     camera, uv = tracks.setting.camera, tracks.pixels(suffix)
     if camera is None:
         return np.full(uv.shape, np.nan)
@@ -246,7 +231,6 @@ def _whole_turns(difference: Array) -> float:
 
 
 def _in_pi(value: float) -> str:
-    """A multiple of pi as text."""
     text = f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
     return text if float(value) == 0 else {"1": "π", "\N{MINUS SIGN}1": "\N{MINUS SIGN}π"}.get(text, f"{text}π")
 

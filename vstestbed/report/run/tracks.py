@@ -21,29 +21,20 @@ if TYPE_CHECKING:
 
 
 # Task of a ground vehicle as its figures need it: goals, reference path, tolerance, camera, and the path of an ideal bicycle.
-RINGS, DIRECTIONS = 120, 541
-"""Polar grid around the camera's foot point on which the visible region of a plane is sampled."""
+RINGS, DIRECTIONS = 120, 541  # Polar grid around the camera's foot point on which the visible region of a plane is sampled
 
 
 @dataclass(frozen=True)
 class GroundTask:
-    """Task of a ground vehicle; arrays are empty where the scenario has nothing of the kind.
+    """Task of a ground vehicle; arrays are empty where the scenario has nothing of the kind."""
 
-    Attributes:
-        goals: goal poses (x, y, heading) in their order, shape (K, 3) [m, m, rad].
-        reference_path: path to be driven, by the vehicle itself or by the target that it follows, shape (M, 2) [m].
-        camera: the servo camera.
-        band_m: error tolerance of a continuing task after `settle_s` [s], [m]; None for a task with an end.
-        expected_path: path of an ideal vehicle from the same start, shape (K, 2) [m]; expected_path_name: its name in the legend.
-    """
-
-    goals: Array
-    reference_path: Array
-    camera: Camera
-    band_m: float | None = None
+    goals: Array  # goal poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
+    reference_path: Array  # path to be driven, by the vehicle itself or by the target that it follows, shape (M, 2) [m]
+    camera: Camera  # the servo camera
+    band_m: float | None = None  # error tolerance of a continuing task after `settle_s` [s], [m]; None for a task with an end
     settle_s: float = 0.0
-    expected_path: Array | None = None
-    expected_path_name: str = "ideal bicycle"
+    expected_path: Array | None = None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
+    expected_path_name: str = "ideal bicycle"  # its name in the legend
 
     @classmethod
     def of(cls, scenario: Scenario) -> GroundTask | None:
@@ -95,15 +86,9 @@ def largest_deviation(path: Array, reference: Array) -> float:
 
 
 def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: float) -> tuple[Array, Array, Array]:
-    """The part of a horizontal plane that is in the image, within a distance of the camera's foot point.
+    """The part of the horizontal plane at this height [m] that is in the image, within `reach` [m] of the camera's foot point.
 
-    Args:
-        camera: the camera model. T_world_camera: its pose, shape (4, 4).
-        height: z of the plane in the world, such as that of the landmarks [m].
-        reach: radius of the sampled disc [m].
-
-    Returns:
-        x, y [m] of the grid's points and 1 where a point is in the image, else 0; shape (RINGS, DIRECTIONS) each.
+    Gives x, y [m] of a grid's points and 1 where a point is in the image, else 0; shape (RINGS, DIRECTIONS) each.
     """
     r, a = np.linspace(1e-3, reach, RINGS)[:, None], np.linspace(0, 2 * np.pi, DIRECTIONS)
     foot = T_world_camera[:3, 3]
@@ -116,65 +101,40 @@ def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: 
     return foot[0] + across, foot[1] + along, seen.reshape(across.shape).astype(float)
 
 
-MOST_ROWS = 4000
-"""Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once."""
-GREY = "error_grey", "RMS difference [grey levels]", "grey levels"
-"""The error of a law that compares pictures, as in `MeasuredError`."""
+MOST_ROWS = 4000  # Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once
+GREY = "error_grey", "RMS difference [grey levels]", "grey levels"  # The error of a law that compares pictures, as in `MeasuredError`
 
 
 class MeasuredError(NamedTuple):
-    """An error in the image that a log may have.
+    """An error in the image that a log may have."""
 
-    Attributes:
-        column: of the log. label: of its axis, with the unit. unit: as a threshold has it. threshold: under it the goal is reached; None
-            where it decides nothing, or is unknown.
-    """
-
-    column: str = "error_px"
-    label: str = "RMS error [px]"
-    unit: str = "px"
-    threshold: float | None = None
+    column: str = "error_px"  # of the log
+    label: str = "RMS error [px]"  # of its axis, with the unit
+    unit: str = "px"  # as a threshold has it
+    threshold: float | None = None  # under it the goal is reached; None where it decides nothing, or is unknown
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Parts of the scenario that the figures use; each is None where it is unknown or does not apply.
+    """Parts of the scenario that the figures use; each is None where it is unknown or does not apply."""
 
-    Attributes:
-        width, height: image size of the servo camera [px].
-        threshold_px: RMS error that counts as converged [px].
-        threshold_grey: RMS difference of picture and goal picture that counts as converged [grey levels].
-        points: marker centres in the target frame, shape (N, 3) [m].
-        T_camera_target: the goal view, shape (4, 4).
-        description: the scenario's description.
-        feature: the image feature of the law; None for a law without one.
-        camera: the servo camera.
-        ground_task: the task of a ground vehicle; None for other robots.
-        band_m, settle_s: of a continuing task: error tolerance [m] after this time [s].
-        names: of the markers; () where they have none.
-        changed: the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`.
-        outlined: the markers are the outline of one region.
-        modes: words for what the law does in a frame; () for a law without modes.
-        changing: whether a row of the log may come to show another point.
-    """
-
-    width: int | None = None
+    width: int | None = None  # width, height: image size of the servo camera [px]
     height: int | None = None
-    threshold_px: float | None = None
-    points: Array | None = None
-    T_camera_target: Array | None = None
-    description: str = ""
-    feature: Feature | None = None
-    camera: Camera | None = None
-    ground_task: GroundTask | None = None
-    band_m: float | None = None
+    threshold_px: float | None = None  # RMS error that counts as converged [px]
+    points: Array | None = None  # marker centres in the target frame, shape (N, 3) [m]
+    T_camera_target: Array | None = None  # the goal view, shape (4, 4)
+    description: str = ""  # the scenario's description
+    feature: Feature | None = None  # the image feature of the law; None for a law without one
+    camera: Camera | None = None  # the servo camera
+    ground_task: GroundTask | None = None  # the task of a ground vehicle; None for other robots
+    band_m: float | None = None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
     settle_s: float = 0.0
-    names: tuple[str, ...] = ()
-    changed: tuple[str, ...] = ()
-    outlined: bool = False
-    modes: tuple[str, ...] = ()
-    changing: bool = False
-    threshold_grey: float | None = None
+    names: tuple[str, ...] = ()  # of the markers; () where they have none
+    changed: tuple[str, ...] = ()  # the fields in which the scenario differs from the bundled one of its name, `("law.gain=2",)`
+    outlined: bool = False  # the markers are the outline of one region
+    modes: tuple[str, ...] = ()  # words for what the law does in a frame; () for a law without modes
+    changing: bool = False  # whether a row of the log may come to show another point
+    threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
 
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
@@ -211,10 +171,10 @@ class Setting:
 
 
 def thinned(log: Rows, most: int = MOST_ROWS) -> pl.DataFrame:
-    """A log as a table of at most some `most` rows of it: every n-th, the first and the last, and those with an extreme of a column.
+    """A log as a table of at most some `most` rows: every n-th, the first and the last, and those with an extreme of a column.
 
-    The log is read twice, a block at a time. All columns keep their extremes, and each curve its largest peaks: the log is divided into
-    intervals, as many as half the rows allow, and in each of them the rows with the least and the largest value of each column are kept.
+    It is read twice, a block at a time. Of each of its intervals, as many as half the rows allow, the rows with the least and the largest
+    value of each column are kept: so each curve keeps its largest peaks.
     """
     n = len(log)
     chosen = np.arange(n)

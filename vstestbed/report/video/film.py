@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 import math
 import queue
 import threading
@@ -9,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -21,21 +23,77 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.recording import Rows, read_summary
 from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, draw_caption, draw_ending, overlay_of
-from vstestbed.report.video.quality import FINE, Pace, Quality
 from vstestbed.report.video.writer import Image, VideoWriter, png_of
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.render.pictures import draws_rays
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
+# How films are drawn: quick drafts beside a run, or fine films; how large, and which frames they show.
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How films are drawn."""
+
+    size: tuple[int, int]  # (width, height) of the film from outside [px]
+    longest: int  # the servo camera's film is scaled down to this side [px]
+    samples: int  # multisampling of the view from outside
+    shadows: bool  # draw them there
+    most_hz: float  # most pictures a second of simulated time [Hz]
+
+    def every(self, rate_hz: float) -> int:
+        """Every how many frames of a camera the film has a picture."""
+        return max(1, math.ceil(rate_hz / self.most_hz - 1e-9))
+
+    def share(self, width: int, height: int) -> float:
+        """Size of the servo camera's film as a share of its image's [px]."""
+        return min(1.0, self.longest / max(width, height))
+
+
+DRAFT = Quality((640, 360), longest=384, samples=0, shadows=False, most_hz=15.0)
+FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
+RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)  # Without OpenGL a picture takes some twenty times as long
+
+
+def quality_of(scenario: Scenario, fine: bool = False) -> Quality:
+    """The quality of a scenario's films: a draft, or fine films; small ones where rays draw them, with a warning that says so."""
+    if fine:
+        return FINE
+    if not draws_rays(scenario.camera):
+        return DRAFT
+    _warn_once()
+    return RAYS
+
+
+@functools.cache
+def _warn_once() -> None:
+    words = "films by rays are small, %d x %d from outside with %g pictures a second; --fine makes large ones, which takes long"
+    logging.getLogger("vstestbed").warning(words, *RAYS.size, RAYS.most_hz)
+
+
+class Pace:
+    """Which of a camera's frames a film shows: each that is the first one since the last picture was due."""
+
+    def __init__(self, rate_hz: float, every: int):
+        self._rate_hz, self._every = rate_hz, every
+        self._began: float | None = None
+        self._last = -1
+
+    def place(self, t: float) -> int:
+        """Number of the film's picture that shows time t [s], counted from the first frame's."""
+        self._began = t if self._began is None else self._began
+        return round((t - self._began) * self._rate_hz) // self._every
+
+    def due(self, t: float) -> bool:
+        """Whether the frame at t [s] is to be shown; to be called once for each frame, in their order."""
+        before, self._last = self._last, self.place(t)
+        return self._last > before
+
 
 class Pictures:
-    """The pictures of a run from one camera, with what explains them; asked for each frame in turn.
-
-    Args:
-        scenario: the experiment. camera: `eye`, `overview`, or another camera of the scene.
-        replay: renders the images that the run itself did not. size: (width, height) [px].
-    """
+    """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them; asked for each frame in turn."""
 
     def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]):
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
@@ -67,7 +125,6 @@ class Pictures:
         return image
 
     def _seen(self, frame: FilmFrame) -> Image:
-        """The servo camera's image."""
         image = self._seen_already(frame)
         return self._rendered("eye", frame) if image is None else image
 
@@ -80,16 +137,7 @@ class Pictures:
 
 
 class Film:
-    """A film of a run from one camera, in real time.
-
-    Args:
-        scenario: the experiment.
-        camera: `eye`, `overview`, or another camera of the scene.
-        path: the file (`.mp4`).
-        replay: renders the images that the run itself did not.
-        quality: the film's rate, and its size by default.
-        size: (width, height) [px].
-    """
+    """A film (`.mp4`) of a run from one camera, in real time; the quality gives its rate, and its size (width, height) [px] by default."""
 
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
         eye = scenario.camera
@@ -154,11 +202,7 @@ def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
 
 
 def ending_of(folder: Path) -> Verdict | None:
-    """How the run of a folder ended; None where it has no summary.
-
-    Raises:
-        RunFolderError: the summary is damaged.
-    """
+    """How the run of a folder ended; None where it has no summary. RunFolderError: the summary is damaged."""
     if not (folder / "summary.json").is_file():
         return None
     summary = read_summary(folder, "run the scenario again")
@@ -166,10 +210,7 @@ def ending_of(folder: Path) -> Verdict | None:
 
 
 def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | None = None) -> Replay:
-    """A replay of the scene of a scenario.
-
-    inset_in: size (width, height) of a picture in whose inset alone the servo camera's pictures are shown; its drafts are drawn as small.
-    """
+    """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's drafts are shown, drawn as small."""
     parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
@@ -179,13 +220,7 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
 
 @contextmanager
 def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None) -> Iterator[list[Film]]:
-    """Films of a run from cameras of its scene; they are finished at the end, and discarded on an exception.
-
-    Args:
-        scenario: the experiment.
-        paths: the films by the names of their cameras.
-        quality, size: see `Film`.
-    """
+    """Films of a run by the names of their cameras; they are finished at the end, and discarded on an exception."""
     replay = replay_of(scenario, quality, None if "eye" in paths else size or quality.size)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
@@ -216,8 +251,7 @@ def film_log(
 ) -> Path | None:
     """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end.
 
-    Raises:
-        ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
+    ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
     pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
     with open_films(scenario, {camera: path}, quality, size) as (film,):
@@ -231,11 +265,7 @@ def film_log(
 
 
 def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:
-    """Write a PNG of the last frame of a recorded run, from outside.
-
-    Raises:
-        EnvironmentLackError: no OpenGL, no space. OutputError: the picture cannot be written.
-    """
+    """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no OpenGL, no space."""
     (last,) = deque(rows_of(log), maxlen=1)
     replay = replay_of(scenario, quality, quality.size)
     try:
@@ -246,20 +276,15 @@ def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quali
 
 
 # Films a run while it goes on: what the loop hands over is drawn and encoded by a thread of its own.
-WAITING = 32
-"""Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480."""
+WAITING = 32  # Most frames that wait to be drawn: two seconds of simulated time, 30 MB of pictures of 640 x 480
 
 
 class FilmThread:
-    """Films a run beside it (a Watcher).
+    """Films a run beside it (a Watcher); `opened` opens the films and finishes or discards them, `pace` says which frames are shown.
 
     The state of each frame that the films show goes into a bounded queue, from which a thread takes it. The run waits while the
     queue is full, and computes the same numbers as without films. As all pictures by OpenGL are drawn in turn by the process's one
-    rendering thread, the run's own pictures wait for at most one of a film.
-
-    Args:
-        opened: opens the films; left, it finishes them, or discards them on an exception.
-        pace: which frames are shown.
+    rendering thread, the run's own pictures wait for at most one of a film. An error of the films is raised by `frame` or `close`.
     """
 
     def __init__(self, opened: Callable[[], AbstractContextManager[Sequence[Film]]], pace: Pace):
@@ -274,11 +299,7 @@ class FilmThread:
         self._thread.start()
 
     def frame(self, frame: Frame) -> None:
-        """Hand over a frame of a running loop, if the films show it.
-
-        Raises:
-            EnvironmentLackError, OutputError: the films cannot be made.
-        """
+        """Hand over a frame of a running loop, if the films show it."""
         if self._error is not None:
             raise self._error
         if self._pace.due(frame.t):
@@ -287,11 +308,7 @@ class FilmThread:
             self._unshown = frame
 
     def close(self, ending: Verdict | None) -> None:
-        """Finish the films, which end with the run's last frame; `ending`: its outcome, which they show.
-
-        Raises:
-            EnvironmentLackError, OutputError: the films cannot be made.
-        """
+        """Finish the films, which end with the run's last frame; `ending`: its outcome, which they show."""
         if self._unshown is not None:
             self._hand_over(self._unshown)
         self._ending = ending

@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 LARGEST_BYTES = 3_000_000
 STEPS = (640, 15), (480, 15), (480, 8), (400, 5), (320, 5), (320, 2.5), (240, 1), (240, 0.4)
 """Width [px] and most pictures a second, tried in turn until the file is small enough."""
-SAMPLED = 60
-"""Pictures from which the palette is made, at most."""
-TICK = Fraction(1, 100)
-"""The unit of a GIF's delays [s]."""
+SAMPLED = 60  # Pictures from which the palette is made, at most
+TICK = Fraction(1, 100)  # The unit of a GIF's delays [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +57,7 @@ def gif_of(film: Callable[[Path], Path | None], path: Path) -> Gif | None:
 def write_gif(film: Path, path: Path) -> Gif:
     """Write a film as a GIF that repeats for ever, in real time, in 256 colours of its own, and say which size was chosen.
 
-    Raises:
-        ParameterError: it is too long for LARGEST_BYTES. EnvironmentLackError, OutputError: the file cannot be written.
+    ParameterError: it is too long for LARGEST_BYTES. EnvironmentLackError, OutputError: the file cannot be written.
     """
     with av.open(str(film)) as container:
         stream = container.streams.video[0]
@@ -101,10 +98,9 @@ def _in_few_colours(film: Path, every: int, width: int, height: int) -> Iterator
     graph = Graph()
     source, scaled = _scaled(graph, film, width, height)
     colours = graph.add_buffer(width=palette.width, height=palette.height, format=palette.format, time_base=TICK)
-    reduced = graph.add("paletteuse", "dither=none:diff_mode=rectangle")
-    scaled.link_to(reduced, 0, 0)
+    reduced, sink = graph.add("paletteuse", "dither=none:diff_mode=rectangle"), graph.add("buffersink")
     colours.link_to(reduced, 0, 1)
-    sink = _ending_in_sink(graph, reduced)
+    graph.link_nodes(scaled, reduced, sink).configure()
     colours.push(palette)
     colours.push(None)
     yield from _through(source, sink, _pictures(film, every))
@@ -116,9 +112,9 @@ def _palette(film: Path, width: int, height: int) -> VideoFrame:
         every = max(1, container.streams.video[0].frames // SAMPLED)
     graph = Graph()
     source, scaled = _scaled(graph, film, width, height)
-    chosen = graph.add("palettegen")
-    scaled.link_to(chosen)
-    (palette,) = _through(source, _ending_in_sink(graph, chosen), _pictures(film, every))
+    sink = graph.add("buffersink")
+    graph.link_nodes(scaled, graph.add("palettegen"), sink).configure()
+    (palette,) = _through(source, sink, _pictures(film, every))
     return palette
 
 
@@ -129,13 +125,6 @@ def _scaled(graph: Graph, film: Path, width: int, height: int) -> tuple[FilterCo
     scaled = graph.add("scale", f"{width}:{height}:flags=area")
     source.link_to(scaled)
     return source, scaled
-
-
-def _ending_in_sink(graph: Graph, last: FilterContext) -> FilterContext:
-    sink = graph.add("buffersink")
-    last.link_to(sink)
-    graph.configure()
-    return sink
 
 
 def _pictures(film: Path, every: int) -> Iterator[VideoFrame]:

@@ -1,8 +1,4 @@
-"""The picture from outside with what explains it: goal, frustum and trail of the camera, target frame, the camera's own picture.
-
-All of it is projected with the outside camera's pose and drawn by OpenCV: the same for every renderer, and never in the servo camera's
-pictures.
-"""
+"""The picture from outside with goal, frustum and trail of the camera, target frame and inset, projected and drawn by OpenCV."""
 
 from __future__ import annotations
 
@@ -25,33 +21,22 @@ if TYPE_CHECKING:
 GOAL: Final[Color] = (110, 255, 170)
 OWN: Final[Color] = (255, 196, 64)
 AXES: Final[tuple[Color, ...]] = ((255, 70, 70), (70, 225, 90), (90, 150, 255))
-FRUSTUM: Final = 0.055
-"""Length of a frustum over the picture's width, at its place."""
-MOST_PLACES: Final = 400
-"""Points of the trail of the camera: when there are more, every other one is dropped."""
-AXIS: Final = 0.045
-"""Length of an axis of the target's frame over the picture's width, at its place."""
-INSET_S: Final = 0.2
-"""Time between two pictures of the servo camera in the inset [s]."""
-EDGE: Final = 2
-"""Width of the edge of the inset [px]."""
+FRUSTUM: Final = 0.055  # Length of a frustum over the picture's width, at its place
+MOST_PLACES: Final = 400  # Points of the trail of the camera: when there are more, every other one is dropped
+AXIS: Final = 0.045  # Length of an axis of the target's frame over the picture's width, at its place
+INSET_S: Final = 0.2  # Time between two pictures of the servo camera in the inset [s]
+EDGE: Final = 2  # Width of the edge of the inset [px]
 DRAWN_FOR: Final = 360
 """Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner, and has no dark edge (as `SMALL`)."""
-SPACING: Final = 0.006
-"""Distance of two points of it over the picture's width, at their place."""
+SPACING: Final = 0.006  # Distance of two points of it over the picture's width, at their place
 GHOST_FILL: Final = 0.25
 FOLDED: Final = np.array([[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))])
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
-EDGES: Final = [0, 1, 2, 3, 0, 4, 1], [2, 4, 3]
-"""The edges of a pyramid as two polylines through its corners, the last of which is its top."""
+EDGES: Final = [0, 1, 2, 3, 0, 4, 1], [2, 4, 3]  # The edges of a pyramid as two polylines through its corners, the last of which is its top
 
 
 class Outside:
-    """Draws pictures of a run from one outside camera; called with each frame in turn, since view and trail continue.
-
-    Args:
-        scenario: the experiment. replay: renders the scene. camera: name in it. size: (width, height) [px].
-    """
+    """Draws pictures (width, height) of a run from one outside camera; called with each frame in turn, since view and trail continue."""
 
     def __init__(self, scenario: Scenario, replay: Replay, camera: str, size: tuple[int, int]):
         self._replay, self._size = replay, size
@@ -92,10 +77,7 @@ class Outside:
         return [Stroke(self._wire(pen, T_world_goal), GOAL)]
 
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
-        """The servo camera's image in the upper right corner of a picture, with its markers, in place.
-
-        It is renewed every INSET_S. image: what is there already; without one, `render` is asked.
-        """
+        """The servo camera's image, renewed every INSET_S, in the upper right corner, in place; without `image` `render` is asked."""
         if frame.t >= self._inset_t + INSET_S - 1e-9:
             image = render() if image is None else image
             small = self._inset[:-EDGE, EDGE:]
@@ -106,7 +88,6 @@ class Outside:
         scene[:height, -width:] = self._inset
 
     def _wire(self, pen: Pen, T: Array) -> list[Array]:
-        """The edges of the frustum of a camera at a pose (4, 4)."""
         corners = transform(T, pen.metres(FRUSTUM, T[:3, 3]) * self._corners)
         return [corners[edges] for edges in EDGES]
 
@@ -129,20 +110,11 @@ class Stroke(NamedTuple):
 
 
 class Pen:
-    """Draws lines and areas of the world on a picture, in place.
-
-    Args:
-        image: the picture. lens, T_world_camera: the camera that took it.
-        stroke: width of a plain line [px]; what is drawn is a pixel wide at least.
-    """
+    """Draws lines and areas of the world on a picture, in place; stroke: width of a plain line [px], at least a pixel when drawn."""
 
     def __init__(self, image: Image, lens: Perspective, T_world_camera: Array, stroke: float):
         self.image, self._lens, self._T, self._stroke = image, lens, inverse(T_world_camera), stroke
         self._edge = 1 if image.shape[0] > SMALL else 0
-
-    def _pixels_wide(self, width: int) -> int:
-        """Width of a line that is `width` plain lines wide [px]."""
-        return max(1, round(self._stroke * width))
 
     def pixels(self, points: Array) -> Array:
         """Pixels (..., 2) of points (..., 3) in the world; NaN behind the camera, or too far outside for OpenCV's integers."""
@@ -168,9 +140,10 @@ class Pen:
                 part = slice(first, first + len(line))
                 own += [grid[part][seen[part]]] if np.count_nonzero(seen[part]) > 1 else []
                 first += len(line)
+            pixels = max(1, round(self._stroke * width))
             if self._edge:
-                cv2.polylines(self.image, own, False, INK, self._pixels_wide(width) + self._edge, cv2.LINE_AA, SHIFT)
-            cv2.polylines(self.image, own, False, color, self._pixels_wide(width), cv2.LINE_AA, SHIFT)
+                cv2.polylines(self.image, own, False, INK, pixels + self._edge, cv2.LINE_AA, SHIFT)
+            cv2.polylines(self.image, own, False, color, pixels, cv2.LINE_AA, SHIFT)
 
     def area(self, hulls: Array, color: Color, fill: float) -> None:
         """The union of the convex hulls of points (G, P, 3): a translucent area with an outline."""
@@ -185,9 +158,8 @@ class Pen:
         for points in np.rint((uv - low) * UNIT).astype(np.int32)[:, :, None]:
             cv2.fillConvexPoly(mask, cv2.convexHull(points), 255, cv2.LINE_8, SHIFT)
         cv2.copyTo(cv2.addWeighted(part, 1 - fill, np.full_like(part, color), fill, 0), mask, part)
-        cv2.polylines(
-            part, list(cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]), True, color, self._pixels_wide(1), cv2.LINE_AA
-        )
+        outline = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)[0]
+        cv2.polylines(part, list(outline), True, color, max(1, round(self._stroke)), cv2.LINE_AA)
 
 
 def inset_share(camera: Camera, size: tuple[int, int]) -> float:

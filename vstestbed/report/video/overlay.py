@@ -35,25 +35,18 @@ GOOD: Final[Color] = (24, 122, 62)
 GOAL: Final[Color] = (72, 214, 255)
 """Of goals that have no colour of their own, and of a region's, which would not stand out from the region in its colour."""
 WAY: Final[Color] = (255, 255, 255)
-LEAST_WAY_PX: Final = 2.0
-"""A line shorter than this, from a point to its goal, would only blur its two ends."""
-WAYS: Final = 8
-"""At most so many of the points of an outline have such a line."""
-HOLD_S: Final = 1
-"""How long the last picture of a film stays [s]."""
-ENDING: Final = 0.82
-"""Opacity of the band with the outcome."""
+LEAST_WAY_PX: Final = 2.0  # A line shorter than this, from a point to its goal, would only blur its two ends
+WAYS: Final = 8  # At most so many of the points of an outline have such a line
+HOLD_S: Final = 1  # How long the last picture of a film stays [s]
+ENDING: Final = 0.82  # Opacity of the band with the outcome
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
-SMALL: Final = 240
-"""Height up to which an image, as an inset, has symbols without a dark edge, which would hide their colours [px]."""
-OPEN: Final = 0.6
-"""Share of a cross that is open in its middle, where the marker is."""
+SMALL: Final = 240  # Height up to which an image, as an inset, has symbols without a dark edge, which would hide their colours [px]
+OPEN: Final = 0.6  # Share of a cross that is open in its middle, where the marker is
 LEAST: Final = 5.0, 11.0
 """Least size of a symbol in an inset, and in a larger image, whose thicker lines would otherwise close over the marker [px]."""
 CHUNK: Final = 64
-CHUNKS: Final = 8
-"""A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved."""
+CHUNKS: Final = 8  # A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved
 
 
 class Trail:
@@ -94,10 +87,8 @@ class Overlay:
     Of a region both outlines, white as measured and cyan at the goal, thin lines between some of their points, and the trail of its middle.
 
     Args:
-        width, height: image size [px]; all sizes scale with the height.
-        colors: the markers' colours, shape (N, 3) in 0..1.
-        title: text in the lower right corner.
-        outlined: the markers are the outline of a region (`Target.outlined`).
+        width, height: image size [px]; all sizes scale with the height. colors: the markers' colours, shape (N, 3) in 0..1.
+        title: text in the lower right corner. outlined: the markers are the outline of a region (`Target.outlined`).
         joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
     """
 
@@ -115,18 +106,13 @@ class Overlay:
         self._trails = [Trail(max(2.0, height / 240)) for _ in (self._colors[:1] if outlined else self._colors)]
 
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
-        """Draw one frame's state on `image`, in place.
+        """Draw one frame's state on `image` (height, width, 3), uint8, RGB, in place.
 
         Args:
-            image: the image, shape (height, width, 3), uint8, RGB.
-            uv: measured markers [px], shape (N, 2), NaN where not seen.
-            goal_uv: their goals [px], shape (N, 2), or None for tasks without goal pixels.
-            t: time of the frame [s].
-            error: the error in words.
-            lost: whether the target is lost, which a banner shows.
+            uv, goal_uv: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2).
+            t: time of the frame [s]. error: the error in words. lost: whether the target is lost, which a banner shows.
 
-        Raises:
-            ParameterError: image size or number of markers differ from those of this overlay.
+        ParameterError: image size or number of markers differ from those of this overlay.
         """
         if image.shape != (self.size[1], self.size[0], 3) or len(uv) != len(self._colors):
             raise ParameterError("image", f"must be {self.size} with {len(self._colors)} markers", (image.shape, uv.shape))
@@ -196,13 +182,7 @@ _DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 
 
 def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
-    """Write time, error and a title on a darkened strip at the bottom of the image, in place.
-
-    Args:
-        image: the image, shape (H, W, 3), uint8, RGB.
-        title: text at the right; left out if the image is too narrow for it.
-        t: time [s]. error: the error in words.
-    """
+    """Write time [s], error in words and, if there is room, a title on a darkened strip at the bottom of the image, in place."""
     height, width = image.shape[:2]
     size = text_size(height)
     strip = image[height - strip_height(height) :]
@@ -217,10 +197,7 @@ def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
 
 
 def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
-    """Write how a run ended, in bold, and why, in one line on a coloured band over the caption, in place.
-
-    What the band covers shines through. Where only a part of the reason fits, it is left out.
-    """
+    """Write how a run ended, in bold, and why, if all of it fits, in one line on a coloured band over the caption, in place."""
     height, width = image.shape[:2]
     size, foot = text_size(height), height - strip_height(height)
     pad, top = round(0.7 * size), foot - round(1.9 * size)
@@ -284,11 +261,7 @@ def _font() -> cv2.FontFace:
 # The state of one frame as a film shows it, from a running loop or from a log.
 @dataclass(frozen=True, slots=True)
 class FilmFrame:
-    """State of one frame as a film shows it.
-
-    `own`: values of the robot's and the task's own columns; `image`: the servo camera's image, if it was rendered already;
-    `goal_image`: the picture taken at the goal, if law or detector compare with one.
-    """
+    """State of one frame as a film shows it."""
 
     t: float
     T_world_target: Array
@@ -298,9 +271,9 @@ class FilmFrame:
     error_px: float
     lost: bool
     goal_uv: Array
-    own: Array
-    image: Image | None = None
-    goal_image: Image | None = None
+    own: Array  # values of the robot's and the task's own columns
+    image: Image | None = None  # the servo camera's image, if it was rendered already
+    goal_image: Image | None = None  # the picture taken at the goal, if law or detector compare with one
 
     @classmethod
     def of_frame(cls, frame: Frame) -> FilmFrame:
@@ -329,22 +302,14 @@ class FilmFrame:
 
 
 # The difference of picture and goal picture, which a law of grey levels sees, as an inset of the camera's film.
-SHARE: Final = 1 / 3
-"""Width of the inset over that of the film."""
-WORDS: Final = "picture \u2212 goal"
-"""What the inset is called."""
-EDGE: Final = 2
-"""Width of its edge [px]."""
-ZERO: Final = 128
-"""Grey of a pixel without a difference; a difference of d grey levels is ZERO + d/2."""
+SHARE: Final = 1 / 3  # Width of the inset over that of the film
+WORDS: Final = "picture \u2212 goal"  # What the inset is called
+EDGE: Final = 2  # Width of its edge [px]
+ZERO: Final = 128  # Grey of a pixel without a difference; a difference of d grey levels is ZERO + d/2
 
 
 class Residual:
-    """Draws I - I* into the upper right corner, under its name: mid-grey is no difference, lighter is lighter than the goal's picture.
-
-    Args:
-        scenario: the experiment. replay: takes the goal's picture of a recorded run again.
-    """
+    """Draws I - I* into the upper right corner, under its name: mid-grey is no difference, lighter is lighter than the goal's picture."""
 
     def __init__(self, scenario: Scenario, replay: Replay):
         self._scenario, self._replay = scenario, replay
@@ -399,11 +364,7 @@ MEASURED: Final[Color] = (255, 214, 64)
 
 
 class MatchOverlay(Overlay):
-    """Draws each matched point, a ring where the goal's picture has it, and a line between them; no trails: the points come and go.
-
-    Args:
-        width, height: image size [px]. rows: number of points. title: text in the lower right corner.
-    """
+    """Draws each of `rows` matched points, a ring where the goal's picture has it, and a line between; no trails: points come and go."""
 
     def __init__(self, width: int, height: int, rows: int, title: str = ""):
         super().__init__(width, height, np.ones((rows, 3)), title)

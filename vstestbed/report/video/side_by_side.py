@@ -7,46 +7,51 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
 from vstestbed.report.video.writer import Image, VideoWriter
 
 if TYPE_CHECKING:
-    from av import VideoFrame, VideoStream
+    from av import VideoFrame
     from av.container import InputContainer
 
 
 # Reads a film frame by frame as simulated time advances.
-EARLY_S: Final = Fraction(1, 10_000)
-"""How much before its time a frame may be shown: the time base of a film is about 1/12800 s."""
+EARLY_S: Final = Fraction(1, 10_000)  # How much before its time a frame may be shown: the time base of a film is about 1/12800 s
 
 
 class FrameReader:
-    """Decodes a film as far as it has been shown, and holds two frames of it in memory.
+    """Decodes a film of a run, which begins at t = 0, as far as it has been shown, and holds two frames of it in memory.
 
     A film that cannot be read counts as one without frames: `rate_hz` is 0 and `ended` is true from the beginning. A truncated
     film ends at its last frame that can be decoded.
-
-    Args:
-        path: a film of a run; its first frame is at t = 0.
     """
 
     def __init__(self, path: Path):
+        import av
+        from av.error import FFmpegError
+
         self._container: InputContainer | None = None
         self._frames: Iterator[VideoFrame] = iter(())
         self._next: VideoFrame | None = None
-        self._began = Fraction(0)
         self.width = self.height = 0
-        self.rate_hz = Fraction(0)
-        self.end_s = Fraction(0)
-        self._open(path)
+        self._began = self.rate_hz = self.end_s = Fraction(0)
+        with contextlib.suppress(FFmpegError, OSError):  # an unreadable film must not prevent the film of the others
+            self._container = av.open(str(path))
+            for stream in self._container.streams.video[:1]:
+                stream.thread_count = 1  # the other cores belong to the runs of the comparison
+                self._frames = self._container.decode(stream)
+                self._advance()
+                if self._next is not None:
+                    self._began = self._time(self._next)
+                    self.width, self.height = self._next.width, self._next.height
+                    self.rate_hz = stream.average_rate or Fraction(25)
 
     def ended(self, t: Fraction) -> bool:
         """Whether the last frame has been shown for its duration at t [s]."""
@@ -66,26 +71,6 @@ class FrameReader:
         if self._container is not None:
             self._container.close()
         self._container, self._frames, self._next = None, iter(()), None
-
-    def _open(self, path: Path) -> None:
-        import av
-        from av.error import FFmpegError
-
-        with contextlib.suppress(FFmpegError, OSError):  # an unreadable film must not prevent the film of the others
-            self._container = av.open(str(path))
-            streams = self._container.streams.video
-            if streams:
-                self._start(streams[0])
-
-    def _start(self, stream: VideoStream) -> None:
-        assert self._container is not None
-        stream.thread_count = 1  # the other cores belong to the runs of the comparison
-        self._frames = self._container.decode(stream)
-        self._advance()
-        if self._next is not None:
-            self._began = self._time(self._next)
-            self.width, self.height = self._next.width, self._next.height
-            self.rate_hz = stream.average_rate or Fraction(25)
 
     def _advance(self) -> None:
         from av.error import FFmpegError
@@ -117,57 +102,35 @@ NEUTRAL: Final[Color] = (56, 64, 76)
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One controller's run.
+    """One controller's run."""
 
-    Args:
-        label: title over the films; shortened in the middle if it is too long.
-        films: films from top to bottom; a missing or empty one is a grey area.
-        ending: outcome and time, such as `converged 12.3 s`.
-        success: whether the outcome is shown in green or red; None: grey.
-    """
-
-    label: str
-    films: tuple[Path, ...]
-    ending: str
-    success: bool | None = None
+    label: str  # title over the films; shortened in the middle if it is too long
+    films: tuple[Path, ...]  # from top to bottom; a missing or empty one is a grey area
+    ending: str  # outcome and time, such as `converged 12.3 s`
+    success: bool | None = None  # whether the outcome is shown in green or red; None: grey
 
 
-def side_by_side(columns: Sequence[Column], path: Path, rate_hz: float | None = None) -> Path | None:
-    """Join films into one, each frame at its simulated time, with one clock below.
+def side_by_side(columns: Sequence[Column], path: Path) -> Path | None:
+    """Join films into one, each frame at its simulated time, with one clock below; None if no column has a film.
 
     A run that has ended keeps its last frame, dimmed, with its outcome. The film ends one second after the longest run. Two
     frames of every film are in memory at a time.
 
-    Args:
-        columns: 1 to 6 runs, from left to right. path: the film (`.mp4`).
-        rate_hz: frame rate [Hz]; by default the highest of the films, at most 50.
-
-    Returns:
-        The path; None if no column has a film (then there is no file).
-
-    Raises:
-        ParameterError: no column or more than 6, or a rate that is not positive.
-        EnvironmentLackError: no H.264 encoder, no space. OutputError: the folder cannot be written.
+    `columns`: 1 to MOST runs, from left to right. The frame rate is the highest of the films, at most FASTEST_HZ.
+    EnvironmentLackError: no H.264 encoder, no space.
     """
-    if not 0 < len(columns) <= MOST:
-        raise ParameterError("columns", f"must be 1 to {MOST} runs", len(columns))
     with ExitStack() as open_files:
         readers = [[open_files.enter_context(closing(FrameReader(film))) for film in column.films] for column in columns]
         fastest = max((reader.rate_hz for reader in chain.from_iterable(readers)), default=Fraction(0))
         if not fastest:
             return None
-        writer = open_files.enter_context(VideoWriter(path, float(min(fastest, FASTEST_HZ)) if rate_hz is None else rate_hz))
-        _write_frames(writer, _Sheet(columns, readers))
+        writer = open_files.enter_context(VideoWriter(path, float(min(fastest, FASTEST_HZ))))
+        sheet = _Sheet(columns, readers)
+        while sheet.show(writer.frames / writer.rate):
+            writer.write(sheet.image)
+        for _ in range(max(1, round(HOLD_S * writer.rate))):
+            writer.write(sheet.image)
     return writer.path
-
-
-def _write_frames(writer: VideoWriter, sheet: _Sheet) -> None:
-    frame = 0
-    while sheet.show(frame / writer.rate):
-        writer.write(sheet.image)
-        frame += 1
-    for _ in range(max(1, round(HOLD_S * writer.rate))):
-        writer.write(sheet.image)
 
 
 class _Sheet:
@@ -177,7 +140,9 @@ class _Sheet:
         width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2  # even: H.264 stores colour for 2 x 2 pixels
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
-        heights = [_row_height([column[row] for column in readers if row < len(column)], width) for row in range(max(map(len, readers)))]
+        rows = zip_longest(*readers)
+        # height of the tallest film of a row at that width, even [px]
+        heights = [max((_scaled_height(r, width) for r in row if r and r.rate_hz), default=round(width * SHAPE / 2) * 2) for row in rows]
         total = 2 * self._bar + sum(heights)
         self.image: Image = np.full((total, len(columns) * (width + GAP) - GAP, 3), PAPER, np.uint8)
         self._foot = self.image[total - self._bar :]
@@ -207,7 +172,6 @@ class _Sheet:
 
     @property
     def _base(self) -> int:
-        """Base line of text in a bar [px]."""
         return round(0.5 * self._bar + 0.36 * self._size)
 
 
@@ -221,7 +185,9 @@ class _ColumnView:
         image[:] = INK
         for row, place in enumerate(np.split(image, np.cumsum(heights)[:-1])):
             if row < len(readers) and readers[row].rate_hz:
-                self._shown.append((readers[row], _centred(place, readers[row])))
+                height = _scaled_height(readers[row], place.shape[1])
+                top = (place.shape[0] - height) // 4 * 2  # centred, at an even row
+                self._shown.append((readers[row], place[top : top + height]))
             else:
                 _blank(place, "no film")
 
@@ -240,24 +206,11 @@ class _ColumnView:
         return not self._over
 
 
-def _row_height(readers: list[FrameReader], width: int) -> int:
-    """Height of the tallest of these films at that width, even [px]."""
-    return max((_scaled_height(reader, width) for reader in readers if reader.rate_hz), default=round(width * SHAPE / 2) * 2)
-
-
 def _scaled_height(reader: FrameReader, width: int) -> int:
     return max(2, round(width * reader.height / reader.width / 2) * 2)
 
 
-def _centred(place: Image, reader: FrameReader) -> Image:
-    """The part of a cell that the film fills, centred, at an even row."""
-    height = _scaled_height(reader, place.shape[1])
-    top = (place.shape[0] - height) // 4 * 2
-    return place[top : top + height]
-
-
 def _blank(place: Image, words: str) -> None:
-    """A grey cell with text in its middle."""
     place[:] = GREY
     height, width = place.shape[:2]
     size = max(13, height // 18)

@@ -36,16 +36,11 @@ BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, t
 
 @dataclass(frozen=True)
 class Coding:
-    """How a video codes its pictures.
+    """How a video codes its pictures."""
 
-    Attributes:
-        matrix: code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2. luma: shares of red, green and blue in Y.
-        key_every: every how many frames one can be decoded without those before it; None: where the encoder likes.
-    """
-
-    matrix: int
-    luma: tuple[float, float, float]
-    key_every: int | None = None
+    matrix: int  # code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2
+    luma: tuple[float, float, float]  # shares of red, green and blue in Y
+    key_every: int | None = None  # every how many frames one can be decoded without those before it; None: where the encoder likes
 
     @cached_property
     def to_yuv(self) -> NDArray[np.float64]:
@@ -60,8 +55,7 @@ class Coding:
         return ENCODER if self.key_every is None else ENCODER | {"g": str(self.key_every)}
 
 
-FILM: Final = Coding(BT709, (0.2126, 0.7152, 0.0722))
-"""For players: BT.709, item 3.2."""
+FILM: Final = Coding(BT709, (0.2126, 0.7152, 0.0722))  # For players: BT.709, item 3.2
 DATASET: Final = Coding(6, (0.299, 0.587, 0.114), key_every=2)
 """For learners, which read frames in any order, and with libraries that take any video as coded by BT.601 (its item 2.5.1)."""
 
@@ -95,21 +89,15 @@ class _Sink(PartFile):
 
 
 class VideoWriter:
-    """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads).
+    """Writes frames as H.264 (yuv420p, index first, so that it plays while it loads) into a file that ends in `.mp4`.
 
     The film is written under a temporary name and renamed on `close`, so that a file under the film's name is always complete.
     The same frames give the same bytes (one encoder thread). Its size is that of the first frame, made even by
     repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
 
-    Args:
-        path: the film's file, ending in `.mp4`; an older file of that name is replaced on `close`.
-        rate_hz: frame rate [Hz].
-        coding: of the pictures.
-
     Raises:
-        ParameterError: rate_hz is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
-        EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4).
-        OutputError: the folder cannot be written.
+        ParameterError: rate_hz [Hz] is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
+        EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4). OutputError: the folder cannot be written.
     """
 
     def __init__(self, path: Path, rate_hz: float, coding: Coding = FILM):
@@ -259,8 +247,7 @@ def _yuv420p(image: Image, coding: Coding) -> Image:
 
 
 # Single pictures as files.
-JPEG_QUALITY = 95
-"""With colour at full size: a marker's rim keeps its hue."""
+JPEG_QUALITY = 95  # With colour at full size: a marker's rim keeps its hue
 
 
 def png_of(image: Image) -> bytes:

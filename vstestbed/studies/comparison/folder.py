@@ -22,7 +22,7 @@ from vstestbed.core.files import read_file
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
-from vstestbed.report.comparison.columns import ComparisonResults, Metric, shown_by_default
+from vstestbed.report.comparison.results import ComparisonResults, Metric, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 
@@ -278,7 +278,7 @@ def _table_in(file: Path) -> pl.DataFrame:
 
 def _with_time(shown: Sequence[Metric]) -> list[Metric]:
     """The metrics that are shown, and the time to converge."""
-    from vstestbed.report.comparison.pairs import TIME
+    from vstestbed.report.comparison.results import TIME
 
     return list({m.name: m for m in (*shown, TIME)}.values())
 

@@ -67,7 +67,7 @@ class RunRequest:
 def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
     """Write `end.png`: the scene from outside at the end of a failed run."""
     from vstestbed.report.video import film
-    from vstestbed.report.video.quality import FINE
+    from vstestbed.report.video.film import FINE
 
     film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
 

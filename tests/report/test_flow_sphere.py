@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from vstestbed.report.html.canvas import INK, RULE, style
+from vstestbed.report.optical_flow import MOTIONS, draw_sphere
 from vstestbed.report.run.space import drawn, towards_viewer
-from vstestbed.report.studies.flow import MOTIONS, draw_sphere
 
 
 @pytest.mark.filterwarnings("error")

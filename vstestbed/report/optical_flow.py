@@ -32,31 +32,27 @@ PI = math.pi
 
 @dataclass(frozen=True)
 class Plane:
-    """The plane in which the flow of a feature is drawn.
+    """The plane in which the flow of a feature is drawn."""
 
-    Attributes:
-        feature: the feature.
-        across, up: coordinates of the arrows' tails along the horizontal and the vertical axis.
-        rows: the row of L, of the two per point, that belongs to each axis.
-        labels: labels of the axes. seen_at: input (N, k) of the feature's interaction matrix for tails (N, 2).
-    """
-
-    feature: Feature
-    across: Array
+    feature: Feature  # the feature
+    across: Array  # across, up: coordinates of the arrows' tails along the horizontal and the vertical axis
     up: Array
-    rows: tuple[int, int]
-    labels: tuple[str, str]
-    seen_at: Callable[[Array], Array]
-
-
-def _on_circle(tails: Array) -> Array:
-    return tails[:, 1:] * np.stack([np.cos(tails[:, 0]), np.sin(tails[:, 0])], axis=-1)
+    rows: tuple[int, int]  # the row of L, of the two per point, that belongs to each axis
+    labels: tuple[str, str]  # labels of the axes
+    seen_at: Callable[[Array], Array]  # input (N, k) of the feature's interaction matrix for tails (N, 2)
 
 
 ROUND = np.linspace(-PI, PI, 13)
 PLANES: dict[str, Plane] = {
     "point": Plane(Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda tails: tails),
-    "polar": Plane(Polar(), ROUND, np.linspace(0.2, 1, 9), (1, 0), (r"$\phi$ [rad]", "r"), _on_circle),
+    "polar": Plane(
+        Polar(),
+        ROUND,
+        np.linspace(0.2, 1, 9),
+        (1, 0),
+        (r"$\phi$ [rad]", "r"),
+        lambda tails: tails[:, 1:] * np.stack([np.cos(tails[:, 0]), np.sin(tails[:, 0])], axis=-1),
+    ),
     "spherical": Plane(
         Spherical(),
         ROUND,
@@ -71,12 +67,7 @@ PLANES: dict[str, Plane] = {
 def plane_flow(name: str, depth: float = 1.0) -> tuple[Array, Array]:
     """Tails of the arrows (N, 2), and the feature's velocity there (6, N, 2) for each camera motion at 1 m/s or 1 rad/s.
 
-    Args:
-        name: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta).
-        depth: depth of every point, for `spherical` its distance [m].
-
-    Raises:
-        ParameterError: the feature has no such plane, or the depth is not positive.
+    `name`: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta). depth: of every point, for `spherical` its distance [m].
     """
     plane = _plane(name, depth)
     tails = np.stack(np.meshgrid(plane.across, plane.up), axis=-1).reshape(-1, 2)
@@ -88,9 +79,6 @@ def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
     """Rays (N, 3) over the sphere, and their velocity (6, N, 3), tangential to it, for each camera motion at 1 m/s or 1 rad/s.
 
     ray_dot = theta_dot e_theta + phi_dot sin theta e_phi
-
-    Args:
-        depth: distance of every point [m].
     """
     _plane("spherical", depth)
     # points on 12 parallels, their number in proportion to the circumference: about evenly spread
@@ -183,14 +171,9 @@ def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
 
 
 def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:
-    """Draw a feature's flow into a file, for `spherical` also on the sphere into a second file; returns the paths.
+    """Draw a feature's flow into a file (`flow_NAME.png`), for `spherical` also on the sphere beside it (`_sphere`); returns the paths.
 
-    Args:
-        name, depth: as for `plane_flow`.
-        out: the file, by default `flow_NAME.png`; the sphere goes beside it, with `_sphere` appended to the name.
-
-    Raises:
-        ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
+    ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
     """
     out = out or Path(f"flow_{name}.png")
     _plane(name, depth)

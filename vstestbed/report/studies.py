@@ -1,0 +1,479 @@
+"""Pages of studies: basins of attraction, convergence maps, gain limits over delay, searches for good settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.report.comparison.results import Metric
+from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, LOST, WIDTH_IN, new_figure, panels, save, style, to_svg
+from vstestbed.report.html.template import SCRIPT, Cell, data_url, figure, made_by, number, page, plain_table, table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+# Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to converge.
+BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
+ENDINGS: Final = {
+    "target_lost": ("#f3c04b", "target out of sight"),
+    "plane_crossed": ("#d55e00", "behind the target's plane"),
+    "local_minimum": ("#a0287a", "local minimum"),
+    "diverged": ("#33150a", "diverged"),
+    "unstable": ("#4f7a1e", "unstable"),
+    "timed_out": ("#9c9c9c", "timed out"),
+}
+"""Colour and name of each failure. The colours differ in lightness as well as in hue (after Okabe & Ito 2008), so that colour-blind
+readers can distinguish them, also in a grey print; blues are reserved for the converged."""
+OTHER: Final = "#000000"
+"""Colour of any other outcome."""
+SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])  # Blues (r, g, b) of the earliest and the latest starts to converge
+DPI: Final = 200
+PANEL_IN, BASIN_COLUMNS = 2.0, 5
+
+
+@dataclass(frozen=True)
+class BasinMap:
+    """Outcome of each start of a grid by name, and time to converge [s] (NaN if it did not), both (n_y, n_x)."""
+
+    label: str
+    endings: Array
+    time_s: Array
+
+
+def colours(one: BasinMap, soonest: float, latest: float) -> Array:
+    """The map as an image (n_y, n_x, 3): blue from light to dark between two times to converge [s], else the colour of the outcome."""
+    from matplotlib.colors import to_rgb
+
+    share = np.clip((one.time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
+    picture = np.where(np.isfinite(share)[..., None], SOON + np.nan_to_num(share)[..., None] * (LATE - SOON), to_rgb(OTHER))
+    for ending, (colour, _) in ENDINGS.items():
+        picture[one.endings == ending] = to_rgb(colour)
+    return picture
+
+
+def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
+    """One panel per law, all with the same scale of shades, and a legend of the colours below."""
+    columns = min(BASIN_COLUMNS, len(maps))
+    rows = math.ceil(len(maps) / columns)
+    drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
+    times = np.concatenate([m.time_s[np.isfinite(m.time_s)] for m in maps]) if maps else np.zeros(0)
+    # percentiles: a few extreme times must not compress the scale of all others
+    soonest, latest = np.percentile(times, [1, 99]).tolist() if len(times) else (0.0, 1.0)
+    grid = panels(drawn, len(maps), columns, sharex=True, sharey=True)
+    for i, (axes, one) in enumerate(zip(grid, maps, strict=True)):
+        axes.imshow(colours(one, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
+        axes.grid(False)
+        axes.set_title(f"{one.label}: {100 * float(np.mean(one.endings == 'converged')):.1f} %")
+        if i + columns >= len(maps):
+            axes.set_xlabel(f"{x[0]} [{x[1]}]")
+            axes.tick_params(labelbottom=True)
+        if i % columns == 0:
+            axes.set_ylabel(f"{y[0]} [{y[1]}]")
+    _draw_legend(drawn, grid, maps, soonest, latest)
+    return drawn
+
+
+def _draw_legend(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: float, latest: float) -> None:
+    """A colour bar of the times to converge, and a legend of the outcomes that occur."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.patches import Patch
+
+    blues = LinearSegmentedColormap.from_list("converged", [tuple(SOON), tuple(LATE)])
+    bar = drawn.colorbar(ScalarMappable(Normalize(soonest, latest), blues), ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
+    bar.set_label("converged: time [s]")
+    present = {str(e) for m in maps for e in np.unique(m.endings.astype(str))} - {"converged"}
+    patches = [Patch(color=colour, label=name) for ending, (colour, name) in ENDINGS.items() if ending in present]
+    patches += [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in sorted(present - set(ENDINGS))]
+    if patches:
+        drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
+
+
+def write_basin(
+    folder: Path, maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis, summaries: Sequence[Mapping[str, Any]], command: str
+) -> Path:
+    """Write `basin.png`, `basin.pdf` and `report.html`; returns the page's path."""
+    views = {s["field_of_view"] for s in summaries}
+    view = f"; {views.pop()} field of view" if len(views) == 1 and views <= {"limited", "unlimited"} else ""
+    caption = (
+        f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency "
+        f"or noise{view}. Blue converges, darker later; the number is its share."
+    )
+    title = "Basins of attraction"
+    plate = _plate(folder, "basin", lambda: draw_basin(maps, x, y), "How each start ended", title, caption)
+    return _write(folder, title, [plate, _basin_table(summaries), _checks(summaries), made_by(command)])
+
+
+def _plate(folder: Path, name: str, draw: Callable[[], Figure], title: str, alt: str, caption: str) -> str:
+    """The figure of a study, as PDF and PNG in its folder and as a card on its page."""
+    with style(paper=True):
+        drawn = draw()
+        save(drawn, folder / f"{name}.pdf", DPI)
+        png = save(drawn, folder / f"{name}.png", DPI)
+    return figure(title, f'<img src="{data_url("image/png", png.read_bytes())}" alt="{alt}" style="width: 100%; height: auto">', caption)
+
+
+def _write(folder: Path, heading: str, body: Sequence[str], description: str = "") -> Path:
+    return write_whole(folder / "report.html", page(heading, body, description))
+
+
+def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The coordinates that are not on the map, for each law if they differ."""
+    # + 0.0 turns the -0.0 of rounding into 0
+    fixed = [[f"{name} {round(one['value'], 6) + 0.0:g} {one['unit']}" for name, one in s["fixed"].items()] for s in summaries]
+    values = [", ".join(those) for those in fixed]
+    if len(set(values)) > 1:
+        return "; " + "; ".join(f"{s['label']}: {at}" for s, at in zip(summaries, values, strict=True))
+    return f"; {values[0]}" if values else ""
+
+
+def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> str:
+    endings = ["converged", *ENDINGS]
+    endings += sorted({e for s in summaries for e in s["shares"]} - set(endings))
+    endings = [e for e in endings if any(s["shares"].get(e) for s in summaries)]
+    lines = []
+    for s in summaries:
+        check = f"{s['agreeing']} of {s['checked']}" if s["checked"] else "-"
+        shares = (f"{100 * s['shares'].get(e, 0.0):.2f}" for e in endings)
+        lines.append([escape(s["label"]), *shares, str(s["starts"]), f"{s['processor_s']:.1f}", check])
+    heads = ["", *(f"{e.replace('_', ' ')} [%]" for e in endings), "starts", "time of one core [s]", "time loop agrees"]
+    return f"<h2>In numbers</h2>{plain_table(heads, lines)}"
+
+
+def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
+    """The checked starts whose single run ended otherwise than in the batch."""
+    found = [(s["label"], d["words"]) for s in summaries for d in s["disagreements"]]
+    if not found:
+        return ""
+    lines = "".join(f"<li>{escape(label)} at {escape(words)}</li>" for label, words in found)
+    return f'<h2>Where the time loop ends otherwise</h2><ul class="runs">{lines}</ul>'
+
+
+# Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the others ended.
+LETTERS: Final = {
+    "target_lost": "L",
+    "local_minimum": "M",
+    "diverged": "D",
+    "timed_out": "T",
+    "unstable": "U",
+    "unreachable": "R",
+    "crashed": "C",
+}
+"""Letter of the most frequent outcome of a cell's failures."""
+NONE, ALL = np.array([0.96, 0.93, 0.88]), np.array([0.05, 0.36, 0.62])
+"""Colours (r, g, b) of cells in which no seed and in which every seed converged; those between are mixed linearly."""
+SWEEP_COLUMNS = 2
+SweepAxis = tuple[str, list[str]]
+
+
+@dataclass(frozen=True)
+class ConvergenceMap:
+    """The map of one law, arrays of shape (n_y, n_x)."""
+
+    label: str  # name of the law
+    share: Array  # share of the seeds that converged; NaN where no run is done
+    others: NDArray[np.object_]  # most frequent outcome of the others; empty if all converged
+    away_m: Array  # median distance from the true goal of those that converged [m]; NaN if none did
+
+
+def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Figure:
+    """The maps side by side."""
+    rows = -(-len(maps) // SWEEP_COLUMNS)
+    n_y, n_x = maps[0].share.shape
+    wide, high = 0.55 + 0.37 * n_x, 0.75 + 0.27 * n_y
+    drawn = new_figure(high * rows + 0.35, max(2, SWEEP_COLUMNS) * max(wide, 3.0))
+    for axes, one in zip(panels(drawn, len(maps), SWEEP_COLUMNS, sharex=True, sharey=True), maps, strict=True):
+        _draw_map(axes, one, x, y)
+    drawn.supxlabel(x[0], fontsize=8)
+    drawn.supylabel(y[0], fontsize=8)
+    return drawn
+
+
+def _draw_map(axes: Axes, one: ConvergenceMap, x: SweepAxis, y: SweepAxis) -> None:
+    axes.imshow(np.where(np.isnan(one.share)[..., None], 1.0, NONE + one.share[..., None] * (ALL - NONE)), origin="lower", aspect="auto")
+    for (i, j), share in np.ndenumerate(one.share):
+        letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
+        words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
+        axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
+    axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
+    axes.set_yticks(range(len(y[1])), y[1])
+    axes.grid(visible=False)
+    axes.set_title(one.label)
+
+
+def write_sweep(
+    folder: Path, maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis, seeds: int, description: str, command: str, caution: str = ""
+) -> Path:
+    """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path."""
+    letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items())
+    caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
+    body = [
+        f"<p><strong>{escape(caution)}</strong></p>" if caution else "",
+        _plate(folder, "convergence", lambda: draw_sweep(maps, x, y), "Where it converges", "Convergence maps", caption),
+        *(_sweep_table(one, x, y) for one in maps),
+        made_by(command),
+    ]
+    return _write(folder, "Convergence", body, escape(description))
+
+
+def _sweep_table(one: ConvergenceMap, x: SweepAxis, y: SweepAxis) -> str:
+    """Distances from the true goal as a table, its rows from top to bottom as in the figure."""
+    rows = reversed(list(zip(y[1], one.away_m.tolist(), strict=True)))
+    lines = [[escape(value), *("-" if math.isnan(away) else number(1e3 * away) for away in row)] for value, row in rows]
+    title = f"{escape(one.label)}: median distance from the true goal, of those that converged [mm]"
+    return f"<h2>{title}</h2>{plain_table(['', *x[1]], lines)}"
+
+
+# Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop.
+
+Rows = Sequence[Mapping[str, Any]]
+DELAY_COLUMNS: Final = (
+    ("delay_frames", "delay [frames]", "g"),
+    ("latency_s", "delay [s]", ".3g"),
+    ("gain_limit", "gain limit [1/s]", ".4g"),
+    ("g_measured", "g measured", ".4f"),
+    ("g_theory", "g in theory", ".4f"),
+    ("measured_to_theory", "measured / theory", ".3f"),
+    ("g_with_lag", "g with lag", ".4f"),
+    ("measured_to_lag", "measured / with lag", ".3f"),
+    ("joint", "unstable first", "s"),
+    ("joint_lag_s", "its lag [s]", ".4f"),
+    ("g_linear", "g of the linear arm", ".4f"),
+    ("measured_to_linear", "measured / linear arm", ".3f"),
+)
+"""Columns of the table: name in the data, head, format."""
+
+
+@dataclass(frozen=True)
+class Branches:
+    """Root locus of one delay: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
+
+    delay_frames: float
+    poles: NDArray[np.complexfloating]
+    at_limit: NDArray[np.complexfloating]
+
+
+def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
+    """Gain limits over the delay, and the root loci in the upper half of the z plane."""
+    drawn = new_figure(3.3, 7.2)
+    left, right = drawn.subplots(1, 2, width_ratios=(1, 1.15))
+    _draw_limits(left, rows)
+    _draw_locus(right, loci)
+    return drawn
+
+
+def _draw_limits(axes: Axes, rows: Rows) -> None:
+    rows = sorted(rows, key=lambda row: row["delay_frames"])
+    d = [row["delay_frames"] for row in rows]
+    axes.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
+    if any(row["g_with_lag"] for row in rows):
+        axes.plot(d, [row["g_with_lag"] for row in rows], "--", color=LINE_COLORS[1], label="theory, servos' measured lag")
+    if any(row.get("g_linear") for row in rows):
+        axes.plot(d, [row["g_linear"] for row in rows], ":", color=LINE_COLORS[2], label="linear model of the arm")
+    axes.plot(d, [row["g_measured"] for row in rows], "o", color=LINE_COLORS[0], markersize=5, label="measured")
+    axes.set_xlabel("delay d [frames]")
+    axes.set_ylabel("largest stable gain x period")
+    axes.set_ylim(bottom=0)
+    axes.set_xticks(d)
+    axes.legend(loc="best")
+
+
+def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
+    angle = np.linspace(0, np.pi, 181)
+    axes.plot(np.cos(angle), np.sin(angle), color=INK, linewidth=0.8)
+    for i, one in enumerate(loci):
+        color = LINE_COLORS[i % len(LINE_COLORS)]
+        upper = one.poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
+        axes.plot(np.where(upper, one.poles.real, np.nan), np.where(upper, one.poles.imag, np.nan), color=color, linewidth=1.0)
+        crossing = one.at_limit[one.at_limit.imag >= -1e-9]
+        axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
+        # an empty line for the legend: `upper` is a matrix with a line for each pole
+        axes.plot([], [], color=color, label=f"d = {one.delay_frames:g}")
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.35, 1.35)
+    axes.set_ylim(-0.06, 1.6)
+    axes.set_xlabel("Re z")
+    axes.set_ylabel("Im z")
+    axes.set_title("root locus; dots: the measured limit", pad=4)
+    axes.legend(loc="upper center", ncols=3, fontsize=7)
+
+
+def write_delay(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str) -> Path:
+    """Write `delay.png`, `delay.pdf` and `report.html`; returns the page's path."""
+    caption = "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its poles as the gain rises."
+    title = "Gain limit over delay"
+    plate = _plate(folder, "delay", lambda: draw_delay(rows, loci), title, title, caption)
+    return _write(folder, f"Delay: {name}", [plate, _delay_table(rows), made_by(command)])
+
+
+def _delay_table(rows: Rows) -> str:
+    """The limits as a table; columns without any value are left out (a robot without joints has no lag)."""
+    shown = [column for column in DELAY_COLUMNS if any(row.get(column[0]) is not None for row in rows)]
+    lines = [["-" if row.get(key) is None else escape(format(row[key], form)) for key, _, form in shown] for row in rows]
+    return f"<h2>In numbers</h2>{plain_table([head for _, head, _ in shown], lines, named=False)}"
+
+
+# A search for good settings, and its figures: trials over each parameter, the best so far.
+
+TUNING_COLUMNS: Final = 3  # Panels side by side
+WIDE: Final = 20.0  # Ratio of the largest to the smallest number from which an axis is logarithmic
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """A trial as the page shows it."""
+
+    number: int  # of the trial
+    values: tuple[float | str, ...]  # of each parameter, a number or a word
+    reached: int  # reached, runs: how many runs reached the goal, of how many
+    runs: int
+    mean: float  # of the metric over those runs, NaN where none has it
+    note: str = ""  # how the others ended
+
+    @property
+    def whole(self) -> bool:
+        """Whether all runs reached the goal, and the metric is known."""
+        return self.reached == self.runs > 0 and math.isfinite(self.mean)
+
+
+@dataclass(frozen=True)
+class ParameterAxis:
+    """A parameter: its path, its ends (low, high) or its words, and whether equal factors are equally far apart."""
+
+    path: str
+    ends: tuple[float, float] = (0.0, 1.0)
+    words: tuple[str, ...] = ()
+    log: bool = False
+
+    def place(self, value: float | str) -> float:
+        """Where a value is drawn: words at 0, 1, 2, ..."""
+        return float(self.words.index(str(value))) if self.words else float(value)
+
+
+@dataclass(frozen=True)
+class TuningPage:
+    """What the page of a search shows."""
+
+    title: str  # the scenario
+    headline: str  # headline, sentences: the result in words
+    sentences: Sequence[str]
+    command: str  # that takes it
+    metric: Metric  # by which trials are compared
+    higher: bool  # whether more is better
+    sure: bool  # whether nothing speaks against the result
+    axes: Sequence[ParameterAxis]  # the parameters
+    trials: Sequence[TrialRow]  # in their order
+    best: int | None  # number of the best one; None without any
+    made_by: str = ""  # the command that repeats the search
+
+
+def slices(found: TuningPage, width_in: float) -> Figure:
+    """The metric of each trial over each parameter; red crosses at the top: trials some of whose runs failed."""
+    rows = -(-len(found.axes) // TUNING_COLUMNS)
+    drawn = new_figure(2.5 * rows, width_in)
+    grid = panels(drawn, len(found.axes), min(TUNING_COLUMNS, len(found.axes)), sharey=True)
+    for i, (axes, axis) in enumerate(zip(grid, found.axes, strict=True)):
+        _points(axes, found, [axis.place(trial.values[i]) for trial in found.trials])
+        axes.set_xlabel(axis.path)
+        if axis.words:
+            axes.set_xticks(range(len(axis.words)), [word[:24] for word in axis.words], rotation=20 if max(map(len, axis.words)) > 8 else 0)
+            axes.set_xlim(-0.5, len(axis.words) - 0.5)
+        elif axis.log:
+            axes.set_xscale("log")
+    grid[0].set_ylabel(found.metric.label)
+    return drawn
+
+
+def history(found: TuningPage, width_in: float) -> Figure:
+    """The metric of each trial in their order, with the best so far."""
+    drawn = new_figure(2.5, width_in)
+    axes = drawn.add_subplot()
+    _points(axes, found, [trial.number for trial in found.trials])
+    good = [(trial.number, trial.mean) for trial in found.trials if trial.whole]
+    if good:
+        numbers, means = (np.array(column, dtype=float) for column in zip(*good, strict=True))
+        so_far = (np.maximum if found.higher else np.minimum).accumulate(means)
+        axes.step([*numbers, found.trials[-1].number], [*so_far, so_far[-1]], where="post", color=LINE_COLORS[0])
+    axes.set_xlabel("trial")
+    axes.set_ylabel(found.metric.label)
+    return drawn
+
+
+def _points(axes: Axes, found: TuningPage, places: Sequence[float]) -> None:
+    """A point for each trial: later ones darker, the best one ringed, those with failed runs as crosses at the top."""
+    for trial, x in zip(found.trials, places, strict=True):
+        if trial.whole:
+            shade = 0.25 + 0.65 * (trial.number + 1) / len(found.trials)
+            axes.plot(x, trial.mean, "o", markersize=4.5, color=LINE_COLORS[0], alpha=shade, markeredgewidth=0)
+            if trial.number == found.best:
+                axes.plot(x, trial.mean, "o", markersize=10, markerfacecolor="none", markeredgecolor=GOAL, markeredgewidth=1.8)
+        else:
+            axes.plot(x, 0.97, "x", color=LOST, markersize=5, transform=axes.get_xaxis_transform(), clip_on=False)
+    means = [trial.mean for trial in found.trials if trial.whole]
+    if means and min(means) > 0 and max(means) / min(means) > WIDE:
+        axes.set_yscale("log")
+    axes.margins(y=0.12)
+
+
+PLOTS: Final = (
+    (
+        "slices",
+        "Trials over each parameter",
+        slices,
+        "A point for each trial whose runs all reached the goal: the mean of the metric, later trials darker, the best one ringed. "
+        "Red crosses at the top: trials of which a run failed, which count as worse than all of the others.",
+    ),
+    ("history", "Trials in their order", history, "The line is the best trial so far."),
+)
+
+
+def write_tuning(folder: Path, found: TuningPage) -> Path:
+    """Write `report.html`, and the figures as PDF and PNG into `figures/`; returns the page's path."""
+    place, parts = make_folder(folder / "figures"), []
+    for key, title, draw, caption in PLOTS:
+        with style(paper=True):
+            drawn = draw(found, 7.16)
+            save(drawn, place / f"{key}.pdf")
+            save(drawn, place / f"{key}.png", DPI)
+        with style():
+            parts.append(f'<div class="broad">{figure(title, to_svg(draw(found, 2 * WIDTH_IN), key, title), caption)}</div>')
+    listed = "".join(f"<li>{escape(words)}</li>" for words in found.sentences)
+    good = "" if found.best is None else " good" if found.sure else " open"
+    body = [
+        f'<div class="outcome{good}"><strong>{escape(found.headline)}</strong><ul>{listed}</ul></div>',
+        f"<section><h2>To take it</h2><pre>{escape(found.command)}</pre></section>" if found.command else "",
+        f"<section><h2>Figures</h2>{''.join(parts)}</section>",
+        _trials(found),
+        made_by(found.made_by),
+        SCRIPT,
+    ]
+    described = f'<p class="soft">{len(found.trials)} trials by {escape(found.metric.title.lower())}</p>'
+    return _write(folder, f"{found.title}: tuning", body, described)
+
+
+def _trials(found: TuningPage) -> str:
+    heads = ["Trial", *(axis.path for axis in found.axes), "Reached the goal", found.metric.label, "The others ended"]
+    sign = -1 if found.higher else 1
+    order = sorted(found.trials, key=lambda t: (t.runs - t.reached or not t.runs, sign * t.mean if math.isfinite(t.mean) else math.inf))
+    lines: list[list[Cell]] = [
+        [
+            (trial.number, f"{trial.number}{' (the best)' if trial.number == found.best else ''}"),
+            *((value, escape(value) if isinstance(value, str) else f"{value:g}") for value in trial.values),
+            (trial.reached, f"{trial.reached} of {trial.runs}"),
+            (trial.mean, number(trial.mean)) if math.isfinite(trial.mean) else (None, "–"),
+            (trial.note, escape(trial.note)),
+        ]
+        for trial in order
+    ]
+    return f'<section><h2>Trials</h2>{table(heads, lines)}<p class="soft">Click on a head to sort.</p></section>'

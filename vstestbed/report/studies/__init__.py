@@ -1,1 +1,0 @@
-"""Reports of studies: basins, sweeps, gain limits, flow fields."""
