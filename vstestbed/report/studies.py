@@ -112,7 +112,7 @@ def write_basin(
     )
     title = "Basins of attraction"
     plate = _plate(folder, "basin", lambda: draw_basin(maps, x, y), "How each start ended", title, caption)
-    return _write(folder, title, [plate, _basin_table(summaries), _checks(summaries), made_by(command)])
+    return write_whole(folder / "report.html", page(title, [plate, _basin_table(summaries), _checks(summaries), made_by(command)]))
 
 
 def _plate(folder: Path, name: str, draw: Callable[[], Figure], title: str, alt: str, caption: str) -> str:
@@ -122,10 +122,6 @@ def _plate(folder: Path, name: str, draw: Callable[[], Figure], title: str, alt:
         save(drawn, folder / f"{name}.pdf", DPI)
         png = save(drawn, folder / f"{name}.png", DPI)
     return figure(title, f'<img src="{data_url("image/png", png.read_bytes())}" alt="{alt}" style="width: 100%; height: auto">', caption)
-
-
-def _write(folder: Path, heading: str, body: Sequence[str], description: str = "") -> Path:
-    return write_whole(folder / "report.html", page(heading, body, description))
 
 
 def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
@@ -224,7 +220,7 @@ def write_sweep(
         *(_sweep_table(one, x, y) for one in maps),
         made_by(command),
     ]
-    return _write(folder, "Convergence", body, escape(description))
+    return write_whole(folder / "report.html", page("Convergence", body, escape(description)))
 
 
 def _sweep_table(one: ConvergenceMap, x: SweepAxis, y: SweepAxis) -> str:
@@ -314,7 +310,7 @@ def write_delay(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], c
     caption = "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its poles as the gain rises."
     title = "Gain limit over delay"
     plate = _plate(folder, "delay", lambda: draw_delay(rows, loci), title, title, caption)
-    return _write(folder, f"Delay: {name}", [plate, _delay_table(rows), made_by(command)])
+    return write_whole(folder / "report.html", page(f"Delay: {name}", [plate, _delay_table(rows), made_by(command)]))
 
 
 def _delay_table(rows: Rows) -> str:
@@ -459,7 +455,7 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
         SCRIPT,
     ]
     described = f'<p class="soft">{len(found.trials)} trials by {escape(found.metric.title.lower())}</p>'
-    return _write(folder, f"{found.title}: tuning", body, described)
+    return write_whole(folder / "report.html", page(f"{found.title}: tuning", body, described))
 
 
 def _trials(found: TuningPage) -> str:

@@ -105,6 +105,8 @@ def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequ
     """The changes of one controller, of which both tables have the same runs in every row."""
     old, new = ControllerResults(label, before), ControllerResults(label, now)
     both = paired_success(old.success, new.success)
+    n = both.only_a + both.only_b  # P(K >= lost), K ~ Binomial(n, 1/2): the exact sign test on the runs whose success differs
+    chance = sum(math.comb(n, k) for k in range(both.only_a, n + 1)) / 2**n
     lost, gained = (_runs(new, old.success & ~new.success), _runs(old, ~old.success & new.success))
     return ControllerChange(
         label,
@@ -113,7 +115,7 @@ def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequ
         int(new.success.sum()),
         lost,
         gained,
-        _one_sided(both.only_a, both.only_b),
+        chance,
         tuple(_metric_change(old, new, metric) for metric in metrics),
         tuple(settings),
     )
@@ -132,12 +134,6 @@ def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:
     """The chosen runs with the outcome that they have in one of the two comparisons, the one in which they failed."""
     outcomes = ended.runs["outcome"].to_list()
     return tuple(f"seed {seed}: {outcomes[i]}" for i, seed in enumerate(ended.seeds) if chosen[i])
-
-
-def _one_sided(lost: int, gained: int) -> float:
-    """P(K >= lost), K ~ Binomial(lost + gained, 1/2): the exact sign test on the runs whose success differs."""
-    n = lost + gained
-    return sum(math.comb(n, k) for k in range(lost, n + 1)) / 2**n
 
 
 def _regressions(c: ControllerChange, tolerance: float) -> list[str]:

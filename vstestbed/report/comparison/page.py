@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 from collections import defaultdict
@@ -417,16 +418,12 @@ def _group(group: list[Failure], with_command: set[int], with_error: set[int]) -
 
 def _run(failure: Failure, same: bool, with_error: bool) -> str:
     reason = "" if same else f": {escape(failure.reason)}"
-    error = _error(failure.place) if with_error else ""
+    error = ""
+    if with_error:
+        with contextlib.suppress(OSError):
+            text = (failure.place / "error.txt").read_text(encoding="utf-8", errors="replace")
+            error = f"<pre>{escape(text[-ERROR_CHARACTERS:].strip())}</pre>"
     return f"<p>{escape(failure.controller)}, seed {failure.seed}{reason}<br><code>{escape(failure.command)}</code></p>{error}"
-
-
-def _error(place: Path) -> str:
-    try:
-        text = (place / "error.txt").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-    return f"<pre>{escape(text[-ERROR_CHARACTERS:].strip())}</pre>"
 
 
 def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:

@@ -284,7 +284,9 @@ def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
 
 def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
     first, second = comparison.controllers[a], comparison.controllers[b]
-    rows_a, rows_b = _same_seeds(first, second)
+    where = {start: k for k, start in enumerate(second.starts)}
+    shared = [(i, where[start]) for i, start in enumerate(first.starts) if start in where]
+    rows_a, rows_b = [i for i, _ in shared], [k for _, k in shared]  # of the common starts
     both = first.success[rows_a] & second.success[rows_b]
     differences, means, improvements = {}, {}, {}
     # time to converge decides which controller is better, so that it is needed even where the page does not show it
@@ -296,13 +298,6 @@ def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
         means[metric.name] = float(x[used].mean()) if used.any() else np.nan
         improvements[metric.name] = stats.improvement(first.ranked(metric)[rows_a], second.ranked(metric)[rows_b])
     return Pair(a, b, stats.paired_success(first.success[rows_a], second.success[rows_b]), differences, means, improvements)
-
-
-def _same_seeds(one: ControllerResults, other: ControllerResults) -> tuple[list[int], list[int]]:
-    """Row indices of the common starts in both controllers' runs, in the same order."""
-    where = {start: i for i, start in enumerate(other.starts)}
-    shared = [(i, where[start]) for i, start in enumerate(one.starts) if start in where]
-    return [i for i, _ in shared], [k for _, k in shared]
 
 
 Means = list[dict[str, stats.Interquartile]]  # of each controller, by metric

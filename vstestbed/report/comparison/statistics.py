@@ -336,8 +336,9 @@ def _studentised(d: Array, resamples: int) -> Array:
     n = len(d)
     centred = d - d.mean()
     # sorted, and with a sign of its own: neither the order of the pairs nor exchanging a and b may change the resamples
-    sign = 1.0 if _heavier_above(centred) else -1.0
-    centred = np.sort(sign * centred)
+    up, down = np.sort(centred), np.sort(-centred)
+    first = np.flatnonzero(up != down)[:1]
+    sign, centred = (1.0, up) if (up[first] >= down[first]).all() else (-1.0, down)
     if n <= REMEMBERED:
         return sign * _t_of(remembered((n,), resamples), centred)
     step = max(1, CHUNK // n)  # rows of resamples at a time
@@ -353,13 +354,6 @@ def _t_of(drawn: Array, centred: Array) -> Array:
     flat = variance <= FLAT * float((centred**2).max())
     t = mean / np.sqrt(np.where(flat, 1.0, variance) / n)
     return np.where(flat, np.where(mean != 0, np.copysign(np.inf, mean), 0.0), t)
-
-
-def _heavier_above(d: Array) -> bool:
-    """Whether d rather than -d is resampled: a rule that picks the same of the two for either sign."""
-    up, down = np.sort(d), np.sort(-d)
-    first = np.flatnonzero(up != down)
-    return not len(first) or bool(up[first[0]] > down[first[0]])
 
 
 # Interquartile mean with its stratified bootstrap interval: as robust as a median against few wild runs, and less noisy.

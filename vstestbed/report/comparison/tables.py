@@ -37,24 +37,23 @@ MOST_SENTENCES = 3  # Up to this many pairs have their sentence in the box itsel
 def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> str:
     """The result as a box, green where one controller beats all others; `gains`: those in which controllers differ and in nothing else."""
     if len(comparison.controllers) == 1:
-        return _box(_alone(comparison.controllers[0]), [], decided=False)
+        (one,) = comparison.controllers
+        rate = success_rate(int(one.success.sum()), len(one.success))
+        interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+        return _box(f"{one.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval}).", [], decided=False)
     labels = [c.label for c in comparison.controllers]
     verdict, decided = _overall(labels, all_pairs)
     caution = []
     if gains:  # no controller is better than another for its gain
         verdict, decided = f"Only {gains} {'differ' if ' and ' in gains else 'differs'}. {verdict}", False
         caution = ["This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it."]
-    shown = _pairs_in_the_box(labels, all_pairs)
+    # all pairs of up to three controllers; of more controllers the pairs of the one that wins most often
+    wins = _wins(labels, all_pairs)
+    best = wins.index(max(wins))
+    shown = all_pairs if len(all_pairs) <= MOST_SENTENCES else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
     rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
     folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
     return _box(verdict, [*caution, *(pair_text(p, labels) for p in shown)], decided) + folded
-
-
-def _pairs_in_the_box(labels: list[str], all_pairs: list[Pair]) -> list[Pair]:
-    """All pairs of up to three controllers; of more controllers the pairs of the one that wins most often."""
-    wins = _wins(labels, all_pairs)
-    best = wins.index(max(wins))
-    return all_pairs if len(all_pairs) <= MOST_SENTENCES else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
 
 
 def _box(verdict: str, sentences: list[str], decided: bool) -> str:
@@ -63,43 +62,30 @@ def _box(verdict: str, sentences: list[str], decided: bool) -> str:
     return f'<div class="outcome {"good" if decided else "open"}">{words}</div>'
 
 
-def _alone(controller: ControllerResults) -> str:
-    rate = success_rate(int(controller.success.sum()), len(controller.success))
-    interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
-    return f"{controller.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval})."
-
-
 def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
+    """The sentence on all controllers, and whether one is better than every other."""
     if len(labels) == 2:
         return _of_two(labels, all_pairs[0])
     if len(labels) > MOST_CONTROLLERS:
         return _against_first(labels, all_pairs), False
-    wins = _wins(labels, all_pairs)
-    if max(wins) == len(labels) - 1:
-        return _best_of_all(labels, all_pairs, wins), True
-    if max(wins) == 0:
-        return _no_winner(all_pairs), False
-    return _leading_group(labels, all_pairs, wins), False
+    wins, others = _wins(labels, all_pairs), len(labels) - 1
+    first = wins.index(max(wins))
+    if wins[first] == others:  # by how much is said of the runner-up, the other with the most wins
+        closest = max(against(all_pairs, first), key=lambda p: wins[p.b])
+        n = {2: "two", 3: "three", 4: "four", 5: "five"}[others]
+        words = f"{labels[first]} is better than each of the other {n}: than {labels[closest.b]}, it"
+        return f"{words} {_advantages(closest.turned())}.", True
+    if wins[first]:
+        return _leading_group(labels, all_pairs, wins), False
+    if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
+        return "None of them is better: who reaches the goal more often does so later.", False
+    what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
+    return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show.", False
 
 
 def _wins(labels: list[str], all_pairs: list[Pair]) -> list[int]:
+    """How many other controllers each controller is better than."""
     return [sum(p.better == i for p in all_pairs) for i in range(len(labels))]
-
-
-def _best_of_all(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
-    """One controller beats every other; by how much is said of the runner-up, the other with the most wins."""
-    first, n = wins.index(max(wins)), len(labels) - 1
-    closest = max(against(all_pairs, first), key=lambda p: wins[p.b])
-    others = {2: "two", 3: "three", 4: "four", 5: "five"}.get(n, str(n))
-    return f"{labels[first]} is better than each of the other {others}: than {labels[closest.b]}, it {_advantages(closest.turned())}."
-
-
-def _no_winner(all_pairs: list[Pair]) -> str:
-    """No controller is better than any other: either nothing is significant, or success and time contradict each other."""
-    if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
-        return "None of them is better: who reaches the goal more often does so later."
-    what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
-    return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show."
 
 
 def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:

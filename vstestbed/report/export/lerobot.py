@@ -66,7 +66,9 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     camera, n = scenario.camera, scenario.rows
     even = (camera.height + camera.height % 2, camera.width + camera.width % 2)  # as films are
     pixels = [f"{axis}_{i} [px]" for i in range(n) for axis in "uv"]
-    found: Features = {IMAGE: {"dtype": "video", "shape": [*even, 3], "names": ["height", "width", "channels"], "info": _video(scenario)}}
+    info = {"video.height": even[0], "video.width": even[1], "video.codec": "h264", "video.pix_fmt": "yuv420p"}
+    info |= {"video.is_depth_map": False, "video.channels": 3, "has_audio": False, "video.fps": rate_of(scenario)}
+    found: Features = {IMAGE: {"dtype": "video", "shape": [*even, 3], "names": ["height", "width", "channels"], "info": info}}
     if state:
         found["observation.state"] = _vector([f"{name} [{_unit(name, scenario)}]" for name in state])
     found["action"] = _vector(_action_names(scenario))
@@ -141,15 +143,6 @@ def _unit(name: str, scenario: Scenario) -> str:
 
 def _vector(names: list[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": [len(names)], "names": names}
-
-
-def _video(scenario: Scenario) -> dict[str, Any]:
-    size = {
-        "video.height": scenario.camera.height + scenario.camera.height % 2,
-        "video.width": scenario.camera.width + scenario.camera.width % 2,
-    }
-    kind = {"video.codec": "h264", "video.pix_fmt": "yuv420p", "video.is_depth_map": False, "video.channels": 3, "has_audio": False}
-    return size | kind | {"video.fps": rate_of(scenario)}
 
 
 def rate_of(scenario: Scenario) -> float:

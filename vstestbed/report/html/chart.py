@@ -97,18 +97,15 @@ class Curve:
         """The SVG of the curve through points [pt]."""
         known = ~np.isnan(x + y)
         whole = np.rint(np.stack([x, y], axis=-1)[known].clip(-1e6, 1e6) * POINT).astype(int)
-        if self.marker or len(whole) == 1:
-            return self._element("".join(f"M{u} {v}{self._mark()}" for u, v in whole.tolist()), ())
+        if self.marker or len(whole) == 1:  # a single value would be a line without length
+            half = round(POINT / 2 * (self.markersize if self.marker else max(3.0, self.linewidth)))
+            mark = MARKS[self.marker or "o"].format(-half, half, 2 * half, -2 * half)
+            return self._element("".join(f"M{u} {v}{mark}" for u, v in whole.tolist()), ())
         if self.linestyle == "none" and self.fill == "none":
             return ""
         pieces = np.split(whole, np.flatnonzero(np.diff(np.flatnonzero(known)) > 1) + 1)
         dashes = DASHES.get(self.linestyle, ()) if isinstance(self.linestyle, str) else self.linestyle[1]
         return self._element("".join(map(_path, pieces)) + ("z" if self.fill != "none" else ""), dashes)
-
-    def _mark(self) -> str:
-        # a single value would be a line without length
-        half = round(POINT / 2 * (self.markersize if self.marker else max(3.0, self.linewidth)))
-        return MARKS[self.marker or "o"].format(-half, half, 2 * half, -2 * half)
 
     def _element(self, d: str, dashes: tuple[float, ...]) -> str:
         lengths = " ".join(f"{POINT * self.linewidth * length:.3g}" for length in dashes)

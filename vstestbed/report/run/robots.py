@@ -189,10 +189,12 @@ def plane(tracks: Tracks) -> Chart | None:
     known = np.isfinite(places).all(axis=1)
     if ground_task is None or not known.any():
         return None
-    landmarks = _landmarks(tracks)
-    shown = [places[known, :2], ground_task.goals[:, :2], landmarks[:, :2], ground_task.reference_path, _moving_target(tracks)]
-    points = np.concatenate(shown)
-    low, high = points.min(axis=0), points.max(axis=0)
+    targets, points = tracks.poses("tgt"), tracks.setting.points
+    targets = targets[np.isfinite(targets).all(axis=(1, 2))]
+    landmarks = transform(targets[-1], points) if points is not None and len(targets) else np.empty((0, 3))  # where the target was last
+    every = [places[known, :2], ground_task.goals[:, :2], landmarks[:, :2], ground_task.reference_path, _moving_target(tracks)]
+    shown = np.concatenate(every)
+    low, high = shown.min(axis=0), shown.max(axis=0)
     span = float(max((high - low).max(), 0.5))  # [m]; a vehicle that hardly moves is not magnified further
     low, high = low - 0.09 * span, high + 0.09 * span
     chart = Chart()
@@ -206,13 +208,6 @@ def plane(tracks: Tracks) -> Chart | None:
     panel.xlim, panel.ylim = (low[0], high[0]), (low[1], high[1])
     chart.fit(1.9, 5.0)
     return chart
-
-
-def _landmarks(tracks: Tracks) -> Array:
-    """Markers in the world at the target's last pose, shape (N, 3) [m]; empty where they are unknown."""
-    poses, points = tracks.poses("tgt"), tracks.setting.points
-    known = np.isfinite(poses).all(axis=(1, 2))
-    return transform(poses[known][-1], points) if points is not None and known.any() else np.empty((0, 3))
 
 
 def _moving_target(tracks: Tracks) -> Array:
@@ -263,7 +258,7 @@ def _draw_paths(panel: ChartPanel, tracks: Tracks, ground_task: GroundTask, span
     panel.plot(true[:, 0], true[:, 1], color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
     if ground_task.expected_path is not None and len(ground_task.expected_path) > 1:
         known = true[np.isfinite(true).all(axis=1), :2]
-        label = f"{ground_task.expected_path_name}: at most {_length(largest_deviation(known, ground_task.expected_path))} off"
+        label = f"ideal bicycle: at most {_length(largest_deviation(known, ground_task.expected_path))} off"
         panel.plot(*ground_task.expected_path.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
     known = true[np.isfinite(true).all(axis=1)]
     for place in known[_evenly(known[:, :2], HEADING_EVERY * span)]:

@@ -34,7 +34,6 @@ class GroundTask:
     band_m: float | None = None  # error tolerance of a continuing task after `settle_s` [s], [m]; None for a task with an end
     settle_s: float = 0.0
     expected_path: Array | None = None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
-    expected_path_name: str = "ideal bicycle"  # its name in the legend
 
     @classmethod
     def of(cls, scenario: Scenario) -> GroundTask | None:

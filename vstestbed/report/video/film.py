@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -267,11 +267,8 @@ def film_log(
 def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:
     """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no OpenGL, no space."""
     (last,) = deque(rows_of(log), maxlen=1)
-    replay = replay_of(scenario, quality, quality.size)
-    try:
+    with closing(replay_of(scenario, quality, quality.size)) as replay:
         image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
-    finally:
-        replay.close()
     write_whole(path, png_of(image))
 
 
