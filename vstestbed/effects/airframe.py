@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
-from vstestbed.effects.base import Actor, EffectBase, Four, RobotBody, Vector
+from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
 from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, inertia_torque
 from vstestbed.effects.vibration import Vibration
@@ -71,7 +71,7 @@ class _Blocks(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class FlightEffects(EffectBase):
+class FlightEffects(Effect):
     """All of a craft's blocks together: the thrust of a rotor is multiplied by several of them.
 
     craft: its parameters. blocks: its blocks.

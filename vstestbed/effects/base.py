@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from annotated_types import Len
@@ -158,72 +158,42 @@ class Remedy(NamedTuple):
     value: float
 
 
-class Effect(Protocol):
-    """An imperfection of a robot's body or its drives; `EffectBase` has defaults for everything, which do nothing.
+class Effect:
+    """An imperfection of a robot's body or its drives; by default it does nothing.
 
     columns: of the log, with the values of `Actor.row`; no two effects of a robot may have the same.
     uneven: the robot stands as the ground tilts it, which is no plane.
     """
 
-    columns: ClassVar[tuple[str, ...]]
-    uneven: ClassVar[bool]
+    columns: ClassVar[tuple[str, ...]] = ()
+    uneven: ClassVar[bool] = False
 
     def check(self, joints: tuple[str, ...]) -> None:
         """Refuse what does not fit a robot with these joints, when a scenario is loaded; ParameterError names the field."""
-        ...
 
     def edit(self, robot: RobotModel) -> None:
         """Change the robot's model when the scene is composed. ParameterError where its file does not allow it."""
-        ...
 
     def settle(self, body: RobotBody, load: Array) -> None:
         """Put what it has added into equilibrium, under what gravity asks of each degree of freedom, load (nv,) [Nm, N].
 
         It may change the load: the servos start with it.
         """
-        ...
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
         """What it does in one run; None where nothing. rng: a stream of its own."""
-        ...
+        return None
 
     def springs(self, load: Array) -> tuple[Array, Array] | None:
         """Stiffness and damping (n,) between each motor and its joint, for small motions about a load (n,) [Nm]; None without springs."""
-        ...
+        return None
 
     def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy | None:
         """What would work where the weight (n,) is more than each joint holds (n,) [Nm, N]; None where it does not add to the weight."""
-        ...
-
-
-class EffectBase:
-    """An effect that does nothing."""
-
-    columns: ClassVar[tuple[str, ...]] = ()
-    uneven: ClassVar[bool] = False
-
-    def check(self, joints: tuple[str, ...]) -> None:
-        """Nothing."""
-
-    def edit(self, robot: RobotModel) -> None:
-        """Nothing."""
-
-    def settle(self, body: RobotBody, load: Array) -> None:
-        """Nothing."""
-
-    def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
-        """None."""
-        return None
-
-    def springs(self, load: Array) -> tuple[Array, Array] | None:
-        """None."""
-        return None
-
-    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy | None:
-        """None."""
         return None
 
 
-EFFECTS = OneOf("effect", contract=Contract(Effect, EffectBase))
+EffectBase = Effect
+EFFECTS = OneOf("effect", contract=Contract(Effect, Effect))
 """Kinds of further effects of a robot, in its list `effects`; those of the package are blocks of the robots that have them."""
 Further = Annotated[tuple[Annotated[Effect, EFFECTS], ...], Len(0, 20)]

@@ -18,7 +18,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import ASSETS, RANGE_GROUP, EffectBase, RobotModel
+from vstestbed.effects.base import ASSETS, RANGE_GROUP, Effect, RobotModel
 
 MOST_SEED = 2**31 - 1
 FloorSeed = Annotated[int, Ge(0), Le(MOST_SEED)]
@@ -32,7 +32,7 @@ THICKNESS_M = 0.1
 
 
 @spec
-class UnevenFloor(EffectBase):
+class UnevenFloor(Effect):
     """Heights of the floor under a vehicle, for 20 m around the origin of the world; the wheels alone meet them.
 
     No picture shows them: heights of millimetres are below what a pixel of the camera or of a film shows, and lines and targets lie on

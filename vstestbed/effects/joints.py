@@ -16,7 +16,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Frequency, OneForAll, PositiveTime
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import MOTOR, Actor, EffectBase, RobotBody, RobotModel
+from vstestbed.effects.base import MOTOR, Actor, Effect, RobotBody, RobotModel
 
 if TYPE_CHECKING:
     import mujoco
@@ -197,7 +197,7 @@ def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class ElasticJoints(EffectBase):
+class ElasticJoints(Effect):
     """`Gears` of an arm of n joints in plain numbers.
 
     A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that grows
@@ -299,7 +299,7 @@ DRIVES_STEP_S = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class Motors(EffectBase):
+class Motors(Effect):
     """`Ripple` and `CurrentLoops` of an arm of n joints in plain numbers.
 
     cogging, cycles: amplitude of the cogging torque and cycles in a turn of the joint (n,) [Nm, 1]. ripple: of the torque [1].

@@ -12,7 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import EffectBase, Remedy, RobotBody, RobotModel
+from vstestbed.effects.base import Effect, Remedy, RobotBody, RobotModel
 
 # What an arm does not know of its own body: errors of its geometry, and a load at its flange.
 
@@ -72,7 +72,7 @@ class GeometryError:
 
 
 @dataclass(frozen=True, eq=False)
-class DisplacedLinks(EffectBase):
+class DisplacedLinks(Effect):
     """`GeometryError` of an arm in plain numbers.
 
     joints: names in the file. D: displacement of the next joint, or the flange, in the frame of each link (n, 4, 4).
@@ -107,7 +107,7 @@ class DisplacedLinks(EffectBase):
 
 
 @spec
-class Payload(EffectBase):
+class Payload(Effect):
     """A load at the flange: a cube of uniform density that touches nothing.
 
     A start at which the weight asks more of a joint than its motor and friction hold is refused.

@@ -31,7 +31,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import GRAVITY, Narrower, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Actor, EffectBase, RobotBody
+from vstestbed.effects.base import Actor, Effect, RobotBody
 from vstestbed.effects.wheels import WHEELS
 
 LOW_SPEED = 0.5
@@ -45,7 +45,7 @@ Pair = tuple[float, float]
 
 
 @spec
-class Tyres(EffectBase):
+class Tyres(Effect):
     """Tyres that slip: a brush with relaxation length. Without them a tyre has friction alone.
 
     In the robot's file the wheels are the bodies `<wheel>_wheel` of `wheels.WHEELS` with geoms `<wheel>_contact`, which slide on joints

@@ -11,7 +11,7 @@ from annotated_types import Len
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime, Speed, Time, Velocity
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Actor, EffectBase, RobotBody
+from vstestbed.effects.base import Actor, Effect, RobotBody
 
 if TYPE_CHECKING:
     import mujoco
@@ -39,7 +39,7 @@ class Gust:
 
 
 @spec
-class Wind(EffectBase):
+class Wind(Effect):
     """The air's motion: a mean, gusts, and turbulence as a first-order Gauss-Markov process on each axis.
 
     Args:

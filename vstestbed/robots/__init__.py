@@ -5,18 +5,16 @@ from collections.abc import Callable, Mapping
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
-from vstestbed.robots.base import Reading, Robot
+from vstestbed.robots.base import Reading, Robot, RobotBase
 from vstestbed.robots.car import Car
-from vstestbed.robots.defaults import RobotBase
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 
-ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=RobotBase))
-# The base has a control period where its drive has a lag, while the contract asks for one of the class.
-VEHICLES: Mapping[str, Callable[[], Robot]] = {"omni": Omni, "car": Car}  # pyright: ignore[reportAssignmentType] - the base's period is a property
+ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
+VEHICLES: Mapping[str, Callable[[], Robot]] = {"omni": Omni, "car": Car}
 """Robots that can carry a target along a route (`Carried.by`)."""
 
 __all__ = [

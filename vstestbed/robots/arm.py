@@ -13,8 +13,7 @@ import numpy as np
 from vstestbed.core.errors import UnreachableError
 from vstestbed.core.geometry import Array, inverse, log, rigid_error
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
-from vstestbed.robots.base import Reading
-from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.base import Reading, Robot
 from vstestbed.robots.own_model import OwnModel
 
 # Resolved-rate control of serial arms: joint speeds for a flange twist, damped near singularities.
@@ -135,7 +134,7 @@ INNER = 0.8
 """Central share of a joint's range in which limit avoidance leaves it alone."""
 
 
-class Arm(RobotBase, ABC):
+class Arm(Robot, ABC):
     """A chain of joints on a base that stands at the world's origin. Fewer than six joints are motions of their own.
 
     A subclass gives the kinematics, the limits and `avoid_limits`, the gain of joint-limit avoidance [1/s].
@@ -145,21 +144,11 @@ class Arm(RobotBase, ABC):
     lag_s: ClassVar[float] = 0.009
     """Velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos."""
     avoid_limits: float
-
-    @property
-    @abstractmethod
-    def joint_limits(self) -> Array:
-        """Lowest and highest position of each joint, (n, 2) [rad, m]."""
-
-    @property
-    @abstractmethod
-    def joint_speeds(self) -> Array:
-        """Largest speed of each joint, (n,) [rad/s, m/s]."""
-
-    @property
-    @abstractmethod
-    def unit_m(self) -> float:
-        """Length that makes metres and radians comparable [m]."""
+    joint_limits: Array  # pyright: ignore[reportIncompatibleMethodOverride] - a constant or a property
+    joint_speeds: Array
+    """Largest speed of each joint, (n,) [rad/s, m/s]."""
+    unit_m: float
+    """Length that makes metres and radians comparable [m]."""
 
     @abstractmethod
     def kinematics(self, q: Array) -> tuple[Array, Array]:
@@ -168,10 +157,6 @@ class Arm(RobotBase, ABC):
     def start_joints(self) -> Array:
         """The configuration itself."""
         return self.configuration()
-
-    @abstractmethod
-    def configuration(self) -> Array:
-        """Joint positions of the nominal start, shape (n,) [rad, m]."""
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_flange (4, 4)."""

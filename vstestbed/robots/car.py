@@ -31,7 +31,7 @@ from vstestbed.robots.allocation import Allocation, Limit, Mount
 from vstestbed.robots.base import Reading
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
-from vstestbed.robots.vehicle import PLANE, GroundStart, WornVehicle
+from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle, WornVehicle
 
 # Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
 #
@@ -402,10 +402,18 @@ class Car(WornVehicle):
     tyres: Tyres | None = None
     steering_play_deg: Annotated[AngleWidth, Narrower(le=20)] | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
+    model: ClassVar[str] = "car.xml"
+    joints: ClassVar[tuple[str, ...]] = (
+        *("steering", "front_left_steer", "front_right_steer"),
+        *("rear_left", "rear_right", "front_left", "front_right"),
+    )
     actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
     sensors: ClassVar[tuple[str, ...]] = ("heading",)
     control_period_s: ClassVar[float | None] = 0.01
     motion_names: ClassVar[tuple[str, ...]] = ("v", "w")
+    # No wheel is steered across the car's way; the wheels turn without end.
+    joint_limits: ClassVar[Array] = np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    proprioception_names: ClassVar[tuple[str, ...]] = (*Vehicle.proprioception_names, "compass", "steering")
 
     def __post_init__(self) -> None:
         """Refuse limits that its wheels and its motor cannot keep."""
@@ -421,11 +429,6 @@ class Car(WornVehicle):
             )
             other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
             raise ParameterError("parameters.motor_torque_nm", f"{words}{other}", body.motor_torque_nm)
-
-    @property
-    def model(self) -> str:
-        """Its file."""
-        return "car.xml"
 
     @property
     def body_changes(self) -> tuple[Change, ...]:
@@ -453,19 +456,6 @@ class Car(WornVehicle):
     def ends_m(self) -> tuple[float, float]:
         """The x of its rear and its front bumper [m]."""
         return self.parameters.ends_m
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Steering and wheels."""
-        return (
-            *("steering", "front_left_steer", "front_right_steer"),
-            *("rear_left", "rear_right", "front_left", "front_right"),
-        )
-
-    @property
-    def joint_limits(self) -> Array:
-        """No wheel is steered across the car's way; the wheels turn without end."""
-        return np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
 
     @property
     def turning_radius_m(self) -> float:
@@ -511,11 +501,6 @@ class Car(WornVehicle):
         x, y = sensors["heading"][:2]
         error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * noise.standard_normal())
         return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
-
-    @property
-    def proprioception_names(self) -> tuple[str, ...]:
-        """Dead reckoning, compass, steering."""
-        return *super().proprioception_names, "compass", "steering"
 
     def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
         """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle: (5,) [m, m, rad, rad, rad]."""

@@ -12,8 +12,7 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Mount
-from vstestbed.robots.base import Reading
-from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.base import Reading, Robot
 from vstestbed.robots.puma560 import Puma560, PumaStart
 
 
@@ -56,7 +55,7 @@ class FreeStart:
 
 
 @spec
-class Free(RobotBase):
+class Free(Robot):
     """A camera without mass; its flange is the camera's body.
 
     Args:

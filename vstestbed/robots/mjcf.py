@@ -120,7 +120,7 @@ class Mjcf(RealArm):
     kind: Literal["mjcf"] = "mjcf"
     file: str
     flange: str = "flange"
-    joints: tuple[str, ...] = ()  # pyright: ignore[reportIncompatibleMethodOverride] - a field in place of a property
+    joints: tuple[str, ...] = ()
     actuation: Literal["velocity", "ideal", "file"] = "velocity"
     speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(1, 7), OneForAll()]
     torque_limits: Annotated[tuple[Torque, ...], Len(0, 7), OneForAll()] = ()

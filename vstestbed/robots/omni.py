@@ -245,12 +245,12 @@ class Omni(WornVehicle):
                 raise ParameterError("wheels", words, self.wheels)
 
     @property
-    def control_period_s(self) -> float | None:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+    def control_period_s(self) -> float | None:
         """That of the drive's lag; without it the wheels' speeds are the actuators' controls."""
         return LAG_PERIOD_S if self.drive_lag_s else None
 
     @property
-    def stop_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+    def stop_s(self) -> float:
         """From its top speed, of 1 m/s by default, at 2 m/s^2: rollers hold on a dry floor [s]."""
         return self.top_speed_mps / 2.0
 

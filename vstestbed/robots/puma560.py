@@ -211,7 +211,12 @@ class Puma560(RealArm):
     start: PumaStart = PumaStart()
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.0
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
-    actuators: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
+    model: ClassVar[str] = "puma560.xml"
+    joints: ClassVar[tuple[str, ...]] = tuple(f"joint_{i}" for i in range(1, 7))
+    actuators: ClassVar[tuple[str, ...]] = joints
+    joint_limits: ClassVar[Array] = JOINT_LIMITS
+    joint_speeds: ClassVar[Array] = SPEED_LIMITS
+    unit_m: ClassVar[float] = REACH_UNIT
 
     def __post_init__(self) -> None:
         """Refuse a start outside the joint limits."""
@@ -224,16 +229,6 @@ class Puma560(RealArm):
         self._check_effects()
 
     @property
-    def model(self) -> str:
-        """Its file."""
-        return "puma560.xml"
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """All six; each has an actuator."""
-        return self.actuators
-
-    @property
     def actuator_set(self) -> Actuation:
         """The servo amplifiers of the chosen actuation."""
         return self.compensated(ACTUATIONS[self.actuation])
@@ -241,21 +236,6 @@ class Puma560(RealArm):
     def configuration(self) -> Array:
         """Joint angles of the nominal start, shape (6,) [rad]."""
         return np.radians(self.start.nominal.q_deg)
-
-    @property
-    def joint_limits(self) -> Array:
-        """JOINT_LIMITS."""
-        return JOINT_LIMITS
-
-    @property
-    def joint_speeds(self) -> Array:
-        """SPEED_LIMITS."""
-        return SPEED_LIMITS
-
-    @property
-    def unit_m(self) -> float:
-        """REACH_UNIT."""
-        return REACH_UNIT
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """Those of the table DH; the base stands at the world's origin."""

@@ -279,6 +279,8 @@ class Quadrotor(FlightRealism):
     max_climb_mps: PositiveSpeed = 1.0
     max_yaw_rate_radps: PositiveRate = 0.8
 
+    model: ClassVar[str] = "quadrotor.xml"
+    proprioception_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
     sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
     reading: ClassVar[type[Reading]] = FlightReading
@@ -301,11 +303,6 @@ class Quadrotor(FlightRealism):
             raise ParameterError(
                 "gains.rotor_s", f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)", self.gains.rotor_s
             )
-
-    @property
-    def model(self) -> str:
-        """Its MJCF file."""
-        return "quadrotor.xml"
 
     @property
     def body_changes(self) -> tuple[Change, ...]:
@@ -398,11 +395,6 @@ class Quadrotor(FlightRealism):
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
         assert isinstance(before, FlightReading) and isinstance(now, FlightReading)
         return mount.to_camera @ (0.5 * (before.body_twist + now.body_twist))
-
-    @property
-    def proprioception_names(self) -> tuple[str, ...]:
-        """The estimated tilt, the range, the estimated body twist."""
-        return "roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz"
 
     def proprioception(self, reading: FlightReading, odometry: Array | None) -> Array:
         """Estimated roll and pitch [rad], measured range [m] (FAR_M over nothing), estimated body twist [m/s, rad/s]: shape (9,)."""

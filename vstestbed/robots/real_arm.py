@@ -108,7 +108,7 @@ class RealArm(Realistic, Arm):
         return ElasticJoints(self.joints, k, k * gears.damping_s, gears.play(k, self.slides), stages, rotors)
 
     @cached_property
-    def acting(self) -> tuple[Effect, ...]:  # pyright: ignore[reportIncompatibleMethodOverride] - computed once
+    def acting(self) -> tuple[Effect, ...]:
         """Motors, gears, links, payload, and further ones."""
         found: list[Effect] = []
         if self.ripple is not None or self.drives is not None:

@@ -14,14 +14,14 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import brief_mapping
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Further
-from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.base import Robot
 
 Level = Literal["none", "lab", "field"]
 LEVELS: tuple[Level, ...] = typing.get_args(Level)
 
 
 @spec
-class Realistic(RobotBase):
+class Realistic(Robot):
     """A robot with imperfections. Each is a block (or a number) of its own, None where it is off.
 
     A subclass names in `presets` what each level fills when a robot is made. What is given stays: None switches an effect off, and a

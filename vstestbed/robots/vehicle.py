@@ -22,8 +22,7 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor
-from vstestbed.robots.defaults import RobotBase
+from vstestbed.robots.base import Base, Reading, Robot, RobotLog, RobotState, Supervisor
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
@@ -75,10 +74,11 @@ class GroundStart:
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=math.degrees(heading)), random=self.random)
 
 
-class Vehicle(RobotBase):
+class Vehicle(Robot):
     """Defaults of a vehicle: a planar base that starts on the floor, and the log of its dead reckoning."""
 
     base: ClassVar[Base] = "planar"
+    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     start: GroundStart
 
     def configuration(self) -> Array:
@@ -94,11 +94,6 @@ class Vehicle(RobotBase):
         if xyz[2] <= 0:
             words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
             raise ParameterError("camera.mount.xyz", words, xyz)
-
-    @property
-    def proprioception_names(self) -> tuple[str, ...]:
-        """Dead reckoning."""
-        return "odo_x", "odo_y", "odo_heading"
 
     def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
         """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""

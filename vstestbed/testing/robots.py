@@ -8,7 +8,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.registry import Contract
 from vstestbed.features import ThetaU
-from vstestbed.robots import Mount, Robot, RobotBase
+from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 
 STEP = 1e-6
@@ -19,7 +19,7 @@ HUGE = 1e4
 
 def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 0) -> None:
     """A robot's motions agree with its kinematics, for any mount (4, 4); its allocation stays within limits, its start is where it says."""
-    Contract(Robot, base=RobotBase).check(type(robot))
+    Contract(Robot, base=Robot).check(type(robot))
     rng = np.random.default_rng(seed)
     mount = Mount.of(_general_mount() if T_flange_camera is None else T_flange_camera)
     _check_start(robot, rng)
