@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Look, Picture
-from vstestbed.core.errors import UnreachableError
-from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.errors import ParameterError, UnreachableError
+from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.imaging.shutter import Contribution, Rows
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Reading
+from vstestbed.sim.scene.world import AWAY
 from vstestbed.targets.base import Target
-from vstestbed.timing.setpoints import Stop
+from vstestbed.targets.motion import Path
+from vstestbed.timing.setpoints import Interpolation, Orders, Stop
+
+if TYPE_CHECKING:
+    from vstestbed.sim.render.image_sensor import ImageSensor
+    from vstestbed.sim.scene.compose import Parts
+    from vstestbed.sim.scene.stage import Stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +83,48 @@ class Renderer(Protocol):
         ...
 
 
-class Plant(Protocol):
-    """The simulated robot, camera and target. The clock counts whole physics steps."""
+class Plant(ABC):
+    """The simulated robot, camera and target. The clock counts whole physics steps.
 
-    step_s: float
-    steps_per_frame: int
+    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
+    pictures and occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a target that moves by itself as
+    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. led: how it goes from one setpoint to the
+    next; None: at once.
+    """
+
+    _stage: Stage | None
+
+    def __init__(
+        self,
+        parts: Parts,
+        steps_per_frame: int,
+        stage: Stage | None,
+        eye: ImageSensor | None,
+        path: Path | None,
+        order_s: float,
+        led: Interpolation | None,
+    ):
+        robot = parts.robot
+        self._parts, self._stage, self._eye, self._path, self._target = parts, stage, eye, path, parts.target
+        self.step_s, self.steps_per_frame, self._steps = parts.step, steps_per_frame, 0
+        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / parts.step, parts.step, led)
+
+    @property
+    def _t(self) -> float:
+        return self._steps * self.step_s
+
+    @abstractmethod
+    def _show(self) -> None:
+        """Bring the stage, from which pictures are taken, to the present time."""
+
+    @abstractmethod
+    def _actuate(self) -> None:
+        """Put the setpoint in force into effect."""
 
     @property
     def render_s(self) -> float:
         """Wall time spent on pictures so far [s]."""
-        ...
+        return self._eye.spent_s if self._eye else 0.0
 
     def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
         """The picture (None where no detector needs one; valid until the next capture) and the truth, now.
@@ -92,74 +132,100 @@ class Plant(Protocol):
         look: the detector's regions of interest; None for everything. A copy of a picture of which only they were drawn can be
         completed until the next such picture is taken.
         """
-        ...
+        truth = self.truth()
+        return self._eye.capture(self._t, look) if self._eye else None, truth
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
-        ...
+        return self._eye.with_own(picture) if self._eye else picture
 
+    @abstractmethod
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
         """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there.
 
         The plant keeps its state. Only of a plant that takes pictures.
         """
-        ...
 
     def exposure_s(self) -> float | None:
         """Exposure time of the next picture as the camera's exposure control has set it [s]; None where nothing is pictured."""
-        ...
+        self._show()
+        return self._eye.exposure_s(self._t) if self._eye else None
 
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where no detector needs pictures.
 
         look: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
         """
-        ...
+        self._show()
+        if self._eye is not None:
+            self._eye.expose(weight, look, middle)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one, stamped t [s]."""
-        ...
+        return self._eye.developed(t) if self._eye else None
 
+    @abstractmethod
     def truth(self) -> Truth:
         """The truth, now."""
-        ...
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
         """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by the name of its body; "" for nothing."""
-        ...
+        return self._stage.names_before(T_world_camera, p_camera) if self._stage else ("",) * len(p_camera)
 
+    @abstractmethod
     def reading(self) -> Reading:
         """The robot's sensor reading, now."""
-        ...
 
     def apply(self, setpoint: Array, stop: Stop = "") -> None:
         """Set the setpoint, which stays in force until the next one, or until it has lasted its time; or a stop in its place."""
-        ...
+        self._orders.give(self._steps, setpoint, stop)
+        self._actuate()
 
+    @abstractmethod
     def advance(self, steps: int) -> bool:
         """Advance by physics steps; False when the simulation became unstable."""
-        ...
 
     @property
     def weight_n(self) -> float:
         """Weight of the robot [N]; 0 for an ideal camera."""
-        ...
+        return 0.0
 
     def push(self, force: Array, duration_s: float) -> None:
         """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where it has no mass."""
-        ...
+        raise ParameterError("push", "needs a robot with a mass; this camera follows its twist exactly")
 
     def move_target(self, T_world_target: Array) -> None:
         """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where it is carried."""
-        ...
+        if self._target.on_gripper or self._parts.leader is not None:
+            raise ParameterError("target", "is carried, and goes where its carrier goes")
+        start, path = self._parts.T_world_target, self._path
+        own = path.own if isinstance(path, Displaced) else path or (lambda _: start)
+        self._path = Displaced(own, T_world_target @ inverse(own(self._t)))
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
-        ...
+        if self._stage is None or self._stage.hand_plate is None:
+            raise ParameterError("plate", "is not in this scene; a session has one with plate_m=0.1")
+        T = np.eye(4) if T_world_plate is None else T_world_plate
+        self._stage.data.mocap_pos[self._stage.hand_plate] = AWAY if T_world_plate is None else T[:3, 3]
+        self._stage.data.mocap_quat[self._stage.hand_plate] = quaternion_wxyz(T[:3, :3])
 
     def close(self) -> None:
         """Free pictures and physics."""
-        ...
+        if self._stage is not None:
+            self._stage.close()
+
+
+@dataclass(frozen=True)
+class Displaced:
+    """A path that is moved as a whole: shift (4, 4) times its own pose."""
+
+    own: Path
+    shift: Array
+
+    def __call__(self, t: float) -> Array:
+        """The pose (4, 4) at a time [s]."""
+        return self.shift @ self.own(t)
 
 
 # Poses of camera and target at the start: the robot carries the camera or, eye to hand, the target.

@@ -64,7 +64,7 @@ def build_plant(
     if ideal and not (needs_image or plate_m or _may_hide(target, world)):
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, path=path, order_s=order_s, led=led), "none"
+        return IdealPlant(parts, steps_per_frame, None, None, path, order_s, led), "none"
     from vstestbed.imaging.chain import Chain, imaging_of
     from vstestbed.sim.render.image_sensor import ImageSensor, depth_camera
     from vstestbed.sim.render.pictures import servo_renderer

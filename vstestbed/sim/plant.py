@@ -10,23 +10,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Look, Picture
+from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import place_of, pose_on_ground, relative
 from vstestbed.effects.base import Actor, Effect, StateIndices
-from vstestbed.imaging.shutter import Contribution
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
-from vstestbed.sim.base import Truth
+from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.gl_probe import may_end_here
-from vstestbed.sim.hands import Push, hold_plate, moved_path
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolation, Orders, Stop
-
-# What a robot touches.
+from vstestbed.timing.setpoints import Interpolation
 
 
 class RobotContacts:
@@ -67,16 +63,11 @@ class RobotContacts:
     def _name(self, geom: int) -> str:
         """Name of a geom, or of the body it belongs to, without the prefix of its part of the scene."""
         name = self._model.geom(geom).name or self._model.body(self._model.geom_bodyid[geom]).name
-        return (
-            name.removeprefix("robot/").removeprefix("scenery/").strip("/").replace("/", " ").replace("_", " ")
-            or "something without a name"
-        )
+        words = name.removeprefix("robot/").removeprefix("scenery/").strip("/").replace("/", " ").replace("_", " ")
+        return words or "something without a name"
 
 
 # Sensor readings of a robot: joints and MJCF sensors, with the noise of its sensor model.
-NONE = np.zeros(0)
-
-
 class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
@@ -85,38 +76,29 @@ class SensorReader:
 
     def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
         self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
-        self._at = stage.at if self._robot.joints else None
+        self._at = stage.at
         self._noise, self._felt = self._robot.noise(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
         for name in self._robot.sensors:
             sensor = stage.model.sensor(f"robot/{name}")
             self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
-        self._read_at = -1
+        self.read_at = -1
         self._reading: Any = None
 
     def joints(self) -> tuple[Array, Array]:
         """True joint positions and speeds (n,) each."""
-        at, data = self._at, self._data
-        return (NONE, NONE) if at is None else (data.qpos[at.qpos], data.qvel[at.qvel])
-
-    def _motors(self) -> tuple[Array, Array]:
-        """True positions and speeds (n,) each of what the encoders are on."""
-        at, data = self._at, self._data
-        return (NONE, NONE) if at is None else (data.qpos[at.motor_qpos], data.qvel[at.motor_qvel])
-
-    def restart(self) -> None:
-        """Forget the last reading."""
-        self._read_at = -1
+        return self._data.qpos[self._at.qpos], self._data.qvel[self._at.qvel]
 
     def read(self, step: int) -> Any:
         """What the sensors read at a physics step (`Robot.measured`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
-        if step != self._read_at:
+        if step != self.read_at:
             values = self._values.tolist()
             sensors = {name: values[where] for name, where in self._sensors}
             for felt in self._felt:
                 sensors = felt(sensors)
-            self._reading, self._read_at = self._robot.measured(*self._motors(), sensors, self._noise), step
+            q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # of what the encoders are on
+            self._reading, self.read_at = self._robot.measured(q, qd, sensors, self._noise), step
         return self._reading
 
 
@@ -178,18 +160,15 @@ def check_static_load(stage: Stage) -> None:
 
 def _largest_torques(stage: Stage) -> Array:
     """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
-    model = stage.model
+    model, found = stage.model, []
     motors = np.array([model.actuator(f"robot/{name}").id for name in stage.parts.robot.actuators], dtype=int)
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
-    return np.array([_largest_torque(model, turned, motors) for turned in model.dof_jntid[stage.at.motor_qvel]])
-
-
-def _largest_torque(model: mujoco.MjModel, joint: int, motors: NDArray[np.int_]) -> float:
-    """The same of one joint, by its number; motors: numbers of the actuators that act on joints."""
-    own = motors[model.actuator_trnid[motors, 0] == joint]
-    limited = len(own) and model.actuator_forcelimited[own].all()
-    most = float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum()) if limited else np.inf
-    return min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most
+    for joint in model.dof_jntid[stage.at.motor_qvel]:
+        own = motors[model.actuator_trnid[motors, 0] == joint]
+        limited = len(own) and model.actuator_forcelimited[own].all()
+        most = float((np.abs(model.actuator_gear[own, 0]) * model.actuator_forcerange[own, 1]).sum()) if limited else np.inf
+        found.append(min(most, float(model.jnt_actfrcrange[joint, 1])) if model.jnt_actfrclimited[joint] else most)
+    return np.array(found)
 
 
 # The equilibrium in which a robot begins: its servos carry its weight, and its gears are wound up by it.
@@ -271,18 +250,46 @@ SETTLE_S = 1.0
 """How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
 
 
-class MujocoPlant:
+LONGEST_PUSH_S = 10.0
+
+
+class Push:
+    """A force on the body that carries the camera, or the target in the gripper, for a while."""
+
+    def __init__(self, stage: Stage):
+        self._force = stage.data.xfrc_applied[stage.flange_body]
+        self._until = 0
+        self.acts = False
+
+    def begin(self, force: Array, step: int, duration_s: float, step_s: float) -> None:
+        """Push with a force (3,) along world axes [N] from a physics step on; it replaces one that still acts.
+
+        Raises ParameterError: a force that is not three finite numbers, a duration that is not positive or more than 10 s.
+        """
+        given = np.asarray(force, dtype=float)
+        if given.shape != (3,) or not np.isfinite(given).all():
+            raise ParameterError("force", "must be three finite numbers [N]", force)
+        if not (math.isfinite(duration_s) and 0 < duration_s <= LONGEST_PUSH_S):
+            raise ParameterError("duration_s", f"must be more than 0 and at most {LONGEST_PUSH_S:g} s", duration_s)
+        self._force[:3] = given
+        self._until, self.acts = step + max(1, round(duration_s / step_s)), True
+
+    def ahead(self, step: int, steps: int) -> int:
+        """Of so many physics steps, those until it ends; it ends when its time is over."""
+        if step >= self._until:
+            self._force[:3], self.acts = 0.0, False
+            return steps
+        return min(steps, self._until - step)
+
+
+class MujocoPlant(Plant):
     """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
     The robot starts at rest and in equilibrium: integrating servos carry the gravity load from the start, as they do when brakes are
-    released; vehicles have settled on their springs.
-
-    Args:
-        stage: the scene. steps_per_frame: physics steps between pictures.
-        eye: takes the pictures; None where no detector needs them. see_hidden: compute the truth's `hidden` by casting rays.
-        rng: generator of the robot's sensor noise. path: the pose of a target that moves by itself as a function of time, else None.
-        order_s: how long a setpoint lasts before the robot stops [s]. led: how it goes from one setpoint to the next; None: at once.
+    released; vehicles have settled on their springs. see_hidden: compute the truth's `hidden` by casting rays. rng: of the sensors' noise.
     """
+
+    _stage: Stage  # pyright: ignore[reportIncompatibleVariableOverride] - always there
 
     def __init__(
         self,
@@ -296,10 +303,8 @@ class MujocoPlant:
         led: Interpolation | None = None,
     ):
         robot, world = stage.parts.robot, stage.parts.world
-        self._stage, self._robot, self._target = stage, robot, stage.parts.target
-        self.step_s, self.steps_per_frame, self._steps = stage.parts.step, steps_per_frame, 0
-        self._path, self._scenery = path, bool(world.movers or path)
-        self._eye = eye
+        super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, led)
+        self._robot, self._scenery = robot, bool(world.movers or path)
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
@@ -311,8 +316,8 @@ class MujocoPlant:
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
         self._memory: Any = robot.begin()
-        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / self.step_s, self.step_s, led)
-        self._control_steps = _whole_steps(robot.control_period_s, self.step_s)
+        period_s = robot.control_period_s
+        self._control_steps = max(1, round(period_s / self.step_s)) if period_s else 0  # 0: no onboard controller
         acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
         self._each_step = [actor.act for actor in acting if not actor.with_controller]
         self._each_period = [actor.act for actor in acting if actor.with_controller]
@@ -327,7 +332,7 @@ class MujocoPlant:
         if self._control_steps:
             yield self._control_steps, self._control
         for act in self._each_step:
-            yield 1, lambda dt, act=act: act(self._steps * self.step_s, dt)
+            yield 1, lambda dt, act=act: act(self._t, dt)
 
     def _start(self) -> None:
         """Place everything at its start, in equilibrium."""
@@ -343,9 +348,8 @@ class MujocoPlant:
         """Let vehicles settle on their springs, then move them back to their start, at rest, at time 0."""
         stage, data = self._stage, self._stage.data
         T_robot, T_leader = stage.parts.start[1] @ stage.mount_inverse, self._target.T_world_start @ stage.target_inverse
-        if (
-            self._robot.base == "floating" and stage.root is not None
-        ):  # out of the way: it is not controlled yet, and would fall on the vehicle
+        # Out of the way: it is not controlled yet, and would fall on the vehicle.
+        if self._robot.base == "floating" and stage.root is not None:
             stage.root.put(data.qpos, AWAY @ T_robot)
         if not self._stepped(round(SETTLE_S / self.step_s)):
             raise ParameterError("physics.step_s", "is too long for the vehicle's springs and contacts", self.step_s)
@@ -361,7 +365,7 @@ class MujocoPlant:
         data.time = 0.0
         stage.rest()
         mujoco.mj_forward(stage.model, data)
-        self._sensors.restart()
+        self._sensors.read_at = -1
 
     def _stepped(self, steps: int) -> bool:
         """Advance without controllers, with what acts at each step; False when MuJoCo reports an instability."""
@@ -380,19 +384,9 @@ class MujocoPlant:
         if self._forces:
             np.sum(self._forces, axis=0, out=self._stage.data.qfrc_applied)
 
-    @property
-    def render_s(self) -> float:
-        """Wall time spent on pictures so far [s]."""
-        return self._eye.spent_s if self._eye else 0.0
-
-    def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
-        """The picture, where a detector needs one, and the truth, now."""
-        truth = self.truth()
-        return self._eye.capture(self._steps * self.step_s, look) if self._eye else None, truth
-
-    def _move_scenery(self) -> None:
+    def _show(self) -> None:
         """Move plates, decoys, a lamp and a target with a path of its own to their present poses."""
-        stage, t = self._stage, self._steps * self.step_s
+        stage, t = self._stage, self._t
         if self._scenery:
             stage.place_plates(t)
             if self._path is not None:
@@ -404,7 +398,7 @@ class MujocoPlant:
         # dm_control's step ends with `mj_step1`: poses and velocities are those of the present time. After MuJoCo's own `mj_step` they
         # would be one step old, .5 mm for a fast arm.
         stage = self._stage
-        self._move_scenery()
+        self._show()
         T, T_target = stage.camera_pose(), stage.target_pose()
         p_camera = self._target.seen_from(inverse(T_target) @ T)
         twist = self._twist(stage.eye)
@@ -417,14 +411,6 @@ class MujocoPlant:
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy(), effects)
 
-    def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
-        """What stands now before each of points (N, 3)."""
-        return self._stage.names_before(T_world_camera, p_camera)
-
-    def with_own(self, picture: Picture) -> Picture:
-        """A picture just taken with the camera's own image, where it has none."""
-        return self._eye.with_own(picture) if self._eye else picture
-
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
         """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there."""
         stage = self._stage
@@ -432,22 +418,7 @@ class MujocoPlant:
         with stage.kept():
             joints = stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
-            return self._eye.clean(self._steps * self.step_s)
-
-    def exposure_s(self) -> float | None:
-        """Exposure time of the next picture [s], as the camera will have it; None where no detector needs pictures."""
-        self._move_scenery()
-        return self._eye.exposure_s(self._steps * self.step_s) if self._eye else None
-
-    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
-        """Add an image of the exposure, where a detector needs pictures."""
-        self._move_scenery()
-        if self._eye is not None:
-            self._eye.expose(weight, look, middle)
-
-    def developed(self, t: float) -> Picture | None:
-        """The picture of all images added since the last one."""
-        return self._eye.developed(t) if self._eye else None
+            return self._eye.clean(self._t)
 
     def _twist(self, site: int) -> Array:
         """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""
@@ -457,11 +428,6 @@ class MujocoPlant:
     def reading(self) -> Reading:
         """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
-
-    def apply(self, setpoint: Array, stop: Stop = "") -> None:
-        """Set the setpoint, or a stop in its place; without an onboard controller these are the actuators' controls (n,)."""
-        self._orders.give(self._steps, setpoint, stop)
-        self._actuate()
 
     def _actuate(self) -> None:
         """The setpoint in force becomes the controls of a robot without an onboard controller."""
@@ -522,18 +488,18 @@ class MujocoPlant:
 
     def move_target(self, T_world_target: Array) -> None:
         """Put the target at a pose (4, 4); one that moves goes on from there."""
-        self._path = moved_path(self._path, self._stage.parts, self._steps * self.step_s, T_world_target)
+        super().move_target(T_world_target)
         self._scenery = True
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Put the plate in reserve at a pose (4, 4), or away."""
-        hold_plate(self._stage, T_world_plate)
+        super().hold_plate(T_world_plate)
         self._scenery = True
 
     def close(self) -> None:
         """Free pictures and physics."""
         self._loops = []  # methods of this object: a cycle, which would keep the model until the garbage collector runs
-        self._stage.close()
+        super().close()
 
 
 def _row(effect: Effect, actor: Actor) -> Sequence[float]:
@@ -545,8 +511,3 @@ def _row(effect: Effect, actor: Actor) -> Sequence[float]:
             "robot.effects", f"{type(effect).__name__} has the columns {names}; `row` of its actor must return as many", list(row)
         )
     return row
-
-
-def _whole_steps(period_s: float | None, step_s: float) -> int:
-    """A controller's period as whole physics steps, one at least; 0 for a robot without an onboard controller."""
-    return max(1, round(period_s / step_s)) if period_s else 0
