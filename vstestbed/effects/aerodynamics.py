@@ -13,8 +13,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.quantity import Narrower, PositiveTime
 from vstestbed.core.spec import spec
 
-AIR = 1.184
-"""Density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml."""
+AIR = 1.184  # density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml
 LEAST_RADII = 0.5
 """Least height, in rotor radii: below it Cheeseman & Bennett's equation, infinite at R/4, does not hold, and the height counts as this."""
 Share = Annotated[float, Ge(0), Le(1)]

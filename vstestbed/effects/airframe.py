@@ -45,8 +45,7 @@ class Effort(NamedTuple):
 
 ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
 """Where front, right, back and left are, along x and y, in arms."""
-DRAWN_AHEAD = 64
-"""For how many instants noise is drawn at once."""
+DRAWN_AHEAD = 64  # for how many instants noise is drawn at once
 NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 

@@ -18,12 +18,9 @@ if TYPE_CHECKING:
     import mujoco
 
 Vector = tuple[float, float, float]
-Four = tuple[float, float, float, float]
-"""Of rotors front, right, back, left."""
-ASSETS = "assets"
-"""Folder, in a scene, of the files in memory."""
-RANGE_GROUP = 5
-"""Geoms that range finders alone meet, which nothing draws."""
+Four = tuple[float, float, float, float]  # of rotors front, right, back, left
+ASSETS = "assets"  # folder, in a scene, of the files in memory
+RANGE_GROUP = 5  # geoms that range finders alone meet, which nothing draws
 MOTOR = "rotor_"
 """Before the name of a joint: that of the joint of its motor, where an effect has parted the two."""
 

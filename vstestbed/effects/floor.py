@@ -22,13 +22,10 @@ from vstestbed.effects.base import ASSETS, RANGE_GROUP, Effect, RobotModel
 
 MOST_SEED = 2**31 - 1
 FloorSeed = Annotated[int, Ge(0), Le(MOST_SEED)]
-CELLS = 5
-"""Cells of the field in a correlation length."""
+CELLS = 5  # cells of the field in a correlation length
 RELIEF = "floor_relief"
-HALF_M = 20.0
-"""Half the edge of the height field, as far as the floor is drawn [m]."""
-THICKNESS_M = 0.1
-"""Of the field under its lowest place [m]."""
+HALF_M = 20.0  # half the edge of the height field, as far as the floor is drawn [m]
+THICKNESS_M = 0.1  # of the field under its lowest place [m]
 
 
 @spec

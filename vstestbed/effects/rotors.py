@@ -10,14 +10,10 @@ from annotated_types import Ge, Gt, Le, Len
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 
-ROTOR_M = 0.045
-"""Height of the rotors over the centre of mass [m], by models/quadrotor.xml."""
-X4_KG, X4_ROTOR_RADIUS_M = 4.0, 0.165
-"""Of the X-4 Flyer, whose rotors' inertia is known [kg, m]."""
-X4_ROTOR = 6.49e-5
-"""Inertia of an X-4 rotor about its axis [kg m^2], as in models/quadrotor.xml."""
-SPIN = (1.0, -1.0, 1.0, -1.0)
-"""Sense of rotation of front, right, back, left about the craft's z."""
+ROTOR_M = 0.045  # height of the rotors over the centre of mass [m], by models/quadrotor.xml
+X4_KG, X4_ROTOR_RADIUS_M = 4.0, 0.165  # of the X-4 Flyer, whose rotors' inertia is known [kg, m]
+X4_ROTOR = 6.49e-5  # inertia of an X-4 rotor about its axis [kg m^2], as in models/quadrotor.xml
+SPIN = (1.0, -1.0, 1.0, -1.0)  # sense of rotation of front, right, back, left about the craft's z
 
 
 class _Craft(Protocol):
@@ -79,8 +75,7 @@ def inertia_torque(J: float, rates: Vector, speeds: Four, accelerations: Four) -
 
 # Motors and rotors of a quadrotor that are not alike.
 Factors = Annotated[tuple[Annotated[float, Ge(0.2), Le(2)], ...], Len(4, 4)]
-MOST_SIGMAS = 3.0
-"""A drawn factor is off by at most so many standard deviations."""
+MOST_SIGMAS = 3.0  # a drawn factor is off by at most so many standard deviations
 
 
 @spec

@@ -34,14 +34,12 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, RobotBody
 from vstestbed.effects.wheels import WHEELS
 
-LOW_SPEED = 0.5
-"""Speed below which the damper acts [m/s]; chosen."""
+LOW_SPEED = 0.5  # speed below which the damper acts [m/s]; chosen
 DAMPING = 0.22
 """Share of the critical damping of the load on a tyre at rest; chosen such that a wheel that is let go stops after two swings."""
 STIFFEST = 200.0
 """Largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms."""
-Pair = tuple[float, float]
-"""Along and across a wheel."""
+Pair = tuple[float, float]  # along and across a wheel
 
 
 @spec

@@ -11,8 +11,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-MOST_ERROR = 0.19
-"""A drawn error is at most so large."""
+MOST_ERROR = 0.19  # a drawn error is at most so large
 RadiusError = Annotated[float, Gt(-0.2), Lt(0.2)]
 Errors = Annotated[tuple[RadiusError, ...], Len(4, 4)]
 

@@ -20,8 +20,7 @@ from vstestbed.core.spec import OneOf, spec
 
 EDGE = 0.03
 """Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one surface is seen at over 85 degrees then."""
-NEAREST_M = 0.05
-"""What is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise."""
+NEAREST_M = 0.05  # what is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise
 STEEPEST = math.radians(89.9)
 """Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees [rad]."""
 

@@ -19,10 +19,8 @@ from vstestbed.core.spec import spec
 
 DARKEST = 0.5
 """Least brightness that is reckoned with [grey levels]: of a black picture the ratio to the target has no bound."""
-SETTLING = 30
-"""Halvings of the interval in which the settled exposure is sought: to 1e-8 of it."""
-SKIP = 4
-"""Every fourth row and column is metered, as cameras meter in blocks."""
+SETTLING = 30  # halvings of the interval in which the settled exposure is sought: to 1e-8 of it
+SKIP = 4  # every fourth row and column is metered, as cameras meter in blocks
 Grey = NDArray[np.uint8]
 Factor = Annotated[float, Gt(0), Le(1e4)]
 

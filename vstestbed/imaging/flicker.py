@@ -66,5 +66,4 @@ class Flicker:
         return c - a, d - b
 
 
-STEADY = Flicker()
-"""Light that does not flicker."""
+STEADY = Flicker()  # light that does not flicker

@@ -123,14 +123,10 @@ def _check_focus(defocus: Defocus, focal_length_m: float | None) -> None:
 
 # The errors of a lens in a rendered picture: defocus by layers of depth, lateral colour, vignetting.
 Floats = NDArray[np.float32]
-FINE_PX, COARSE = 0.5, 0.1
-"""Discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]."""
-SHARP_PX = 0.3
-"""A disc of this diameter is one pixel [px]."""
-SUBPIXELS = 8
-"""Points along a pixel's side by which its share of a disc is measured."""
-MOST = 0.25
-"""Largest disc, as a share of the picture's height."""
+FINE_PX, COARSE = 0.5, 0.1  # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
+SHARP_PX = 0.3  # a disc of this diameter is one pixel [px]
+SUBPIXELS = 8  # points along a pixel's side by which its share of a disc is measured
+MOST = 0.25  # largest disc, as a share of the picture's height
 
 
 class _Lens(Protocol):

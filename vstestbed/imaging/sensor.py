@@ -18,10 +18,8 @@ from vstestbed.imaging.exposure import ExposureSetting
 
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.uint16]
-GREY = 128.0
-"""The grey level that a change of contrast leaves as it is."""
-WHITE = 255.0
-"""Value of a picture's white."""
+GREY = 128.0  # the grey level that a change of contrast leaves as it is
+WHITE = 255.0  # value of a picture's white
 FEW = 30.0
 """Electrons under which their number is drawn from Poisson's distribution; above, from the normal one of the same mean and variance,
 whose skewness differs by less than 0.19 and which takes a fifth of the time."""

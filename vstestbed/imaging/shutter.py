@@ -27,10 +27,8 @@ import numpy as np
 from vstestbed.core.geometry import Array
 from vstestbed.imaging.flicker import INSTANT_S, STEADY, Flicker
 
-RowWeight = float | Array
-"""A weight of a whole picture, or one of each row (H,)."""
-Rows = tuple[int, int]
-"""The first of a band of rows of a picture, and the one after the last."""
+RowWeight = float | Array  # a weight of a whole picture, or one of each row (H,)
+Rows = tuple[int, int]  # the first of a band of rows of a picture, and the one after the last
 
 
 @dataclass(frozen=True, slots=True)

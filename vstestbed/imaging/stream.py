@@ -84,8 +84,7 @@ STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "cr
 
 
 # Lossy round trips of pictures: what the computer has of a camera's stream.
-BUFFER_S = 0.5
-"""How far the average bit rate may be exceeded: the encoder's buffer [s]."""
+BUFFER_S = 0.5  # how far the average bit rate may be exceeded: the encoder's buffer [s]
 
 
 class RoundTrip(Protocol):

@@ -19,8 +19,7 @@ from vstestbed.robots.own_model import OwnModel
 # Resolved-rate control of serial arms: joint speeds for a flange twist, damped near singularities.
 
 
-THRESHOLD = 0.05
-"""Smallest singular value that is left undamped, with lengths in the arm's own unit."""
+THRESHOLD = 0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
 
 
 def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRESHOLD) -> Array:
@@ -70,8 +69,7 @@ def share(realised: Array, commanded: Array, unit_m: float) -> float:
 
 # Inverse kinematics of an arm by Newton steps: the joint positions that put its flange somewhere, near those that it has.
 MOST_STEPS = 200
-LARGEST_STEP = 0.3
-"""Largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess."""
+LARGEST_STEP = 0.3  # largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess
 NEAR_M, NEAR_RAD = 1e-7, 1e-7
 """Distance from the wanted pose at which the joints count as found: a ten-thousandth of what a camera can tell."""
 
@@ -130,8 +128,7 @@ LIMIT_MARGIN = math.radians(1.0)
 """Distance from its hard stop at which a joint comes to rest [rad; m for one that slides]."""
 LIMIT_HORIZON_S = 0.25
 """Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
-INNER = 0.8
-"""Central share of a joint's range in which limit avoidance leaves it alone."""
+INNER = 0.8  # central share of a joint's range in which limit avoidance leaves it alone
 
 
 class Arm(Robot, ABC):

@@ -47,8 +47,7 @@ class Reading:
 #
 # Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is decided here, and for a craft that must
 # set down besides in `failsafe`.
-FOLLOWS, HOLDS, STOPS = range(3)
-"""Modes, as numbered in the log's column `supervisor`."""
+FOLLOWS, HOLDS, STOPS = range(3)  # modes, as numbered in the log's column `supervisor`
 STANDS_RADPS = 0.02
 """A robot whose joints are all slower than this stands [rad/s; m/s for joints that slide]: the rim of a car's wheel makes 3 mm/s."""
 

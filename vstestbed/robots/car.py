@@ -45,8 +45,7 @@ from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle, WornVehicle
 # Reference: Corke 2017, Robotics, Vision & Control, eq. 4.2, doi:10.1007/978-3-319-54413-7.
 
 
-STANDSTILL = 1e-6
-"""Below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there."""
+STANDSTILL = 1e-6  # below this speed [m/s] a car counts as standing: gamma = atan(L w / v) is undefined there
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +150,11 @@ def drive(
 
 
 # A car's physical parameters: what they change in models/car.xml, and Ackermann steering for any track and wheelbase.
-GRIP = 0.8
-"""Friction of the tyres on a dry floor (models/car.xml)."""
-ROLLING_NM = 1.32
-"""Rolling resistance of the buggy's four wheels [Nm]."""
+GRIP = 0.8  # friction of the tyres on a dry floor (models/car.xml)
+ROLLING_NM = 1.32  # rolling resistance of the buggy's four wheels [Nm]
 ON_FRONT, ON_REAR = 0.2044, 0.2956
 """Shares of the weight on each front and each rear wheel: of the sprung four fifths .386 are on the front axle."""
-MOST_WHEEL_RAD = 1.25
-"""How far a front wheel can turn under the deck [rad]."""
+MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
 """Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3."""
 WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279
@@ -266,8 +262,7 @@ class CarParameters:
         return tuple(found)
 
 
-BUGGY = CarParameters()
-"""The car of models/car.xml."""
+BUGGY = CarParameters()  # the car of models/car.xml
 
 
 @functools.lru_cache(maxsize=64)
@@ -309,8 +304,7 @@ four times as slow as that loop, whose time constant is .03 s."""
 INTEGRAL_LIMIT = 1.0
 """Bound of the integral [rad/s of the wheels]: anti-windup, for a car that is held up by a wall."""
 
-_STEERING, _REAR = 0, slice(3, 5)
-"""Indices of the steering and of the rear wheels in `Car.joints`."""
+_STEERING, _REAR = 0, slice(3, 5)  # indices of the steering and of the rear wheels in `Car.joints`
 
 
 @spec

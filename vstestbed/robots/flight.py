@@ -40,12 +40,9 @@ MAX_TILT_RATE = 4.0
 """Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
 MAX_YAW_ACCELERATION = 0.4
 """Slope of the X-4's yaw-rate command [rad/s^2], a little under the .45 that its rotors' share of yaw can realise (`yaw_slope`)."""
-LEAST_LIFT = 0.3 * GRAVITY
-"""Least upward part of the commanded force, by mass [m/s^2]."""
-MAX_TRIM = 3.0
-"""Bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5."""
-MAX_RATE_TRIM = 3.0
-"""Bound of the rate loop's integral [rad/s^2]."""
+LEAST_LIFT = 0.3 * GRAVITY  # least upward part of the commanded force, by mass [m/s^2]
+MAX_TRIM = 3.0  # bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5
+MAX_RATE_TRIM = 3.0  # bound of the rate loop's integral [rad/s^2]
 STILL: Vector = (0.0, 0.0, 0.0)
 Model = tuple[float, float, float, float, float]
 
@@ -219,8 +216,7 @@ def rate_loop(
 
 
 # What a quadrotor's instruments read and its flight loops estimate, and the setpoints of its failsafe.
-HOLD = np.zeros(4)
-"""The setpoint that levels the craft and holds it where it is."""
+HOLD = np.zeros(4)  # the setpoint that levels the craft and holds it where it is
 
 
 def descend(speed_mps: float) -> Array:
@@ -291,18 +287,15 @@ class FlightReading(Reading):
 # A lost target that is seen again brings it back to `follow`, unless the craft is already near the ground. An overturned craft is
 # levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
 # tracked. These end the task for good, since none of them is cured by seeing the target.
-HOLD_S = 2.0
-"""How long the craft holds after an abort before it sinks [s]."""
+HOLD_S = 2.0  # how long the craft holds after an abort before it sinks [s]
 SINK_MPS = 0.4
 """Descent rate [m/s], under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)."""
-RESUME_M = 0.5
-"""Below this height the descent goes on even when the target is seen again [m]."""
+RESUME_M = 0.5  # below this height the descent goes on even when the target is seen again [m]
 LIMIT_S = 1.0
 """A rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment."""
 DOWN_S = 0.5
 """How long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s."""
-SINKS, OFF = 2, 3
-"""Modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`."""
+SINKS, OFF = 2, 3  # modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`
 
 
 @dataclass

@@ -102,8 +102,7 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
     return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az)))
 
 
-READINGS_AHEAD = 64
-"""For how many readings noise is drawn at once."""
+READINGS_AHEAD = 64  # for how many readings noise is drawn at once
 
 
 def drawn_noise(imu: Imu, velocity: VelocitySource, range_sigma_m: float, rng: np.random.Generator) -> Iterator[list[float]]:

@@ -30,8 +30,7 @@ STIFFNESS, RATIO_S = 4500.0, 1 / 40
 5800 and the same ratio: 40 ms of rise, under 5 % of overshoot."""
 WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
 """Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
-IDEAL_GAIN = 5000.0
-"""Velocity gain of an ideal servo over the joint's inertia [1/s]."""
+IDEAL_GAIN = 5000.0  # velocity gain of an ideal servo over the joint's inertia [1/s]
 
 WAVES = (200.0,)
 """Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor (Tuttle & Seering 1996,

@@ -49,8 +49,7 @@ CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """Signs of the wheels' places (x, y) in the base frame, shape (4, 2)."""
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
 """Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
-ROLLERS = 9
-"""Rollers on each wheel of models/omni.xml."""
+ROLLERS = 9  # rollers on each wheel of models/omni.xml
 WHEEL_KG, SPIN, ROTOR = 0.455, 4.0e-4, 1.2e-3
 """Mass of a wheel [kg]; its moment of inertia about the axle at a radius of 50 mm, and the motor's behind its gears [kg m^2]."""
 
@@ -189,12 +188,10 @@ def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
     return tuple(change for roller in rollers for change in (Scale("body", "pos", factor, roller), Scale("geom", "size", factor, roller)))
 
 
-PLATFORM = OmniParameters()
-"""The base of models/omni.xml and models/omni_planar.xml."""
+PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
 
 
-LAG_PERIOD_S = 0.004
-"""Period in which the drive's lag is computed [s]."""
+LAG_PERIOD_S = 0.004  # period in which the drive's lag is computed [s]
 
 
 OMNI: Mapping[Level, Mapping[str, object]] = {

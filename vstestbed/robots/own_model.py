@@ -12,8 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
 NONE = np.zeros(0)
-CAMERA = ("vx", "vy", "vz", "wx", "wy", "wz")
-"""The motions of a camera that flies freely."""
+CAMERA = ("vx", "vy", "vz", "wx", "wy", "wz")  # the motions of a camera that flies freely
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -126,8 +126,7 @@ class FlightRealism(Realistic):
 
 
 # Where a craft hovers at the start of a run.
-LOWEST_M = 0.2
-"""The lowest start: it hovers there, its feet 3 cm above the ground [m]."""
+LOWEST_M = 0.2  # the lowest start: it hovers there, its feet 3 cm above the ground [m]
 
 
 @spec
@@ -226,10 +225,8 @@ STANDING_MARGIN_M = 0.05
 """Within this of `standing_m` the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
 STOPPED_MPS = 0.12
 """Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
-STANDING_COSINE = math.cos(math.radians(30))
-"""A craft tilted by more than 30 degrees does not stand."""
-FAR_M = 100.0
-"""A measured range beyond this, or none, is given to a learned policy as this [m]."""
+STANDING_COSINE = math.cos(math.radians(30))  # a craft tilted by more than 30 degrees does not stand
+FAR_M = 100.0  # a measured range beyond this, or none, is given to a learned policy as this [m]
 NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]
 """Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""

@@ -24,14 +24,12 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 from vstestbed.effects.body import Change, Set
 
-YAW_SHARE = 0.6
-"""Share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust."""
+YAW_SHARE = 0.6  # share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust
 LEAST_THRUST_TO_WEIGHT = 1.3
 """Under it the rotors' margin over the weight no longer flies the flight loops' tilt of 30 degrees, which takes 1.15 of the weight."""
 LEAST_TURN = 10.0
 """Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
-HUB_M = 0.075
-"""Radius of the hub, where the arms begin [m]."""
+HUB_M = 0.075  # radius of the hub, where the arms begin [m]
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 """Moments of inertia about x, y and z [kg m^2]."""
 
@@ -158,8 +156,7 @@ def _at(x: int, y: int, out: float, z: float) -> Vector:
     return x * out, y * out, z
 
 
-X4 = QuadrotorParameters()
-"""The X-4 Flyer, of models/quadrotor.xml."""
+X4 = QuadrotorParameters()  # the X-4 Flyer, of models/quadrotor.xml
 
 
 def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four, bool]:

@@ -26,11 +26,9 @@ RAYS_INSTEAD = "rays draw the pictures instead, without shadows"
 UNSET_REMEDY = "unset MUJOCO_GL or set MUJOCO_GL=egl"
 LIBRARIES = {"egl": ("libEGL.so.1", "libGL.so.1"), "osmesa": ("libOSMesa.so.8",), "glfw": ("libGL.so.1",)}
 """Shared libraries that each of MuJoCo's backends loads, by its name in MUJOCO_GL."""
-DEVICE_PLATFORM = 0x313F
-"""EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device."""
+DEVICE_PLATFORM = 0x313F  # EGL_PLATFORM_DEVICE_EXT, from the extension EGL_EXT_platform_device
 ON, OFF = ("", "1", "on", "true", "enable", "enabled"), ("0", "off", "false", "disable", "disabled")
-_lack: list[tuple[str, str]] = []
-"""Why OpenGL is switched off, as (lack, remedy); empty where it is not."""
+_lack: list[tuple[str, str]] = []  # why OpenGL is switched off, as (lack, remedy); empty where it is not
 
 
 def remedy() -> str:
@@ -156,8 +154,7 @@ def renderer_string() -> str:
 #
 # Python ends a daemon thread where it next takes the interpreter's lock. Within a step of the physics, or a cast of rays, whose C++ code
 # cannot be left like that, the process would crash.
-REST_S = 1.0
-"""Longest wait for daemon threads at the end of the process [s]."""
+REST_S = 1.0  # longest wait for daemon threads at the end of the process [s]
 _daemons: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 _ending = threading.Event()
 

@@ -103,8 +103,7 @@ class SensorReader:
 
 
 # An arm put where it is shown its goal: by its true geometry, which is not the one that it computes with.
-EXACT_M = 1e-6
-"""Entries of two poses that differ by less are the same: the arm's own model is exact."""
+EXACT_M = 1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
 ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
 
@@ -197,8 +196,7 @@ def settle(stage: Stage) -> None:
 
 
 # The lead vehicle, which carries the target along a route, with path following by its true place.
-PERIOD_S = 0.01
-"""Period of the path following [s], that of a car's onboard servos."""
+PERIOD_S = 0.01  # period of the path following [s], that of a car's onboard servos
 CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
 """Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The offset decays within some 1.6 m."""
 
@@ -244,8 +242,7 @@ class LeadVehicle:
 
 
 AWAY = np.eye(4)
-AWAY[2, 3] = 1000.0
-"""Displacement of a craft while a vehicle settles: 1 km up [m]."""
+AWAY[2, 3] = 1000.0  # displacement of a craft while a vehicle settles: 1 km up [m]
 SETTLE_S = 1.0
 """How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
 

@@ -25,8 +25,7 @@ from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
-FILM_SHADOW_PX = 2048
-"""Shadow map of the outside view: half of MuJoCo's default."""
+FILM_SHADOW_PX = 2048  # shadow map of the outside view: half of MuJoCo's default
 
 FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
 """Facets of round geoms in it: a cylinder of 40 px deviates from its circle by .25 px. MuJoCo's 28, 16 and 4 make twice the work,
@@ -36,14 +35,11 @@ which for a base with 36 rollers was a third of an image's time."""
 FREE, FOOT, FOOT_PX = 0.74, 0.065, 19
 """Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption, and at least
 so many pixels."""
-OUTSIDE_ASPECT = 0.95
-"""Width over height of the view that `outside_view` fits."""
+OUTSIDE_ASPECT = 0.95  # width over height of the view that `outside_view` fits
 FLOOR = (64, 84, 108), (56, 75, 98)
 """The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
-SKY = 0.62, 0.69, 0.78
-"""Factors of the sky's colours in films, before which light lines stand out."""
-FLOOR_M = 80.0
-"""Half of the floor's edge in films [m]: its end is not in the picture."""
+SKY = 0.62, 0.69, 0.78  # factors of the sky's colours in films, before which light lines stand out
+FLOOR_M = 80.0  # half of the floor's edge in films [m]: its end is not in the picture
 AMBIENT, KEY, FILL = 0.40, 0.72, 0.22
 """Brightness of the lights in films: more from one side than the servo camera's, so that edges between faces show."""
 

@@ -11,8 +11,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 
-LARGEST_STEP_S = 0.002
-"""Largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms."""
+LARGEST_STEP_S = 0.002  # largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
 
 
 class _Periodic(Protocol):

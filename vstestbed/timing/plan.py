@@ -20,8 +20,7 @@ from vstestbed.timing.link import BurstLoss, BurstyLink
 from vstestbed.timing.setpoints import Between, Interpolation
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 
-LEAST_PERIODS = 3
-"""A command lasts this many camera periods at least."""
+LEAST_PERIODS = 3  # a command lasts this many camera periods at least
 BLURRED = 0.2
 """Exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each."""
 

@@ -190,8 +190,7 @@ class ImagedView:
         return image
 
 
-INSTANT = Contribution.of(1.0)
-"""The only image of a picture of an instant."""
+INSTANT = Contribution.of(1.0)  # the only image of a picture of an instant
 
 
 class ImageSensor:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.stage import Stage
 
 T = TypeVar("T")
-FILM_RAYS = 4
-"""Rays for each pixel of the outside view at the edge of an object, two each way."""
+FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
 
 
 class OutsideView(Protocol):

@@ -55,8 +55,7 @@ def angles_to_next(rays: Array) -> Array:
 
 
 # Depth pictures by ray casting.
-ROWS = 32
-"""Rows of an image that are cast at a time: of a narrow bundle most geoms are culled."""
+ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most geoms are culled
 
 
 def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
@@ -83,10 +82,8 @@ MOST_RAYS = 1 << 15
 """Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)."""
 TILE_PX = 48
 """Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40 us."""
-FAR = 1e10
-"""Length of a ray [m]: unlimited in effect."""
-NO_RAY = -2
-"""Geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky."""
+FAR = 1e10  # length of a ray [m]: unlimited in effect
+NO_RAY = -2  # geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
 
 
 class Caster:

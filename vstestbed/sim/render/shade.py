@@ -103,8 +103,7 @@ SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 FLAT_TEXTURE = int(mujoco.mjtTexture.mjTEXTURE_2D)
 DIRECTIONAL, SPOT = int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL), int(mujoco.mjtLightType.mjLIGHT_SPOT)
 BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
-FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX
-"""Shapes on whose faces a texture lies flat."""
+FLAT = int(mujoco.mjtGeom.mjGEOM_PLANE), BOX  # shapes on whose faces a texture lies flat
 
 
 class Paint:

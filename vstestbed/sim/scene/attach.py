@@ -23,8 +23,7 @@ from vstestbed.sim.scene.model_files import carry_files, read_model
 # Puts a robot's actuators into its model: a profile of its file, or servos made for it.
 
 
-UNBOUNDED = 1e6
-"""Range of the integrated position of a joint that turns without end [rad]."""
+UNBOUNDED = 1e6  # range of the integrated position of a joint that turns without end [rad]
 
 
 def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
@@ -88,8 +87,7 @@ PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
 OUTPUT_ARMATURE, OUTPUT_DAMPING, OUTPUT_FRICTION = 0.003, 0.5, 1.5
 """Inertia [kg m^2], damping [Nm s/rad] and Coulomb friction [Nm] of what is behind a play: a crank of the car's steering, as the file has
 it, the damping of its column, and king pins (chosen). Without friction, wheels that were turned would swing on to the play's other end."""
-OUTPUT_KG, OUTPUT_M = 1e-3, 0.01
-"""Mass and radius of its body, since MuJoCo demands some [kg, m]."""
+OUTPUT_KG, OUTPUT_M = 1e-3, 0.01  # mass and radius of its body, since MuJoCo demands some [kg, m]
 
 
 def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:

@@ -114,18 +114,14 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body | Globe) ->
     geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "target/solid"
 
 
-HOUSING_M = 0.03
-"""Distance of the camera housing's centre behind the lens [m]."""
-POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]
-"""A tube of 24 mm, anodised."""
+HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
+POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
 FREE_HOUSING = 6.0
 """The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
 DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
-PAD_HALF_M = 0.01
-"""Half of a landing pad's thickness [m]."""
-PAD_FRICTION = [0.8, 0.005, 0.0001]
-"""Rubber feet on a painted plate, as on a hard floor."""
+PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
+PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a hard floor
 BEHIND_SHEET_M = 1e-3
 """How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away."""
 PITCH_M = 1e-5

@@ -29,10 +29,8 @@ ROOM_TO_MOVE, SLACK = 1.2, 1.02
 only what has moved must be drawn again."""
 SHOWN = "robot/", "leader/", "target/", "eye"
 """Beginnings of the names of bodies, or of geoms in the world, that are in the picture, and not of plates, decoys and the floor."""
-STRIPE = "target/line_"
-"""But not these: lines on the floor reach far."""
-HIDDEN_M = 0.12
-"""A ray that ends so near before its point has reached it: the lens lies within a housing [m]."""
+STRIPE = "target/line_"  # but not these: lines on the floor reach far
+HIDDEN_M = 0.12  # a ray that ends so near before its point has reached it: the lens lies within a housing [m]
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 RING = np.array([[math.cos(a), math.sin(a), 0.0] for a in np.arange(8) * math.pi / 4])
 UP = np.array([0.0, 0.0, 1.0])

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.scene.groups import HAND_PLATE, RANGE_GROUP, TARGET_GROUP
 
-PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""MuJoCo's default colour of a geom, for which its material's is used."""
+PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom, for which its material's is used
 PAPER_RGB = (0.96, 0.96, 0.96)
-PRINT_M = 2e-4
-"""Distance of a print before its box [m]."""
+PRINT_M = 2e-4  # distance of a print before its box [m]
 ENDLESS_M = 20.0
-AROUND, ALONG = 24, 8
-"""Facets of round geoms round the axis, and from the equator to a pole."""
+AROUND, ALONG = 24, 8  # facets of round geoms round the axis, and from the equator to a pole
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
 """Distances of the target from the camera at the goal, and of the camera from the flange; the first with a good posture are taken [m]."""
 APART_DEG, APART_M = 4.0, 0.02
 """How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that slides [m]."""
-CLEAR_M = 0.1
-"""Height over the floor under which no joint, camera or marker shall be [m]."""
+CLEAR_M = 0.1  # height over the floor under which no joint, camera or marker shall be [m]
 SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
 """Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to reach them [s]."""
 
@@ -198,8 +197,7 @@ EXCLUDE = 'leave the pair out by <contact><exclude body1="..." body2="..."/></co
 
 ARM, MEND = "an arm stands on a fixed base and has 2 to 7 hinges and slides before its flange", "correct it in the file"
 
-Line = tuple[str, bool, str, str]
-"""What was examined, whether it can be used, what was found, a remedy."""
+Line = tuple[str, bool, str, str]  # what was examined, whether it can be used, what was found, a remedy
 
 
 def examine_model(file: str) -> Iterator[Line]:

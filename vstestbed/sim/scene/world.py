@@ -68,8 +68,7 @@ class Floor:
 
 # What can be taken for markers: distractors that are listed, and clutter that is drawn from the seed.
 Shape = Literal["ball", "disc", "box"]
-DISC_HALF_M = 1e-3
-"""Half the thickness of a disc [m]."""
+DISC_HALF_M = 1e-3  # half the thickness of a disc [m]
 Share = Annotated[float, Ge(0), Le(1)]
 
 
@@ -171,8 +170,7 @@ def decoy_path(decoy: Decoy) -> Path:
 
 
 # What lights a scene: a lamp in place of the room's own light, and windows.
-LAMP = "lamp"
-"""Name of the body of a lamp that moves."""
+LAMP = "lamp"  # name of the body of a lamp that moves
 SAMPLES_S = (0.0, 0.37, 1.13, 2.9, 7.3, 41.0)
 """Times at which a motion is looked at for whether it turns a lamp [s]: without a common period."""
 Colour = Annotated[tuple[Annotated[float, Ge(0), Le(1)], ...], Len(3, 3)]
