@@ -166,13 +166,11 @@ class Airframe:
         return (0.0, 0.0, up), (x, y, 0.0)
 
     def _blow(self, wash: Downwash, dt: float) -> None:
-        """The next fluctuations x (4,) of the returning wake."""
         keep = math.exp(-dt / wash.turbulence_s)
         fresh = math.sqrt(1.0 - keep * keep)
         self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
 
     def _dragged(self, state: BodyState, speeds: Four) -> tuple[Vector, Vector]:
-        """Force and torque of the rotors' drag at their hubs."""
         (vx, vy, _), (wx, wy, wz), arm, h = state.air, state.rates, self._craft.arm_m, ROTOR_M
         fx = fy = turn = 0.0
         for i in range(4):
@@ -203,7 +201,6 @@ def _probes(craft: _Craft) -> tuple[Vector, ...]:
 
 
 def _added(a: tuple[Vector, Vector], b: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
-    """The sum of two forces with their torques."""
     (f, t), (g, u) = a, b
     return (f[0] + g[0], f[1] + g[1], f[2] + g[2]), (t[0] + u[0], t[1] + u[1], t[2] + u[2])
 

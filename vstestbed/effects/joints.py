@@ -191,7 +191,6 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
 
 
 def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
-    """A body's orientation as its file writes it: as a quaternion, as Euler angles, ..."""
     for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
         setattr(body.alt, field, getattr(source.alt, field))
 
@@ -372,7 +371,6 @@ class MotorTorques(Actor):
         self.force[self._qvel] = tau
 
     def _servos(self) -> Array:
-        """The servos' torques now, within their limits (n,)."""
         data, kv = self._data, self._kv
         at, speed = data.qpos[self._qpos], data.qvel[self._qvel]
         held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
@@ -380,7 +378,6 @@ class MotorTorques(Actor):
         return np.clip(u, -self._most, self._most)
 
     def _smoothed(self) -> Array:
-        """The motors' mean torques over the coming step (n,)."""
         self._late.append(self._servos())
         u = self._late.popleft()
         mean = u + (self._tau - u) * self._mean
@@ -389,7 +386,6 @@ class MotorTorques(Actor):
 
 
 def _limits(model: mujoco.MjModel, actuators: Array) -> Array:
-    """Largest torque of each actuator (n,): its own, and its joint's [Nm]."""
     joints = model.actuator_trnid[actuators, 0]
     own = np.where(model.actuator_forcelimited[actuators].astype(bool), model.actuator_forcerange[actuators, 1], np.inf)
     return np.minimum(own, np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf))

@@ -45,7 +45,6 @@ class GeometryError:
     offsets: Offsets = ()
 
     def __post_init__(self) -> None:
-        """Refuse offsets that are listed and drawn."""
         if self.draws and self.offsets:
             words = "must be empty with sigma_m or sigma_deg > 0, which draw them, also those of a preset; works: both 0 beside the list"
             raise ParameterError("offsets", words)

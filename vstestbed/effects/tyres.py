@@ -60,7 +60,6 @@ class Tyres(Effect):
     relaxation_m: Annotated[PositiveLength, Narrower(ge=0.02, le=2)] = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse tyres that are too stiff for the physics step."""
         stiffest = max(self.stiffness, self.rear_stiffness or 0.0)
         if stiffest > STIFFEST * self.relaxation_m:
             words = f"must be at least {stiffest / STIFFEST:.3g} m at a stiffness of {stiffest:g}: a stiffer patch needs shorter steps"

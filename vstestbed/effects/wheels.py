@@ -30,7 +30,6 @@ class WheelSpread:
     errors: Errors | None = None
 
     def __post_init__(self) -> None:
-        """Refuse errors that are listed and drawn."""
         if self.sigma and self.errors is not None:
             words = "must be none with sigma > 0, which draws them, also that of robot.realism; works: sigma 0 beside the listed errors"
             raise ParameterError("errors", words, list(self.errors))

@@ -98,7 +98,6 @@ class Imaging:
         return (self._fresh_trip().of(self._read(light, setting, None)),)
 
     def _light(self, images: Images, depth: DepthImage | None) -> Floats:
-        """The light (H, W, 3) behind the lens."""
         (image,) = images
         assert image is not None  # a camera with one picture, always whole
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)

@@ -60,7 +60,6 @@ class DepthSensor(ABC):
     """Pixels at an edge see both surfaces, and measure a depth between."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty range."""
         if self.near_m >= self.far_m:
             raise ParameterError("near_m", f"must be under far_m, {self.far_m:g} m", self.near_m)
 
@@ -99,7 +98,6 @@ class DepthSensor(ABC):
         return np.where(hole, np.float32(np.nan), z)
 
     def _out_of_range(self, z: DepthImage) -> NDArray[np.bool_]:
-        """Pixels (H, W) with no depth within the range."""
         return ~((z >= self.near_m) & (z <= self.far_m))
 
     def _unseen(self, z: DepthImage, f: float) -> NDArray[np.bool_]:
@@ -111,7 +109,6 @@ class DepthSensor(ABC):
         return behind | (np.arange(z.shape[1]) < disparity) if self.two_pictures else behind
 
     def _ragged(self, z: DepthImage, rng: np.random.Generator) -> DepthImage:
-        """The depths with pixels at edges replaced by their neighbours'."""
         if not self.lateral_px:
             return z
         v, u = (
@@ -280,7 +277,6 @@ def correlated(shape: tuple[int, ...], side: int, rng: np.random.Generator) -> D
 
 
 def _apart(z: DepthImage, other: DepthImage) -> NDArray[np.bool_]:
-    """Where two depths (H, W) are of different surfaces."""
     return np.maximum(z, other) > (1 + EDGE) * np.minimum(z, other)
 
 

@@ -61,7 +61,6 @@ class AutoExposure:
     settled: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse an empty range of times."""
         if self.shortest_s > self.longest_s:
             raise ParameterError("shortest_s", f"must be at most longest_s, {self.longest_s:g} s", self.shortest_s)
 
@@ -145,7 +144,6 @@ class ExposureControl:
     blurs: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse times that do not rise."""
         times = [t for t, _ in self.light]
         if times != sorted(set(times)):
             raise ParameterError("light", "must have rising times", [list(pair) for pair in self.light])
@@ -218,7 +216,6 @@ class ExposureLoop:
         self._coming.popleft()
 
     def _split(self, t: float, x: float) -> ExposureSetting:
-        """Time x gain as a time and a gain."""
         control = self._control
         if self._auto is None:
             return ExposureSetting(control.light_at(t), control.time_s or control.nominal_s, control.gain, control.nominal_s)

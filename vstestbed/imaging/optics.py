@@ -170,7 +170,6 @@ class LensEffects:
 
     @cached_property
     def _grid(self) -> Floats:
-        """All pixels (H, W, 2), from the principal point [px]."""
         return np.asarray(pixel_grid(self._camera.width, self._camera.height) - self._camera.centre, np.float32)
 
     @cached_property
@@ -180,7 +179,6 @@ class LensEffects:
 
     @cached_property
     def _shading(self) -> Floats:
-        """Brightness of each pixel (H, W, 1) [1]."""
         r = np.hypot(self._grid[..., 0], self._grid[..., 1]) / self._corner_px
         cosine = (
             self._camera.ray(pixel_grid(self._camera.width, self._camera.height).reshape(-1, 2))[:, 2].reshape(r.shape)

@@ -97,7 +97,6 @@ class SensorNoise:
     demosaic: Literal["linear", "edge_aware"] = "edge_aware"
 
     def __post_init__(self) -> None:
-        """Refuse a black level that leaves nothing."""
         if self.black_level_dn > self.largest_dn / 2:
             raise ParameterError("black_level_dn", f"must be at most half of the largest number, {self.largest_dn}", self.black_level_dn)
 

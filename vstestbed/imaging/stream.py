@@ -71,7 +71,6 @@ class H264Stream(VideoStream):
     pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse two measures of quality; without any the rate factor is 23, x264's own."""
         if self.crf is not None and self.bitrate_kbps is not None:
             raise ParameterError(
                 "bitrate_kbps", "must be left out where crf is given, for each of them sets the quality; give one", self.bitrate_kbps

@@ -184,7 +184,6 @@ class CarParameters:
     motor_torque_nm: Annotated[float, Ge(0.1), Le(1e4)] = 25.0
 
     def __post_init__(self) -> None:
-        """Refuse wheels that meet, and a car that tips."""
         L, track, r = self.wheelbase_m, self.track_m, self.wheel_radius_m
         if 2 * r + 0.1 > L:
             words = f"must be at least {2 * r + 0.1:.3g} m at wheel_radius_m {r:g}: front and rear wheels would meet"
@@ -410,7 +409,6 @@ class Car(WornVehicle):
     proprioception_names: ClassVar[tuple[str, ...]] = (*Vehicle.proprioception_names, "compass", "steering")
 
     def __post_init__(self) -> None:
-        """Refuse limits that its wheels and its motor cannot keep."""
         body, limits = self.parameters, self.limits
         if limits.steering_rad > body.most_steering_rad:
             words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"
@@ -564,7 +562,6 @@ class Car(WornVehicle):
 
 
 def _within(x: float, most: float) -> float:
-    """Clip x to [-most, most]."""
     return max(-most, min(most, x))
 
 

@@ -324,7 +324,6 @@ class Failsafe(Supervisor):
 
     @property
     def _why(self) -> str:
-        """Why the task was given up, before what is done about it."""
         return f"{self.aborted[1]}: " if self.aborted else ""
 
     @property
@@ -342,7 +341,6 @@ class Failsafe(Supervisor):
         self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
 
     def _next_mode(self, t: float, blind: str, estimate: FlightEstimate) -> int:
-        """The mode of this frame; nothing leads out of OFF."""
         self._note_touchdown(t, estimate)
         if not math.isnan(self.off_at):
             return OFF
@@ -353,7 +351,6 @@ class Failsafe(Supervisor):
         return HOLDS if holds else SINKS
 
     def _note_touchdown(self, t: float, estimate: FlightEstimate) -> None:
-        """Note when rotors go off: once the craft stands, if it was to land or to set down."""
         if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
             self.off_at = t
 

@@ -171,7 +171,6 @@ class Mjcf(RealArm):
             object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
-        """What each motor moves at the nominal start [kg m^2, kg]."""
         at = tuple(self.configuration().tolist())
         if self.elastic is None or self.elastic.rotors is None:
             return reader().inertia_at(self.file, chain.names, at)

@@ -78,7 +78,6 @@ class OmniParameters:
     wheel_speed_radps: Annotated[PositiveRate, Narrower(ge=0.1, le=200)] = 20.0
 
     def __post_init__(self) -> None:
-        """Refuse wheels that meet, and motors that cannot drive the base."""
         for field, least in (("wheelbase_m", 2.4 * self.wheel_radius_m), ("track_m", 2.0 * self.wheel_radius_m)):
             if getattr(self, field) < least:
                 words = f"must be at least {least:.3g} m at wheel_radius_m {self.wheel_radius_m:g}: the wheels would meet"
@@ -183,7 +182,6 @@ def larger_wheel(name: str, factor: float) -> tuple[Change, ...]:
 
 
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
-    """The rollers of a wheel scaled, and moved outwards alike."""
     rollers = [f"{name}_roller{i}" for i in range(ROLLERS)]
     return tuple(change for roller in rollers for change in (Scale("body", "pos", factor, roller), Scale("geom", "size", factor, roller)))
 
@@ -233,7 +231,6 @@ class Omni(WornVehicle):
     motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "wz")
 
     def __post_init__(self) -> None:
-        """Refuse what planar wheels, which have no contact, cannot have."""
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
             if self.wheels == "planar" and getattr(self, name) is not None:
                 words = (

@@ -219,7 +219,6 @@ class Puma560(RealArm):
     unit_m: ClassVar[float] = REACH_UNIT
 
     def __post_init__(self) -> None:
-        """Refuse a start outside the joint limits."""
         super().__post_init__()
         limits = np.degrees(JOINT_LIMITS)
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.

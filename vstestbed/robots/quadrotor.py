@@ -291,7 +291,6 @@ class Quadrotor(FlightRealism):
     """The rate loop is tuned at it."""
 
     def __post_init__(self) -> None:
-        """Refuse a start in the ground, or on it, as it hovers, rotors that cannot carry it, speed controllers slower than the rotors."""
         self.check_hover(self.parameters)
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:

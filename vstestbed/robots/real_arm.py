@@ -71,7 +71,6 @@ class RealArm(Realistic, Arm):
     payload: Payload | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a preset of drives that are ideal."""
         if self.realism != "none" and self._is_ideal:
             raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
 
@@ -90,7 +89,6 @@ class RealArm(Realistic, Arm):
         return np.zeros(len(self.joints), dtype=bool)
 
     def _check_effects(self) -> None:
-        """Refuse numbers that do not fit the joints, and effects on drives that are ideal."""
         self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(self.joints)), np.zeros(len(self.joints)), self.slides)

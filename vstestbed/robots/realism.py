@@ -91,5 +91,4 @@ def _completed(value: Any, preset: object) -> Any:
 
 
 def _fields(block: object) -> dict[str, Any]:
-    """The fields of a block; {} of anything else."""
     return {f.name: getattr(block, f.name) for f in dataclasses.fields(block)} if dataclasses.is_dataclass(block) else {}

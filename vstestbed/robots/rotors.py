@@ -64,7 +64,6 @@ class QuadrotorParameters:
     drag_area_m2: Annotated[float, Ge(0), Le(100)] = 0.10
 
     def __post_init__(self) -> None:
-        """Refuse a craft that cannot be, or cannot fly."""
         most = self.arm_m / math.sqrt(2)
         if self.rotor_radius_m >= most:
             words = f"must be under {most:.3g} m at arm_m {self.arm_m:g}: neighbouring rotors would meet"
@@ -80,7 +79,6 @@ class QuadrotorParameters:
             raise ParameterError("inertia_kgm2", f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}")
 
     def _check_thrust(self) -> None:
-        """Refuse rotors that cannot hover with a margin."""
         weight, thrust = self.mass_kg * GRAVITY, 4 * self.thrust_coefficient * self.limit
         ratio = thrust / weight
         if ratio < LEAST_THRUST_TO_WEIGHT:

@@ -94,7 +94,6 @@ def _given(rng: np.random.Generator | None) -> np.random.Generator:
 
 
 def _may_hide(target: Target, world: World) -> bool:
-    """Whether something may come between a free camera and a marker."""
     return world.hides or (target.body is not None and not target.outlined)
 
 

@@ -206,7 +206,6 @@ class Physics(dm.Physics):
             return thread.call(job)
 
     def _make_rendering_contexts(self) -> None:
-        """Take the cached rendering context of a model that looks the same, or make one."""
         gl = context()
         with gl.make_current() as thread:
             self._contexts = Contexts(gl=gl, mujoco=thread.call(_rendering_context, self.model, gl, self.anisotropy))
@@ -252,7 +251,6 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
 
 
 def _add_highlights(over: bool) -> None:
-    """Let OpenGL add highlights after the texture's colour, or before."""
     from OpenGL.raw.GL.VERSION import GL_1_1, GL_1_2
 
     GL_1_1.glLightModeli(GL_1_2.GL_LIGHT_MODEL_COLOR_CONTROL, GL_1_2.GL_SEPARATE_SPECULAR_COLOR if over else GL_1_2.GL_SINGLE_COLOR)

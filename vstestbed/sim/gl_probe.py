@@ -112,7 +112,6 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
 
 
 def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[str, str]:
-    """The sentence about missing libraries, and the remedy."""
     lack = f"{' and '.join(missing)} not found"
     if not requested:
         return lack, remedy()

@@ -70,7 +70,6 @@ class IdealPlant(Plant):
         return NO_JOINTS
 
     def _actuate(self) -> None:
-        """The setpoint in force becomes the camera's twist."""
         setpoint = self._orders.at(self._steps)
         if setpoint is not None and setpoint is not self._followed:
             self._followed, self._twist = setpoint, self._to_camera @ setpoint

@@ -332,7 +332,6 @@ class MujocoPlant(Plant):
             yield 1, lambda dt, act=act: act(self._t, dt)
 
     def _start(self) -> None:
-        """Place everything at its start, in equilibrium."""
         q, T = self._stage.parts.start
         self._stage.place(0.0, self._stage.parts.T_world_target if self._path is None else self._path(0.0), q, T)
         settle(self._stage)
@@ -377,7 +376,6 @@ class MujocoPlant(Plant):
         return True
 
     def _apply(self) -> None:
-        """Put the effects' forces together for the next step."""
         if self._forces:
             np.sum(self._forces, axis=0, out=self._stage.data.qfrc_applied)
 
@@ -427,7 +425,6 @@ class MujocoPlant(Plant):
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def _actuate(self) -> None:
-        """The setpoint in force becomes the controls of a robot without an onboard controller."""
         setpoint = None if self._control_steps else self._orders.at(self._steps)
         if setpoint is not None:
             self._ctrl[self._stage.at.ctrl] = setpoint
@@ -460,7 +457,6 @@ class MujocoPlant(Plant):
         return True
 
     def _control(self, dt: float) -> None:
-        """One period of the robot's onboard controller, and of what acts at its rate."""
         step, stage = self._steps, self._stage
         for act in self._each_period:
             act(step * self.step_s, dt)

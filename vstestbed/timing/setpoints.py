@@ -182,7 +182,6 @@ class Orders:
         return self._stopping(self._followed(self._until), (step - self._until) * self._step_s)
 
     def _followed(self, step: float) -> Array:
-        """The setpoint by the orders alone."""
         assert self._order is not None
         return self._order if self._led is None or not self._led.begun else self._led.at(int(step))
 

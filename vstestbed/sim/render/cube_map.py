@@ -206,7 +206,6 @@ def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pin
 
 
 def _focal(lens: Camera) -> float:
-    """Focal length [px] of a panel, whose lens is a pinhole."""
     middle = lens.project(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
     return float(middle[1, 0] - middle[0, 0])
 

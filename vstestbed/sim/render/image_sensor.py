@@ -67,14 +67,12 @@ class PixelRows:
         return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True)), None
 
     def _asked(self, look: Look | None) -> Look:
-        """The windows that are needed of each panel."""
         lenses = [panel.lens for panel in self._camera.panels]
         if look is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
         return tuple(windows and windows + self._noise_rows(lens) for windows, lens in zip(look, lenses, strict=True))
 
     def _noise_rows(self, lens: Camera) -> tuple[Window, ...]:
-        """The rows from which the level of the noise is estimated; none without noise."""
         return tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
 
 
@@ -135,7 +133,6 @@ class DepthCamera:
 
     @cached_property
     def _xy(self) -> Array:
-        """Normalised coordinates of all pixels (H, W, 2)."""
         grid = pixel_grid(self._camera.width, self._camera.height)
         return self._camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape)
 
@@ -268,7 +265,6 @@ class ImageSensor:
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
     def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
-        """Draw what the present scene contributes to an exposure."""
         for i, (brightness, weight) in enumerate(contribution.draws):
             weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth

@@ -79,7 +79,6 @@ class PartCamera(dm.Camera):
         self._rgb_buffer[self._drawn] = part
 
     def _read_depth(self) -> None:
-        """Read the depth buffer of the image just drawn, while it is there."""
         contexts = self._physics.contexts
         assert contexts is not None and contexts.mujoco is not None
         context = contexts.mujoco.ptr
@@ -295,7 +294,6 @@ class OpenGLRenderer:
         return (image,)
 
     def _pinhole(self, look: Look | None, with_depth: bool = False) -> tuple[Image]:
-        """The image of a perspective lens, drawn at least in the rectangle around the windows."""
         window = part_round(look[0], *self._size) if look is not None and self._parts else None
         self.whole = window is None
         image = self._views[0].raw(window, with_depth)
@@ -309,7 +307,6 @@ class OpenGLRenderer:
         return (np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8),)
 
     def _panel_images(self, look: Look | None) -> tuple[Image | None, ...]:
-        """The panels' images; None for a panel without a window."""
         self.whole = look is None or all(look)
         return tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
 

@@ -67,7 +67,6 @@ def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> D
 
 
 def _of(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
-    """The depths (h, w) of unit rays (h, w, 3) in the camera's frame."""
     along, n = rays[..., 2], rays[..., 2].size
     geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
     in_world = rays.reshape(-1, 3) @ np.ascontiguousarray(T_world_camera[:3, :3].T)
@@ -166,7 +165,6 @@ class Raster:
         self._apart = angles_to_next(self._rays)
 
     def _of(self, uv: Array) -> Array:
-        """Rays (..., 3) in the camera's frame of pixels (..., 2)."""
         return self._lens.ray(uv) @ self._R.T
 
     def rays(self, window: Window) -> Array:
@@ -202,7 +200,6 @@ class Raster:
             start = end
 
     def _refine(self, drawn: Image, geoms: NDArray[np.int32], corner: tuple[int, int], caster: Caster, T: Array) -> None:
-        """Antialias: give pixels at the edges of geoms the mean colour of many rays."""
         row, column = np.nonzero(_borders(geoms))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)

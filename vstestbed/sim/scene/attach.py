@@ -44,7 +44,6 @@ def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
 
 
 def _keep(model: mujoco.MjSpec, prefix: str) -> None:
-    """Keep the actuators `<prefix>_<joint>`, each named as its joint."""
     for actuator in list(model.actuators):
         profile, _, name = actuator.name.partition("_")
         if profile == prefix:
@@ -54,7 +53,6 @@ def _keep(model: mujoco.MjSpec, prefix: str) -> None:
 
 
 def _add(model: mujoco.MjSpec, servo: Servo) -> None:
-    """A servo for a joint, named as the joint."""
     there = [a for a in model.actuators if a.target == servo.joint and a.trntype == mujoco.mjtTrn.mjTRN_JOINT]
     if servo.torque is None:
         _feed(there[0], servo)
@@ -138,7 +136,6 @@ def _named(model: mujoco.MjSpec, kind: str, name: str) -> Any:
 
 
 def _all(model: mujoco.MjSpec, kind: str, of: str) -> Iterable[Any]:
-    """All elements of a kind, or those that `Scale.of` names."""
     if of and kind in ("body", "actuator"):
         return [_named(model, kind, of)]
     return getattr(_named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s"))
@@ -242,7 +239,6 @@ def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float |
 
 
 def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:
-    """The robot of an MJCF file with its parameters."""
     spec = read_model(model_path(model))
     reshape(spec, changes)
     return spec
@@ -250,7 +246,6 @@ def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=32)
 def _compiled(model: str, changes: tuple[Change, ...] = ()) -> mujoco.MjModel:
-    """The robot of an MJCF file on its own."""
     return _spec(model, changes).compile()
 
 

@@ -195,7 +195,6 @@ def compose(parts: Parts) -> mujoco.MjSpec:
 
 
 def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
-    """Plates and decoys, and the plate in reserve."""
     for i, plate in enumerate(parts.world.plates):
         # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
@@ -296,7 +295,6 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
-    """What is behind the markers of a planar target: a pad, or a board with its picture."""
     if target.pad:
         _add_pad(body, target.pad)
     elif target.board_half_m is not None:
@@ -310,7 +308,6 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
 
 
 def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
-    """The geom of marker i at p (3,) in the target frame, with its colour or its print."""
     marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, i, np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:

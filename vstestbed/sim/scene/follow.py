@@ -153,7 +153,6 @@ class FollowCamera:
         return eye_of(extremes(np.vstack([around + room, beside]), view, self._tangents), view, self._tangents)
 
     def _share(self, eye: Array, view: Axes, around: Array) -> float:
-        """Extent of the robot, as it is seen, over the picture's width."""
         extent = max(float(np.ptp(around @ axis)) for axis in view[:2])
         return extent / (self._width * max(float((around.mean(axis=0) - eye) @ view.ahead), 1e-6))
 

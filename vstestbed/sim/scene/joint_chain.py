@@ -107,7 +107,6 @@ def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
 
 
 def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
-    """The joints between the root and a body, the first one first."""
     joints: list[int] = []
     while body > 0:
         first, n = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -117,7 +116,6 @@ def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Refuse a chain that no velocity servos can drive."""
     for i, name in zip(joints, found, strict=True):
         if (word := WORDS.get(int(model.jnt_type[i]))) is not None:
             words = f"must be hinges and slides, and {name or 'one of them'} is {word}: an arm stands on a base that is fixed in the world"

@@ -84,7 +84,6 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
 
 
 def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
-    """The floor's material: its texture in tiles, its highlight and its mirror."""
     paint = scene.material("floor")
     paint.specular, paint.shininess, paint.reflectance = floor.gloss, floor.sharpness / 128, floor.mirror
     if floor.texture is None:

@@ -75,12 +75,10 @@ def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
 
 
 def _shows_print(model: mujoco.MjModel, i: int) -> bool:
-    """Whether geom i is a box of a target, whose texture is a print on its front."""
     return bool(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP)
 
 
 def _texture(model: mujoco.MjModel, i: int) -> int:
-    """The texture of geom i; -1 without one."""
     material = int(model.geom_matid[i])
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
@@ -116,7 +114,6 @@ def own_colours(model: mujoco.MjModel) -> Array:
 
 
 def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
-    """Colour of geom i."""
     colour, material = own_colours(model)[i], int(model.geom_matid[i])
     if material < 0:
         return _rgb(colour)
@@ -134,7 +131,6 @@ def _rgb(rgba: Array) -> tuple[float, float, float]:
 
 
 def _triangles(model: mujoco.MjModel, i: int) -> Array:
-    """Triangles (F, 3, 3) of geom i in its own frame."""
     kind, size = int(model.geom_type[i]), model.geom_size[i].astype(float)
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[i])
@@ -156,7 +152,6 @@ def _triangles(model: mujoco.MjModel, i: int) -> Array:
 
 
 def _box() -> Array:
-    """A box of half sizes 1."""
     faces = []
     for axis in range(3):
         for side in (-1.0, 1.0):

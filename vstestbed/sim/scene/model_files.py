@@ -114,7 +114,6 @@ def _place(path: Path, line: int) -> str:
 
 
 def _line_with(path: Path, word: str) -> int:
-    """The first line of a file with a word; 0 where it is in none."""
     lines = path.read_text(errors="replace").splitlines()
     return next((number for number, text in enumerate(lines, start=1) if word in text), 0)
 

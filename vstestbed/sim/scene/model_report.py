@@ -77,12 +77,10 @@ def first_scenario(file: str, chain: JointChain, start: Posture) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text in YAML, in quotes where it needs them."""
     return text if re.fullmatch(r"[A-Za-z_/][\w./:+-]*", text) else json.dumps(text, ensure_ascii=False)
 
 
 def _listed(numbers: Iterable[float], digits: int) -> str:
-    """Numbers as a list in YAML, rounded to so many places."""
     return f"[{', '.join(f'{round(float(x), digits) + 0.0:.10g}' for x in numbers)}]"
 
 
@@ -130,7 +128,6 @@ def torques(file: str, chain: JointChain) -> list[float]:
 
 
 def _addresses(model: mujoco.MjModel, chain: JointChain) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Places of the joints in qpos, and in qvel."""
     joints = [model.joint(name) for name in chain.names]
     return np.array([j.qposadr[0] for j in joints], dtype=np.intp), np.array([j.dofadr[0] for j in joints], dtype=np.intp)
 
@@ -231,7 +228,6 @@ def examine_model(file: str) -> Iterator[Line]:
 
 
 def _remedy(refused: str) -> str:
-    """What would make an arm of a file that is none: a mistake in its numbers is corrected there."""
     return MEND if ": file must" in refused else ARM
 
 
@@ -312,7 +308,6 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
 
 
 def _carries(model: mujoco.MjModel, body: int, end: int) -> bool:
-    """Whether a body is another one, or between it and the root."""
     while end > body:
         end = int(model.body_parentid[end])
     return end == body
@@ -351,7 +346,6 @@ def _gains(kp: float, kv: float, friction: float, slides: bool) -> str:
 
 
 def _span(chain: JointChain, i: int) -> str:
-    """Kind, range and torque limit of a joint."""
     slides, torque = bool(chain.slides[i]), float(chain.torque[i])
     low, high = (chain.limits[i] * (1.0 if slides else np.degrees(1.0))).tolist()
     spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "without end" if slides else "turns without end"
@@ -360,7 +354,6 @@ def _span(chain: JointChain, i: int) -> str:
 
 
 def _missing(chain: JointChain, i: int) -> list[str]:
-    """What the file does not say about a joint, in words."""
     drive = chain.drives[i]
     missing = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"]
     return missing if drive in ("velocity", "position") else [*missing, f"a {drive} actuator" if drive else "no actuator"]

@@ -180,7 +180,6 @@ def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
 
 
 def _same_options(spec: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
-    """The scene's options in the file's place, of which MuJoCo would warn."""
     for name in dir(spec.option):
         if not name.startswith("_"):
             setattr(spec.option, name, getattr(scene.option, name))
@@ -206,7 +205,6 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
 
 
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
-    """Largest less smallest of r, g, b (0 to 1) of each geom that is drawn, with its texture, and of the sky."""
     colours = own_colours(model)
     for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
         material, rgb = int(model.geom_matid[g]), colours[g, :3]
@@ -242,7 +240,6 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
 
 
 def _left_out(spec: mujoco.MjSpec) -> list[str]:
-    """What of a file is not used, in words."""
     found = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))]
     plain = mujoco.MjSpec()
     names = [name for name in dir(spec.option) if not name.startswith("_")]

@@ -137,7 +137,6 @@ class Clutter:
     placed: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a range of sizes in the wrong order."""
         if self.radius_m[0] > self.radius_m[1]:
             raise ParameterError("radius_m", "must be the smallest and the largest radius, in this order", list(self.radius_m))
 
@@ -204,7 +203,6 @@ class Light:
     flicker: Flicker = STEADY
 
     def __post_init__(self) -> None:
-        """Refuse a direction of no length, and a motion that a lamp at infinity does not show."""
         if not 1e-6 < math.hypot(*self.direction) < 1e6:
             raise ParameterError("direction", "must be a vector along the lamp's rays, not zero", list(self.direction))
         if self.xyz is None and self.motion.moves:
@@ -269,7 +267,6 @@ class Plate:
     until_s: PositiveTime = 1e9
 
     def __post_init__(self) -> None:
-        """Refuse an empty interval of time."""
         if self.until_s <= self.from_s:
             raise ParameterError("until_s", f"must be after from_s = {self.from_s:g} s", self.until_s)
 
@@ -323,7 +320,6 @@ class World:
     floor: Floor = Floor()
 
     def __post_init__(self) -> None:
-        """Refuse scenery that cannot stand here."""
         if self.scenery is not None:
             from vstestbed.sim.scene.scenery import check_scenery  # here: MuJoCo is imported where there is any
 
