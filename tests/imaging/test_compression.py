@@ -54,21 +54,21 @@ def test_it_is_coarser_with_less_quality(ways: list[VideoStream]):
     reached = []
     for way in ways:
         trip = round_trip(way, RATE)
-        reached.append(np.mean([psnr(scene(k), trip.of(scene(k))) for k in range(6)]))
+        reached.append(np.mean([psnr(scene(k), trip(scene(k))) for k in range(6)]))
     assert all(a > b + 1 for a, b in pairwise(reached))
     assert reached[0] > 28
 
 
 def test_jpeg_has_blocks_of_8_px():
     assert seams(scene()) == pytest.approx(1.0, abs=0.3)
-    assert seams(round_trip(JpegStream(quality=5), RATE).of(scene())) > 2
+    assert seams(round_trip(JpegStream(quality=5), RATE)(scene())) > 2
 
 
 def test_a_still_scene_keeps():
     jpeg = round_trip(JpegStream(quality=30), RATE)
-    np.testing.assert_array_equal(jpeg.of(scene()), jpeg.of(scene()))
+    np.testing.assert_array_equal(jpeg(scene()), jpeg(scene()))
     video = round_trip(H264Stream(crf=30, group=100), RATE)
-    pictures = [video.of(scene()) for _ in range(12)]
+    pictures = [video(scene()) for _ in range(12)]
     later = [np.abs(a.astype(int) - b).mean() for a, b in pairwise(pictures[8:])]
     assert max(later) < 0.5  # the differences that are sent become nothing
     assert psnr(scene(), pictures[-1]) > psnr(scene(), pictures[0]) - 0.5
@@ -77,7 +77,7 @@ def test_a_still_scene_keeps():
 def test_each_picture_comes_out_at_once_and_is_that_one():
     video = round_trip(H264Stream(crf=20), RATE)
     for k in (0, 5, 20, 3):
-        out = video.of(scene(k))
+        out = video(scene(k))
         this, other = (np.abs(out.astype(float) - scene(j)).mean() for j in (k, k + 12))
         assert psnr(scene(k), out) > 35 and this < 0.6 * other
 
@@ -87,7 +87,7 @@ def test_a_disc_stays_where_it_is(way: VideoStream):
     v, u = np.ogrid[:96, :128]
     image = np.full((96, 128, 3), 120, np.uint8)
     image[np.hypot(u - 70.3, v - 40.6) < 9] = (220, 40, 40)
-    out = round_trip(way, RATE).of(image).astype(float)
+    out = round_trip(way, RATE)(image).astype(float)
     for channel in (0, 1):
         difference = np.abs(out[..., channel] - 120)
         before = np.abs(image[..., channel].astype(float) - 120)
@@ -100,7 +100,7 @@ def test_a_disc_stays_where_it_is(way: VideoStream):
 def test_two_encoders_give_the_same_bytes():
     first, second = (round_trip(H264Stream(bitrate_kbps=300), RATE) for _ in range(2))
     for k in range(5):
-        np.testing.assert_array_equal(first.of(scene(k)), second.of(scene(k)))
+        np.testing.assert_array_equal(first(scene(k)), second(scene(k)))
 
 
 @pytest.mark.parametrize("kind", [JpegStream, H264Stream])
@@ -110,14 +110,14 @@ def test_colours_of_full_size_keep_the_border_of_a_colour(kind: type[VideoStream
     image[21:51, 31:75] = (191, 0, 0)  # odd: a pair of pixels has both colours
     errors = {}
     for colours in ("half", "full"):
-        out = round_trip(kind(colours=colours, **quality), RATE).of(image)
+        out = round_trip(kind(colours=colours, **quality), RATE)(image)
         errors[colours] = np.abs(out[30:40, 27:35].astype(float) - image[30:40, 27:35]).max()
     assert errors["full"] < 30 and errors["half"] > 50
 
 
 def test_none_is_the_same_object():
     image = scene()
-    assert round_trip(None, RATE).of(image) is image
+    assert round_trip(None, RATE)(image) is image
 
 
 def test_what_contradicts_itself_is_refused():

@@ -18,11 +18,11 @@ def noise(seed: int) -> ImageNoise:
 
 def test_it_is_that_of_the_generator_and_new_in_each_picture():
     of_five = noise(5)
-    first, second = (of_five.next().added((GREY,))[0] for _ in range(2))
+    first, second = (of_five.next()((GREY,))[0] for _ in range(2))
     assert first is not None and second is not None
-    np.testing.assert_array_equal(first, noise(5).next().added((GREY,))[0])
+    np.testing.assert_array_equal(first, noise(5).next()((GREY,))[0])
     assert not np.array_equal(first, second)
-    assert not np.array_equal(first, noise(6).next().added((GREY,))[0])
+    assert not np.array_equal(first, noise(6).next()((GREY,))[0])
     # 3 grey levels and 1/12 of rounding; 1e5 samples determine it to a quarter of a per cent.
     assert (first.astype(float) - 128).std() == pytest.approx(np.sqrt(SIGMA**2 + 1 / 12), rel=0.01)
 
@@ -31,8 +31,8 @@ def test_it_depends_on_pixel_and_panel_alone():
     of_picture = noise(5).next()
     part = GREY.copy()
     part[:, 50:] = 60
-    whole = of_picture.added((GREY, GREY, GREY))
-    some = of_picture.added((part, None, GREY))
+    whole = of_picture((GREY, GREY, GREY))
+    some = of_picture((part, None, GREY))
     assert some[0] is not None and some[1] is None
     np.testing.assert_array_equal(some[0][:, :50], whole[0][:, :50])
     np.testing.assert_allclose(some[0][:, 50:] + 68.0, whole[0][:, 50:], atol=1)  # the same number, rounded in another place
@@ -42,7 +42,7 @@ def test_it_depends_on_pixel_and_panel_alone():
 
 def test_without_noise_nothing_is_copied():
     for none in (ImageNoise(), ImageNoise(0.0, np.random.default_rng(0))):
-        assert none.next().added((GREY,))[0] is GREY
+        assert none.next()((GREY,))[0] is GREY
 
 
 def test_contrast_drifts_about_the_middle_grey():

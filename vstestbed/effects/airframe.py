@@ -15,7 +15,7 @@ import numpy as np
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
-from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, inertia_torque
+from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, _four, inertia_torque
 from vstestbed.effects.vibration import Vibration
 
 
@@ -154,7 +154,9 @@ class Airframe:
             return NOTHING, NOTHING
         b, R, arm = self._craft.thrust_coefficient, self._craft.rotor_radius_m, self._craft.arm_m
         if wash:
-            self._blow(wash, dt)
+            keep = math.exp(-dt / wash.turbulence_s)
+            fresh = math.sqrt(1.0 - keep * keep)
+            self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
         up = x = y = 0.0
         for i in range(4):
             usual = b * self._W[i]
@@ -164,11 +166,6 @@ class Airframe:
             more = thrust - usual
             up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
         return (0.0, 0.0, up), (x, y, 0.0)
-
-    def _blow(self, wash: Downwash, dt: float) -> None:
-        keep = math.exp(-dt / wash.turbulence_s)
-        fresh = math.sqrt(1.0 - keep * keep)
-        self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
 
     def _dragged(self, state: BodyState, speeds: Four) -> tuple[Vector, Vector]:
         (vx, vy, _), (wx, wy, wz), arm, h = state.air, state.rates, self._craft.arm_m, ROTOR_M
@@ -211,12 +208,6 @@ def _normal(rng: np.random.Generator, n: int) -> Iterator[list[float]]:
         yield from rng.standard_normal((DRAWN_AHEAD, n)).tolist()
 
 
-def _four(values: Sequence[float]) -> Four:
-    a, b, c, d = values
-    return a, b, c, d
-
-
-# The same in MuJoCo: the true state of the base in, forces on it out.
 DOWN = np.array([0.0, 0.0, -1.0])
 
 

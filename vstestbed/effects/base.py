@@ -51,7 +51,7 @@ class StateIndices:
         # which takes seven places, comes before it.
         found = [model.joint(prefix + name) for name in joints]
         numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
-        activations = model.actuator_actadr[numbers]
+        activations, ctrl = model.actuator_actadr[numbers], model.actuator_ctrladr[numbers]
         qpos, qvel = (np.array(at, dtype=int) for at in ([j.qposadr[0] for j in found], [j.dofadr[0] for j in found]))
         motor_qpos, motor_qvel = qpos, qvel
         named = {model.joint(i).name for i in range(model.njnt)}
@@ -65,16 +65,9 @@ class StateIndices:
             qvel=qvel,
             motor_qpos=motor_qpos,
             motor_qvel=motor_qvel,
-            ctrl=_slice_of(model.actuator_ctrladr[numbers]),
+            ctrl=slice(int(ctrl[0]), int(ctrl[-1]) + 1) if len(ctrl) and (np.diff(ctrl) == 1).all() else ctrl,
             act=activations[activations >= 0],  # MuJoCo's -1: an actuator without one
         )
-
-
-def _slice_of(indices: NDArray[np.int_]) -> NDArray[np.int_] | slice:
-    """The slice of indices that follow each other, else the indices themselves."""
-    if len(indices) and (np.diff(indices) == 1).all():
-        return slice(int(indices[0]), int(indices[-1]) + 1)
-    return indices
 
 
 @dataclass

@@ -177,7 +177,8 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
     body = link.parent.parent.add_body(name=f"{MOTOR}{name}", pos=link.parent.pos, quat=link.parent.quat, mass=ROTOR_KG)
     body.inertia, body.explicitinertial = [ROTOR_KGM2] * 3, True
     body.ipos = link.pos  # on the axis: its weight turns nothing
-    _copy_orientation(link.parent, body)
+    for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):  # the orientation as the file writes it
+        setattr(body.alt, field, getattr(link.parent.alt, field))
     rotor = body.add_joint(name=f"{MOTOR}{name}", type=link.type, pos=link.pos, axis=link.axis, armature=link.armature)
     rotor.damping, rotor.frictionloss = link.damping, link.frictionloss
     rotor.solref_friction, rotor.solimp_friction = link.solref_friction, link.solimp_friction
@@ -292,7 +293,6 @@ def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
     return math.sqrt(max(float(w2[-1]), 0.0)), int(soft[np.argmax(np.abs(mode[soft] - mode[at]))])
 
 
-# Torques of an arm's motors, computed at each physics step: current loops, cogging, ripple.
 DRIVES_STEP_S = 0.001
 """Largest physics step with current loops, which sample the servo at it [s]: half a millisecond on average beside a lag of as much."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -108,7 +109,7 @@ class MotorSpread:
         off = np.clip(rng.standard_normal((2, 4)), -MOST_SIGMAS, MOST_SIGMAS)
         f = 1.0 + self.thrust_sigma * off[0] if self.thrust is None else np.array(self.thrust)
         limit = 1.0 - self.limit_sigma * np.abs(off[1]) if self.limit is None else np.array(self.limit)
-        return _four(f), _four(limit)
+        return _four(f.tolist()), _four(limit.tolist())
 
 
 def hover_squares(thrust: Four, craft: _Craft) -> Four:
@@ -128,6 +129,6 @@ def hover_squares(thrust: Four, craft: _Craft) -> Four:
     )
 
 
-def _four(values: np.ndarray) -> Four:
-    a, b, c, d = values.tolist()
+def _four(values: Sequence[float]) -> Four:
+    a, b, c, d = values
     return a, b, c, d

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import DepthImage, Image, Images
 from vstestbed.imaging.exposure import SKIP, ExposureControl, ExposureLoop, ExposureSetting
 from vstestbed.imaging.optics import LensEffects, Optics, _Lens
-from vstestbed.imaging.sensor import NO_DRIFT, Drift, FixedPattern, ImageNoise, SensorNoise, mosaic_of, plain
+from vstestbed.imaging.sensor import NO_DRIFT, Drift, FixedPattern, ImageNoise, Mosaic, SensorNoise, plain
 from vstestbed.imaging.stream import VideoStream, round_trip
 
 Floats = NDArray[np.float32]
@@ -54,7 +54,8 @@ class Imaging:
     def __init__(self, camera: _Imaged, rng: np.random.Generator):
         self._camera, self._rng = camera, rng
         self._lens = None if camera.optics is None else LensEffects(camera, camera.optics)
-        self._sensor, self._mosaic = camera.sensor, mosaic_of(camera.sensor)
+        sensor = self._sensor = camera.sensor
+        self._mosaic = None if sensor is None or sensor.mosaic == "none" else Mosaic(sensor.mosaic, sensor.demosaic)
         self._pattern: FixedPattern | None = None
         if self._sensor is not None:
             size = camera.height, camera.width
@@ -89,13 +90,13 @@ class Imaging:
 
     def streamed(self, images: Images) -> Images:
         """The next picture of the run as the computer has it."""
-        return tuple(None if image is None else self._trip.of(image) for image in images)
+        return tuple(None if image is None else self._trip(image) for image in images)
 
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """A picture as the camera would give it at rest, as the mean of many; what the run's pictures will be is not changed by it."""
         light = self._light(images, depth)
         setting = self._exposure.settled(t, self._metered(light))
-        return (self._fresh_trip().of(self._read(light, setting, None)),)
+        return (self._fresh_trip()(self._read(light, setting, None)),)
 
     def _light(self, images: Images, depth: DepthImage | None) -> Floats:
         (image,) = images
@@ -135,31 +136,22 @@ class Chain:
         drift: Drift = NO_DRIFT,
         changed: Callable[[], Callable[[float, Images], Images]] | None = None,
     ):
-        self._imaging, self._noise, self._drift, self._changed = imaging, noise or ImageNoise(), drift, changed
+        self.imaging, self._noise, self._drift, self._changed = imaging, noise or ImageNoise(), drift, changed
         self.noisy, self.whole = self._noise.acts, imaging is not None
         self.needs_depth = imaging is not None and imaging.needs_depth
 
     def next(self) -> list[Change]:
         """What becomes of the next picture, step by step; noise and changes are the same however often they are applied to it."""
-        noise, changed, imaging = self._noise.next(), self._changed() if self._changed else None, self._imaging
+        noised, changed, imaging = self._noise.next(), self._changed() if self._changed else None, self.imaging
         steps: list[Change | None] = [
             imaging.taken if imaging else None,
-            lambda t, images, depth: noise.added(images),
+            lambda t, images, depth: noised(images),
             lambda t, images, depth: self._drift.of(images, t),
             (lambda t, images, depth: changed(t, images)) if changed else None,
             (lambda t, images, depth: imaging.streamed(images)) if imaging else None,
         ]
         return [step for step in steps if step is not None]
 
-    @property
-    def exposed(self) -> ExposureSetting | None:
-        """Exposure of the picture last taken; None without `camera.exposure`."""
-        return self._imaging.exposed if self._imaging else None
-
-    def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float | None:
-        """Exposure time of the next picture [s] at a time t [s], see `Imaging.exposure_s`; None where nothing of the camera changes it."""
-        return self._imaging.exposure_s(t, drawn) if self._imaging else None
-
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """A picture as the mean of many at rest; what later pictures will be is not changed by it."""
-        return self._imaging.clean(t, images, depth) if self._imaging else images
+        return self.imaging.clean(t, images, depth) if self.imaging else images

@@ -184,14 +184,10 @@ class ExposureLoop:
 
     def __init__(self, control: ExposureControl | None, period_s: float, black: float = 0.0):
         self._control, self._black = control or ExposureControl(), black
-        auto, begun = self._control.auto, self._begun()
+        auto, begun = self._control.auto, (self._control.time_s or self._control.nominal_s) * self._control.gain
         self._auto, self._share = auto, 0.0 if auto is None else auto.share(period_s)
         self._coming: deque[float] = deque([begun] * (1 if auto is None else auto.delay_pictures + 1))
         self._fresh = auto is not None and auto.settled
-
-    def _begun(self) -> float:
-        control = self._control
-        return (control.time_s or control.nominal_s) * control.gain
 
     def setting(self, t: float, pictured: Callable[[ExposureSetting], Grey]) -> ExposureSetting:
         """Of the next picture, taken at a time t [s].

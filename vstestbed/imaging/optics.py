@@ -97,11 +97,6 @@ class Optics:
         if self.defocus is not None:
             _check_focus(self.defocus, focal_length_m)
 
-    def shading(self, r: Array, cosine: Array) -> NDArray[np.float32]:
-        """Brightness (H, W) [1] at distances r (H, W) [corner's distance] and cosines (H, W) of the angle from the axis."""
-        mechanical = 1 - self.vignetting * r * r
-        return np.asarray(mechanical * cosine**4 if self.cos4 else mechanical, np.float32)
-
     @property
     def shades(self) -> bool:
         """Whether brightness depends on the place."""
@@ -145,15 +140,10 @@ class LensEffects:
     """Applies a lens's errors to pictures. camera: with the size, the principal point and the rays of the picture. optics: its errors."""
 
     def __init__(self, camera: _Lens, optics: Optics):
-        self._camera, self._optics = camera, optics
+        self._camera, self._optics, self.needs_depth = camera, optics, optics.defocus is not None
         self._focal_length_m, self._f = 0.0, getattr(camera, "f", 0.0)  # of a perspective camera, which alone may have `defocus`
         if optics.defocus is not None:
             self._focal_length_m = optics.defocus.focal_length_m or getattr(camera, "focal_length_m", None) or 0.0
-
-    @property
-    def needs_depth(self) -> bool:
-        """Whether the true depth of each pixel is asked for."""
-        return self._optics.defocus is not None
 
     def of(self, image: NDArray[np.uint8], depth: DepthImage | None) -> Floats:
         """The light (H, W, 3) behind the lens of a rendered picture (H, W, 3) with the depths (H, W) [m] along the axis."""
@@ -180,12 +170,11 @@ class LensEffects:
     @cached_property
     def _shading(self) -> Floats:
         r = np.hypot(self._grid[..., 0], self._grid[..., 1]) / self._corner_px
-        cosine = (
-            self._camera.ray(pixel_grid(self._camera.width, self._camera.height).reshape(-1, 2))[:, 2].reshape(r.shape)
-            if self._optics.cos4
-            else np.ones_like(r)
-        )
-        return self._optics.shading(r, cosine)[..., None]
+        brightness = 1 - self._optics.vignetting * r * r
+        if self._optics.cos4:
+            rays = self._camera.ray(pixel_grid(self._camera.width, self._camera.height).reshape(-1, 2))
+            brightness = brightness * rays[:, 2].reshape(r.shape) ** 4
+        return np.asarray(brightness, np.float32)[..., None]
 
     def _magnified(self, channel: Floats, px: float) -> Floats:
         """A colour (H, W) magnified about the principal point, so that the farthest corner moves out by `px`."""

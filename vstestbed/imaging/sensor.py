@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -195,11 +196,6 @@ class Mosaic:
         return np.asarray(cv2.demosaicing(numbers, getattr(cv2, self._demosaic)), np.uint16)
 
 
-def mosaic_of(sensor: SensorNoise | None) -> Mosaic | None:
-    """The mosaic of a sensor; None for one that measures all colours in each pixel."""
-    return None if sensor is None or sensor.mosaic == "none" else Mosaic(sensor.mosaic, sensor.demosaic)
-
-
 # Noise and gain drift of the image sensor, the same for every renderer.
 @spec
 class Drift:
@@ -259,27 +255,16 @@ class ImageNoise:
         """Whether there is any."""
         return self._rng is not None
 
-    def next(self) -> PictureNoise:
-        """The noise of the next picture."""
-        return PictureNoise(self._sigma, None if self._rng is None else int(self._rng.integers(2**63)))
+    def next(self) -> Callable[[Images], Images]:
+        """Adds the noise of the next picture to its panels' images (H, W, 3), rounded and clipped; the same objects where there is none.
 
+        It is a function of pixel and panel alone, whichever of them are drawn, and however often.
+        """
+        if self._rng is None:
+            return lambda images: images
+        seed = int(self._rng.integers(2**63))
+        return lambda images: tuple(image if image is None else self._added(image, (seed, i)) for i, image in enumerate(images))
 
-@dataclass(frozen=True, slots=True)
-class PictureNoise:
-    """The noise of one picture: a function of pixel and panel alone, whichever of them are drawn, and however often.
-
-    sigma: standard deviation [grey levels]. seed: of this picture; None for no noise.
-    """
-
-    sigma: float
-    seed: int | None
-
-    def added(self, images: tuple[Image | None, ...]) -> tuple[Image | None, ...]:
-        """The panels' images (H, W, 3) with the noise, rounded and clipped; the same objects where there is none."""
-        if self.seed is None:
-            return images
-        return tuple(None if image is None else self._added(image, np.random.default_rng((self.seed, i))) for i, image in enumerate(images))
-
-    def _added(self, image: Image, rng: np.random.Generator) -> Image:
-        noise = rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.sigma)
+    def _added(self, image: Image, seed: tuple[int, int]) -> Image:
+        noise = np.random.default_rng(seed).standard_normal(image.shape, dtype=np.float32) * np.float32(self._sigma)
         return np.clip(image + noise + 0.5, 0, 255).astype(np.uint8)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from abc import ABC
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from collections.abc import Callable
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -86,39 +88,6 @@ STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "cr
 BUFFER_S = 0.5  # how far the average bit rate may be exceeded: the encoder's buffer [s]
 
 
-class RoundTrip(Protocol):
-    """An encoder and its decoder."""
-
-    def of(self, image: Image) -> Image:
-        """The next picture (H, W, 3) uint8 RGB, coded and decoded."""
-        ...
-
-
-class Unchanged:
-    """No compression."""
-
-    def of(self, image: Image) -> Image:
-        """The same object."""
-        return image
-
-
-class JpegTrip:
-    """JPEG, each picture by itself."""
-
-    def __init__(self, stream: JpegStream):
-        import cv2
-
-        factors = {"half": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, "full": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444}
-        self._options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factors[stream.colours]]
-
-    def of(self, image: Image) -> Image:
-        """Coded and decoded."""
-        import cv2
-
-        _, packet = cv2.imencode(".jpg", image[..., ::-1], self._options)
-        return np.ascontiguousarray(np.asarray(cv2.imdecode(packet, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
-
-
 class H264Trip:
     """H.264: the encoder remembers the pictures before.
 
@@ -130,8 +99,8 @@ class H264Trip:
         self._format = "yuv420p" if stream.colours == "half" else "yuv444p"
         self._codecs = None
 
-    def of(self, image: Image) -> Image:
-        """Coded and decoded: a picture comes out for each that goes in."""
+    def __call__(self, image: Image) -> Image:
+        """The next picture, coded and decoded: one comes out for each that goes in."""
         import av
 
         if self._codecs is None:
@@ -171,8 +140,17 @@ class H264Trip:
         return given | {"b": str(round(bits)), "maxrate": str(round(bits)), "bufsize": str(round(bits * BUFFER_S))}
 
 
-def round_trip(stream: VideoStream | None, rate_hz: float) -> RoundTrip:
-    """A new encoder and decoder of a stream; None: the pictures as they are."""
+def round_trip(stream: VideoStream | None, rate_hz: float) -> Callable[[Image], Image]:
+    """What becomes of each next picture (H, W, 3) uint8 RGB in a new encoder and decoder of a stream; None: it stays as it is."""
     if isinstance(stream, JpegStream):
-        return JpegTrip(stream)
-    return H264Trip(stream, rate_hz) if isinstance(stream, H264Stream) else Unchanged()
+        return functools.partial(_jpeg, stream)
+    return H264Trip(stream, rate_hz) if isinstance(stream, H264Stream) else lambda image: image
+
+
+def _jpeg(stream: JpegStream, image: Image) -> Image:
+    import cv2
+
+    size = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if stream.colours == "half" else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, size]
+    _, packet = cv2.imencode(".jpg", image[..., ::-1], options)
+    return np.ascontiguousarray(np.asarray(cv2.imdecode(packet, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])

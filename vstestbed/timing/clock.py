@@ -8,19 +8,30 @@ from collections import deque
 from typing import Generic, Protocol, TypeVar
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
+from vstestbed.imaging.exposure import ExposureControl
 
 LARGEST_STEP_S = 0.002  # largest default step [s]; the arm's actuators are tuned and tested at 1 and 2 ms
 
 
-class _Periodic(Protocol):
-    """What is asked of a camera."""
+class _Shot(Protocol):
+    """What is asked of a camera: when its rows are exposed, and for how long."""
 
     @property
     def rate_hz(self) -> float: ...
     @property
     def period(self) -> float: ...
+    @property
+    def readout_s(self) -> float: ...
+    @property
+    def latency_s(self) -> float: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def blurring(self) -> ExposureControl | None: ...
+    def row_delay(self, v: Array) -> Array: ...
 
 
 @spec
@@ -33,7 +44,7 @@ class Clock:
 
     step_s: PositiveTime | None = None
 
-    def resolve(self, camera: _Periodic, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
+    def resolve(self, camera: _Shot, largest: float = LARGEST_STEP_S) -> tuple[float, int]:
         """(step [s], steps per camera frame). Raises ParameterError: step_s does not divide the camera's period."""
         if self.step_s is None:
             # The small number keeps a ratio of exactly n from being rounded up to n + 1.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
@@ -13,9 +13,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Frequency, Narrower, PositiveTime, Time
 from vstestbed.core.spec import spec
-from vstestbed.imaging.exposure import ExposureControl
 from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.imaging.shutter import Contribution, Opening, contributions, of_rows
+from vstestbed.timing.clock import _Shot
 from vstestbed.timing.link import BurstLoss, BurstyLink
 from vstestbed.timing.setpoints import Between, Interpolation
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
@@ -23,24 +23,6 @@ from vstestbed.timing.stamps import CameraStamps, RobotStamps
 LEAST_PERIODS = 3  # a command lasts this many camera periods at least
 BLURRED = 0.2
 """Exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each."""
-
-
-class _Shot(Protocol):
-    """What is asked of a camera: when its rows are exposed, and for how long."""
-
-    @property
-    def rate_hz(self) -> float: ...
-    @property
-    def period(self) -> float: ...
-    @property
-    def readout_s(self) -> float: ...
-    @property
-    def latency_s(self) -> float: ...
-    @property
-    def height(self) -> int: ...
-    @property
-    def blurring(self) -> ExposureControl | None: ...
-    def row_delay(self, v: Array) -> Array: ...
 
 
 @spec
@@ -253,12 +235,11 @@ class Shutter:
     ):
         self._timing, self._step_s, self._per_frame, self._rng, self._link = timing, step_s, steps_per_frame, rng, link
         self._camera, self._flicker = camera, flicker
-        self._latency = camera.latency_s
         self._rows: Array = camera.row_delay(np.arange(float(camera.height)))
         # Jitter is clipped to it: the exposures of two frames must not overlap.
         self._room = (steps_per_frame - 2 * timing.half_steps(camera, step_s)) // 2
         self._frame = -1
-        self._draws, self._late_steps = timing.draws, round(max(0.0, self._latency) / step_s)
+        self._draws, self._late_steps = timing.draws, round(max(0.0, camera.latency_s) / step_s)
         self._open(timing.first_s(camera))
 
     def _open(self, exposure_s: float) -> None:
@@ -280,7 +261,7 @@ class Shutter:
                 return self._planned(self._frame * self._per_frame, self._late_steps)
             shift = round(timing.jittered(timing.exposure_jitter_s, rng) / self._step_s)
             middle = max(0, self._frame * self._per_frame + max(-self._room, min(self._room, shift)))
-            late = max(0.0, self._latency + timing.jittered(timing.latency_jitter_s, rng))
+            late = max(0.0, self._camera.latency_s + timing.jittered(timing.latency_jitter_s, rng))
             arrives = timing.drop_probability == 0 or rng.random() >= timing.drop_probability
             if arrives and (self._link is None or not self._link.loses(self._frame)):
                 return self._planned(middle, round(late / self._step_s))

@@ -92,12 +92,7 @@ class Led:
     def __init__(self, how: Interpolation):
         self._how = how
         self._begins, self._until_then = 0, np.zeros(0)
-        self._blend: Blend | None = None
-
-    @property
-    def begun(self) -> bool:
-        """Whether there was an order."""
-        return self._blend is not None
+        self.blend: Blend | None = None  # none before the first order
 
     def toward(self, step: int, setpoint: Array, now: Array | None, lapsed: bool) -> None:
         """A new order at this step; it begins to act with the next setpoint that the actuators get.
@@ -105,7 +100,7 @@ class Led:
         now: the setpoint in force; None before the first order, which is led to from rest. lapsed: it is no longer an order's, but the
         robot's own way to stop.
         """
-        how, blend = self._how, self._blend
+        how, blend = self._how, self.blend
         begins = how.next_tick(step)
         held = np.zeros_like(setpoint) if now is None else now
         before, slope = held, np.zeros_like(setpoint)
@@ -113,20 +108,20 @@ class Led:
             t = begins - self._begins
             # Of two orders before one setpoint the later one counts: both set out from the same value.
             before, slope = (blend.at(t), blend.slope(t)) if step >= self._begins else (blend.before, blend.start)
-        self._blend, self._begins, self._until_then = Blend(how.between, before, slope, setpoint, how.over), begins, held
+        self.blend, self._begins, self._until_then = Blend(how.between, before, slope, setpoint, how.over), begins, held
 
     def at(self, step: int) -> Array:
         """The setpoint at this step."""
-        assert self._blend is not None
+        assert self.blend is not None
         if step < self._begins:
             return self._until_then
-        every, blend = self._how.every, self._blend
+        every, blend = self._how.every, self.blend
         t = step // every * every - self._begins
         return blend.after if t >= blend.duration else (blend.way(t + every) - blend.way(t)) / every
 
     def unchanged(self, step: int) -> float:
         """For how many steps from this one on it stays as it is; infinite at the end of the way."""
-        if self._blend is not None and step < self._begins + self._how.next_tick(int(self._blend.duration)):
+        if self.blend is not None and step < self._begins + self._how.next_tick(int(self.blend.duration)):
             return self._how.next_tick(step + 1) - step
         return np.inf
 
@@ -183,7 +178,7 @@ class Orders:
 
     def _followed(self, step: float) -> Array:
         assert self._order is not None
-        return self._order if self._led is None or not self._led.begun else self._led.at(int(step))
+        return self._order if self._led is None or self._led.blend is None else self._led.at(int(step))
 
     def unchanged(self, step: int, ahead: int) -> int:
         """For how many of the next `ahead` steps (at least one) the setpoint at this step may stay as it is."""

@@ -246,7 +246,8 @@ class ImageSensor:
 
     def exposure_s(self, t: float) -> float | None:
         """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""
-        return self._chain.exposure_s(t, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth))
+        imaging, drawn = self._chain.imaging, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth)
+        return imaging.exposure_s(t, drawn) if imaging else None
 
     def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
         """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
@@ -297,8 +298,8 @@ class ImageSensor:
 
         begun = time.perf_counter()
         made = self._developed(t, clean, drawn)
-        if self._chain.whole:
-            made = replace(made, exposed=self._chain.exposed)
+        if self._chain.imaging:
+            made = replace(made, exposed=self._chain.imaging.exposed)
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
