@@ -191,11 +191,6 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
             actuator.target = rotor.name
 
 
-def _copy_orientation(source: mujoco.MjsBody, body: mujoco.MjsBody) -> None:
-    for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):
-        setattr(body.alt, field, getattr(source.alt, field))
-
-
 @dataclass(frozen=True, eq=False)
 class ElasticJoints(Effect):
     """`Gears` of an arm of n joints in plain numbers.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vstestbed.camera import Camera
+from vstestbed.camera import Camera, Perspective
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
 from vstestbed.robots.base import longest_step
@@ -66,7 +66,7 @@ def build_plant(
 
         return IdealPlant(parts, steps_per_frame, None, None, path, order_s, led), "none"
     from vstestbed.imaging.chain import Chain, imaging_of
-    from vstestbed.sim.render.image_sensor import ImageSensor, depth_camera
+    from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
 
@@ -75,7 +75,9 @@ def build_plant(
     if needs_image:
         # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
         drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s)
-        depth = depth_camera(camera, depth_rng)
+        depth = None
+        if isinstance(camera, Perspective) and camera.depth_sensor is not None:
+            depth = DepthCamera(camera, camera.depth_sensor, _given(depth_rng))
         changed = None if perturbed is None else perturbed.next_picture
         chain = Chain(imaging_of(camera, imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
         eye, renderer = ImageSensor(stage, drawn_by, chain, depth), drawn_by.name

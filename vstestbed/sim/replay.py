@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -10,13 +11,13 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import FLIP, Array
+from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import Chain, imaging_of
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
 from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
-from vstestbed.sim.render.still import StillView, View, half_tangents, pixels_per_radian
+from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.follow import FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
@@ -77,7 +78,7 @@ class Replay:
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._seen: tuple[float, Image] | None = None
-        self._own: tuple[Stage, View] | None = None
+        self._own: tuple[Stage, Callable[[], Image]] | None = None
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     def of_target(self, target: Target) -> Replay:
@@ -111,13 +112,13 @@ class Replay:
         if camera == "eye":
             stage, view = self._servo_camera()
             stage.place(t, T_world_target, q, T_world_camera)
-            self._seen = t, view.full_image()
+            self._seen = t, view()
             return self._seen[1]
         if camera not in self._views:
             view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
             model, data = self._stage.model, self._stage.data
             lens = Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0]))
-            self._views[camera] = StillView(view, model, data, camera, lens.f, view.part), lens
+            self._views[camera] = StillView(view.full_image, model, data, camera, lens.f, view.part), lens
         self._stage.place(t, T_world_target, q, T_world_camera)
         if camera == "overview":
             self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
@@ -151,8 +152,7 @@ class Replay:
         """
         if T_world_goal is not None or self._parts.robot.base == "fixed":  # else the composed view, which shows the way there is
             FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0).place(t, T_world_goal)
-        data, T = self._stage.data.camera("overview"), np.eye(4)
-        T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
+        T = self._stage.pose_of("overview")
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
         fovy = math.radians(float(self._stage.model.camera("overview").fovy[0]))
         return T, T[:3, 3] + T[:3, 2] * float((middle - T[:3, 3]) @ T[:3, 2]), fovy
@@ -163,25 +163,23 @@ class Replay:
 
     def sight(self, camera: str) -> tuple[Perspective, Array]:
         """Lens and pose T_world_camera (4, 4) of the last picture from a camera outside, for what is drawn over it."""
-        data, T = self._stage.data.camera(camera), np.eye(4)
-        T[:3, :3], T[:3, 3] = data.xmat.reshape(3, 3) @ FLIP[:3, :3], data.xpos
-        return self._views[camera][1], T
+        return self._views[camera][1], self._stage.pose_of(camera)
 
     def body(self) -> Array:
         """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
         return self._things.points(self._stage.data)[self._things.own]
 
-    def _servo_camera(self) -> tuple[Stage, View]:
+    def _servo_camera(self) -> tuple[Stage, Callable[[], Image]]:
         """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
             lens = self._parts.camera
             stage = Stage(self._parts, samples=lens.multisampling)
             if (imaging := imaging_of(lens, None)) is not None:
-                self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data)
+                self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data).full_image
                 return self._own
             drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
             sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows
-            self._own = stage, StillView(drawn_by, stage.model, stage.data, "eye", f, sides=sides)
+            self._own = stage, StillView(drawn_by.full_image, stage.model, stage.data, "eye", f, sides=sides).full_image
         return self._own
 
     def close(self) -> None:

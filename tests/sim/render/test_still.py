@@ -37,7 +37,7 @@ class TestMotion:
         self.model = mujoco.MjModel.from_xml_string(SCENE)
         self.data = mujoco.MjData(self.model)
         self.counts = Counts()
-        self.view = StillView(self.counts, self.model, self.data, "eye", F)
+        self.view = StillView(self.counts.full_image, self.model, self.data, "eye", F)
 
     def image(self) -> int:
         mujoco.mj_kinematics(self.model, self.data)
@@ -74,7 +74,9 @@ class TestMotion:
 
     @pytest.mark.parametrize(("place", "drawn"), [((1, 0, 0.5), 1), ((0, -1, 0.5), 1), ((0, 0, 2.2), 1), ((0.7, 0, 0.5), 2)])
     def test_what_is_out_of_sight_moves_unseen(self, place: tuple[float, float, float], drawn: int):
-        self.view = StillView(self.counts, self.model, self.data, "eye", F, sides=(0.5, 0.5))  # .75 m aside, 1.5 m before the camera
+        self.view = StillView(
+            self.counts.full_image, self.model, self.data, "eye", F, sides=(0.5, 0.5)
+        )  # .75 m aside, 1.5 m before the camera
         self.data.mocap_pos[0] = place
         assert self.image() == 1
         self.data.mocap_pos[0, :2] *= 1.05
@@ -92,7 +94,7 @@ class TestParts:
         self.model = mujoco.MjModel.from_xml_string(SCENE)
         self.data = mujoco.MjData(self.model)
         self.drawn: list[Window | None] = []
-        self.view = StillView(self, self.model, self.data, "eye", F, self.part)
+        self.view = StillView(self.full_image, self.model, self.data, "eye", F, self.part)
         self.image()
 
     def full_image(self) -> np.ndarray:

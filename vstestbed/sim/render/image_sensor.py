@@ -20,9 +20,6 @@ from vstestbed.sim.base import Renderer
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.colour import noise_rows
 
-# The mean of the images of an exposure, each with its weight, or with one for each row of the camera's picture (rolling shutter).
-
-
 Sum = Array | NDArray[np.float32]
 
 
@@ -144,13 +141,6 @@ class DepthCamera:
     def clean(self, true: DepthImage | None) -> DepthImage | None:
         """The same without noise, as the mean of many pictures at rest would be; nothing is drawn for it."""
         return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, None)
-
-
-def depth_camera(camera: Camera, rng: np.random.Generator | None) -> DepthCamera | None:
-    """The depth camera of a lens that has a sensor of depth; None for any other."""
-    if camera.depth_sensor is None or not isinstance(camera, Perspective):
-        return None
-    return DepthCamera(camera, camera.depth_sensor, rng or np.random.default_rng(0))
 
 
 @contextlib.contextmanager

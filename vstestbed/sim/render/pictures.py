@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from vstestbed.camera import Camera, Image, Window
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.base import Renderer
+from vstestbed.sim.render.cube_map import drawn_for
 
 if TYPE_CHECKING:
     from vstestbed.sim.scene.stage import Stage
@@ -32,46 +33,24 @@ class OutsideView(Protocol):
         ...
 
 
-# The functions import OpenGL's and the rays' modules only when called: importing the first fails on a machine without OpenGL.
 def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
     """The renderer of the servo camera, as `camera.renderer` asks.
 
-    noisy: noise will be added to its images.
-    share: size of the images as a share of the camera's, for films. OpenGL draws those of wide and distorted lenses in full. Raises
-    EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here. ParameterError: rays are asked for and
-    cannot draw this scene.
+    noisy: noise will be added to its images. share: size of the images as a share of the camera's, for films; OpenGL draws those of
+    wide and distorted lenses in full. Raises EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
+    ParameterError: rays are asked for and cannot draw this scene.
     """
-
-    def by_gl() -> Renderer:
-        from vstestbed.sim.render.opengl import OpenGLRenderer
-
-        return OpenGLRenderer(stage, camera, noisy, share)
-
-    def by_rays() -> Renderer:
-        from vstestbed.sim.render.rays import RayRenderer
-
-        return RayRenderer(stage, camera, noisy, share)
-
-    return _chosen(camera, by_gl, by_rays)
+    given = stage, camera, noisy, share
+    return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
 
 
 def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
-    """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows.
-
-    Raises EnvironmentLackError: OpenGL is asked for and does not work here.
-    """
-
-    def by_gl() -> OutsideView:
-        from vstestbed.sim.render.opengl import SceneCamera
-
-        return SceneCamera(stage, name, width, height, shadows, style="outside")
-
-    def by_rays() -> OutsideView:
-        from vstestbed.sim.render.rays import RaySceneCamera
-
-        return RaySceneCamera(stage, name, width, height, FILM_RAYS)
-
-    return _chosen(camera, by_gl, by_rays)
+    """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows. Raises as `servo_renderer`."""
+    return _chosen(
+        camera,
+        lambda: _opengl().SceneCamera(stage, name, width, height, shadows, style="outside"),
+        lambda: _rays().RaySceneCamera(stage, name, width, height, FILM_RAYS),
+    )
 
 
 def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
@@ -82,20 +61,28 @@ def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
     """
 
     def by_gl() -> Callable[[Array], object]:
-        from vstestbed.sim.render.cube_map import drawn_for
-        from vstestbed.sim.render.opengl import SceneCamera
-
         drawn = drawn_for(camera)
-        views = [SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own") for face in drawn]
+        views = [_opengl().SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own") for face in drawn]
         return lambda p: [v.raw() for v, face in zip(views, drawn, strict=True) if len(drawn) == 1 or face.holds(p)]
 
     def by_rays() -> Callable[[Array], object]:
-        from vstestbed.sim.render.rays import RayRenderer
-
-        renderer = RayRenderer(stage, camera)
+        renderer = _rays().RayRenderer(stage, camera)
         return lambda p: renderer.images()
 
     return _chosen(camera, by_gl, by_rays)
+
+
+# Imported only when called: importing OpenGL fails on a machine without it.
+def _opengl() -> Any:
+    from vstestbed.sim.render import opengl
+
+    return opengl
+
+
+def _rays() -> Any:
+    from vstestbed.sim.render import rays
+
+    return rays
 
 
 def draws_rays(camera: Camera) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import FLIP, Array, lengths
+from vstestbed.core.geometry import Array, lengths
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
@@ -63,15 +63,14 @@ def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> D
 
     hits: `Caster.hits`.
     """
-    return np.concatenate([_of(rays[top : top + ROWS], T_world_camera, hits) for top in range(0, len(rays), ROWS)])
-
-
-def _of(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> DepthImage:
-    along, n = rays[..., 2], rays[..., 2].size
-    geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
-    in_world = rays.reshape(-1, 3) @ np.ascontiguousarray(T_world_camera[:3, :3].T)
-    hits(np.ascontiguousarray(T_world_camera[:3, 3]), in_world, geoms, distance, normal)
-    return np.where(geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf).astype(np.float32)
+    turn, origin = np.ascontiguousarray(T_world_camera[:3, :3].T), np.ascontiguousarray(T_world_camera[:3, 3])
+    found = []
+    for part in (rays[top : top + ROWS] for top in range(0, len(rays), ROWS)):
+        along, n = part[..., 2], part[..., 2].size
+        geoms, distance, normal = np.empty(n, np.int32), np.empty(n), np.empty((n, 3))
+        hits(origin, part.reshape(-1, 3) @ turn, geoms, distance, normal)
+        found.append(np.where(geoms.reshape(along.shape) >= 0, distance.reshape(along.shape) * along, np.inf).astype(np.float32))
+    return np.concatenate(found)
 
 
 RENDERER = "rays (mj_multiRay)"
@@ -134,13 +133,11 @@ class Caster:
     def hits(self, origin: Array, rays: Array, geoms: NDArray[np.int32], distance: Array, normal: Array) -> None:
         """Fill in the geoms, distances and normals that one bundle of rays (n, 3) hits."""
         model, n = self._model, len(rays)
-        model.geom_group[:] = np.where(self._shown & self._within_reach(origin, cone_of(rays)), 0, 1)
+        # A plane has no bounding sphere, and always counts.
+        near = self._endless | meets(self._data.geom_xpos - origin, model.geom_rbound, *cone_of(rays))
+        model.geom_group[:] = np.where(self._shown & near, 0, 1)
         flat, normals = rays.reshape(-1), normal.reshape(-1)
         mujoco.mj_multiRay(model, self._data, origin, flat, self._groups, True, -1, geoms, distance, normals, n, FAR)
-
-    def _within_reach(self, origin: Array, cone: tuple[Array, float]) -> NDArray[np.bool_]:
-        """Which geoms have a bounding sphere that intersects a cone from `origin`; planes have none and always count."""
-        return self._endless | meets(self._data.geom_xpos - origin, self._model.geom_rbound, *cone)
 
 
 class Raster:
@@ -317,8 +314,7 @@ class RaySceneCamera:
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
         data = self._stage.data
-        seen_from, T = data.camera(self._camera), np.eye(4)
-        T[:3, :3], T[:3, 3] = seen_from.xmat.reshape(3, 3) @ FLIP[:3, :3], seen_from.xpos
+        T = self._stage.pose_of(self._camera)
         if self._lamp.has_moved():
             self._before = None
         stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))

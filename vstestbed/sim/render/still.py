@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -20,14 +20,6 @@ NEAR_M = 0.1  # least distance that is assumed between a view and what it shows 
 FLOOR_M = 0.5  # the same for planes, which have no bounding sphere [m]
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 ASIDE = 1.02  # margin of the tangents beyond which a geom is out of sight
-
-
-class View(Protocol):
-    """A camera of the scene."""
-
-    def full_image(self) -> Image:
-        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
-        ...
 
 
 class Lamp:
@@ -55,7 +47,7 @@ class StillView:
     and its image by f times that over its distance |p| - r.
 
     Args:
-        view: draws the images. model, data: the scene. camera: the view's camera by its name in the scene. f: pixels per radian.
+        view: draws the whole image. model, data: the scene. camera: the view's camera by its name in the scene. f: pixels per radian.
         part: draws a perspective image within a window alone, or returns None where it cannot.
         sides: tangents of half the angles of view (see `half_tangents`). What is beyond them, before and now, may move unseen: most of an
             arm that carries the camera. None where everything counts.
@@ -63,7 +55,7 @@ class StillView:
 
     def __init__(
         self,
-        view: View,
+        view: Callable[[], Image],
         model: mujoco.MjModel,
         data: mujoco.MjData,
         camera: str,
@@ -82,12 +74,12 @@ class StillView:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         state = self._state()
         if self._lamp.has_moved() or self._image is None:
-            self._image, self._drawn = self._view.full_image(), state
+            self._image, self._drawn = self._view(), state
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)
         seen = max(of_geoms.max(), of_camera) > UNSEEN_PX
         if seen and (of_camera > SLIGHT_PX or not self._renewed(self._image, state, np.flatnonzero(of_geoms > SLIGHT_PX))):
-            self._image, self._drawn = self._view.full_image(), state
+            self._image, self._drawn = self._view(), state
         return self._image.copy()
 
     def _renewed(self, image: Image, state: tuple[NDArray[Any], ...], moved: NDArray[np.intp]) -> bool:

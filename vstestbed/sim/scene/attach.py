@@ -18,10 +18,8 @@ from vstestbed.effects.body import Change, Couple, Loosen, Scale, Set, Stretch
 from vstestbed.robots import Robot
 from vstestbed.robots.allocation import Servo
 from vstestbed.sim.scene.groups import OF_FILES
+from vstestbed.sim.scene.joint_chain import flange_in
 from vstestbed.sim.scene.model_files import carry_files, read_model
-
-# Puts a robot's actuators into its model: a profile of its file, or servos made for it.
-
 
 UNBOUNDED = 1e6  # range of the integrated position of a joint that turns without end [rad]
 
@@ -38,8 +36,8 @@ def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
     if carried := chosen.carried:
         for body in model.bodies:
             body.gravcomp = carried
-    for joint in model.joints:
-        if not chosen.friction:
+    if not chosen.friction:
+        for joint in model.joints:
             joint.frictionloss, joint.damping = 0.0, np.zeros(3)
 
 
@@ -101,14 +99,10 @@ def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
                 for geom in _named(model, "body", change.body).geoms:
                     _stretch(model, geom, np.array(change.factors), np.array(change.shift))
             case Couple():
-                _couple(model, change)
+                (pair,) = [e for e in model.equalities if e.name1 == change.joint]
+                pair.data[:5] = change.coefficients
             case Loosen():
                 _loosen(model, change.joint, change.width)
-
-
-def _couple(model: mujoco.MjSpec, change: Couple) -> None:
-    (pair,) = [e for e in model.equalities if e.name1 == change.joint]
-    pair.data[:5] = change.coefficients
 
 
 def _loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
@@ -189,7 +183,9 @@ def add_robot(
     """
     if robot.model is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
-    T_body_flange = _flange_pose(robot.model, robot.flange)  # first: it refuses a model that has no flange
+    if (found := flange_in(_compiled(robot.model), robot.flange)) is None:
+        words = f"has a model without a site `{robot.flange}`, which carries the camera; add one to {robot.model}"
+        raise ParameterError("robot.kind", words)
     model = _spec(robot.model, robot.body_changes)
     choose_servos(model, robot)
     _share_options(scene, model, friction)
@@ -199,7 +195,7 @@ def add_robot(
         compiled=functools.partial(_compiled, robot.model, robot.body_changes),
         actuators=robot.actuators,
         flange=_flange_body(model, robot.flange),
-        T_body_flange=T_body_flange,
+        T_body_flange=found[1].copy(),
         carried=robot.actuator_set.carried if robot.actuator_set else 0.0,
         assets={} if assets is None else assets,
     )
@@ -247,25 +243,6 @@ def _spec(model: str, changes: tuple[Change, ...]) -> mujoco.MjSpec:
 @functools.lru_cache(maxsize=32)
 def _compiled(model: str, changes: tuple[Change, ...] = ()) -> mujoco.MjModel:
     return _spec(model, changes).compile()
-
-
-def _flange_pose(model: str, flange: str) -> Array:
-    """Pose (4, 4) of the flange in its body, as the compiler has it; the identity where the flange is a body.
-
-    A spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is the identity where the file
-    writes another of these: only the compiled model has them all. Raises ParameterError: the file has no such site or body.
-    """
-    compiled = _compiled(model)
-    i = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_SITE, flange)
-    if i < 0 <= mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_BODY, flange):
-        return np.eye(4)
-    if i < 0:
-        raise ParameterError("robot.kind", f"has a model without a site `{flange}`, which carries the camera; add one to {model}")
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, compiled.site_quat[i])
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.site_pos[i]
-    return T
 
 
 def extent_of(robot: Robot) -> float:

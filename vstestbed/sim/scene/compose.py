@@ -34,9 +34,6 @@ from vstestbed.targets.markers import HALF_THICKNESS_M, Marker, Solid
 from vstestbed.targets.mesh import as_stl
 from vstestbed.vision.tags import printed
 
-# What of a target is drawn besides its markers: paint on the floor, a picture, a solid.
-
-
 SHININESS = 0.5
 """Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8 degrees."""
 LIFT_M = 2e-4
@@ -47,8 +44,9 @@ SEGMENT = 4
 """Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm."""
 
 
-def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, group: int) -> mujoco.MjsGeom:
+def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, rgb: Array, lit: bool) -> None:
     """Line i between its edges (K, 2) as a geom of `body`: a strip of triangles, visible from above, without collisions."""
+    rgba, paint = _paint(scene, f"color_{i}", rgb, lit)
     left, right = edges
     kept = np.unique(np.append(np.arange(0, len(left), SEGMENT), len(left) - 1))
     n = len(kept)
@@ -58,15 +56,8 @@ def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, A
     faces = np.concatenate([at + [0, 1, 2], at + [1, 3, 2]])  # counter-clockwise from above
     mesh = scene.add_mesh(name=f"target/line_{i}", uservert=vertices.ravel(), userface=faces.ravel())
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # a sheet has no volume
-    return body.add_geom(
-        name=f"target/line_{i}",
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=f"target/line_{i}",
-        group=group,
-        contype=0,
-        conaffinity=0,
-        mass=0,
-    )
+    geom = _visual(body, mesh.name, mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], rgba, TARGET_GROUP)
+    geom.meshname, geom.material = mesh.name, paint.name
 
 
 def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: float) -> float:
@@ -74,33 +65,18 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: f
     scene.texturedir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_picture.png": sheet.png}
     scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
-    grey = sheet.albedo * (1.0 if sheet.lit else 1 / GLOW)
-    rgba = [grey, grey, grey, 1.0]
-    paint = scene.add_material(
-        name="target/picture", rgba=rgba, specular=sheet.gloss, shininess=SHININESS, emission=0.0 if sheet.lit else GLOW
-    )
+    rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
+    paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, sheet.share
     paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "target/picture"
-    paint.texrepeat = sheet.share
-    body.add_geom(
-        name="target/picture",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M],
-        pos=[0, 0, front + HALF_THICKNESS_M],
-        quat=FACE_VIEWER,
-        rgba=rgba,
-        material="target/picture",
-        group=TARGET_GROUP,
-        contype=0,
-        conaffinity=0,
-        mass=0,
-    )
+    size, pos = [sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M], [0, 0, front + HALF_THICKNESS_M]
+    geom = _visual(body, "target/picture", mujoco.mjtGeom.mjGEOM_BOX, size, rgba, TARGET_GROUP, pos, FACE_VIEWER)
+    geom.material = paint.name
     return front + 2 * HALF_THICKNESS_M
 
 
 def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body | Globe) -> None:
     """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
-    rgba = [*(c if solid.lit else c / GLOW for c in solid.rgb), 1.0]
-    paint = scene.add_material(name="target/solid", rgba=rgba, specular=0, shininess=0, emission=0.0 if solid.lit else GLOW)
+    rgba, paint = _paint(scene, "solid", np.array(solid.rgb), solid.lit)
     geom = body.add_geom(name="target/solid", rgba=rgba, material=paint.name, group=TARGET_GROUP, contype=0, conaffinity=0, mass=0)
     if isinstance(solid, Globe):
         # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a polygon .6 % of the radius too small.
@@ -282,9 +258,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         body.add_site(name="target/frame", group=SITE_GROUP, size=[0.005] * 3)
     points_a_line = len(target.points) // max(len(target.stripes), 1)
     for i, edges in enumerate(target.stripes):
-        rgba, paint = _paint(scene, i, target.colors[i * points_a_line], target.marker.lit)
-        geom = add_stripe(scene, body, edges, i, TARGET_GROUP)
-        geom.rgba, geom.material = rgba, paint.name
+        add_stripe(scene, body, edges, i, target.colors[i * points_a_line], target.marker.lit)
     for i, p in enumerate(target.places):
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
         if target.shows_markers and (solid := target.marker.solid):
@@ -309,7 +283,7 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
 
 def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
     marker, normal = target.marker, target.normals[i]
-    rgba, paint = _paint(scene, i, np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
+    rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
         paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
     shape, half_sizes = solid
@@ -341,11 +315,11 @@ def _add_pad(body: mujoco.MjsBody, pad: Pad) -> None:
     )
 
 
-def _paint(scene: mujoco.MjSpec, i: int, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
-    """The colour of a marker, shaded by the scene's lights or of constant brightness: rgba, and material `target/color_i`."""
+def _paint(scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
+    """A colour shaded by the scene's lights, or of constant brightness: rgba, and the material `target/<name>`."""
     rgba = [*(rgb if lit else rgb / GLOW), 1.0]
     emission = 0.0 if lit else GLOW
-    return rgba, scene.add_material(name=f"target/color_{i}", rgba=rgba, specular=0, shininess=0, emission=emission)
+    return rgba, scene.add_material(name=f"target/{name}", rgba=rgba, specular=0, shininess=0, emission=emission)
 
 
 def _marker_texture(scene: mujoco.MjSpec, marker: Marker, i: int) -> str:

@@ -9,7 +9,8 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.groups import RANGE_GROUP
-from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, axes_of, extremes, eye_of, holds, slanting
+from vstestbed.sim.scene.joint_chain import turned
+from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.stage import Stage
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
@@ -159,7 +160,7 @@ class FollowCamera:
     def _chosen(self, around: Array, beside: Array) -> Axes:
         """The direction of the film's view; near that of the composed scene for a free camera, which has no upright."""
         if self._stage.parts.robot.model is None:
-            right, up = axes_of(self._stage.model, self._camera)
+            right, up, _ = turned(self._stage.model.cam_quat[self._camera]).T
             back = np.cross(right, up)
             views = [Axes.of(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]
         else:
@@ -183,10 +184,8 @@ class FollowCamera:
             size *= 0.8 + 0.2 * min(-float(UP @ view.ahead) / math.sin(ELEVATIONS[0]), 1.0)
         else:
             way = T_target[:3, 3] - at
-            seen, aside = (
-                [*seen, self._sees(eye, at, HIDDEN_M)],
-                float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9)),
-            )
+            seen = [*seen, self._sees(eye, at, HIDDEN_M)]
+            aside = float(np.linalg.norm(np.cross(way, view.ahead)) / max(np.linalg.norm(way), 1e-9))
         merit = size * (0.1 + sum(seen) / max(len(seen), 1)) ** 2 * (0.4 + 0.6 * max(faces, 0.0)) * (0.4 + 0.6 * aside)
         return round(merit, 6)  # of views that are equally good the first wins, whatever the last bit of a sum is
 

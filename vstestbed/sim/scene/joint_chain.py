@@ -43,7 +43,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joints]] = 0.0
     mujoco.mj_kinematics(model, data)
-    T_world_body = _pose(data.xpos[body], data.xmat[body])
+    T_world_body = placed(data.xpos[body], data.xmat[body])
     bounded = model.jnt_limited[joints].astype(bool)[:, None]
     return JointChain(
         names=found,
@@ -61,45 +61,58 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 @functools.lru_cache(maxsize=64)
 def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
     """What each joint's motor has to move at positions q [rad, m], gears included: the diagonal of the mass matrix [kg m^2, kg]."""
-    model = compiled(file)
-    data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
-    data.qpos[[j.qposadr[0] for j in places]] = q
-    mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, M)
-    return tuple(M.diagonal()[[j.dofadr[0] for j in places]].tolist())
+    return tuple(_mass_matrix(compiled(file), joints, q)[0].diagonal().tolist())
 
 
 @functools.lru_cache(maxsize=64)
 def inertias_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Inertia of the links (n, n) about the joints at positions q [rad, m], and of the rotors (n,), the joints' armature [kg m^2, kg]."""
     model = compiled(str(model_path(file)))
+    M, dofs = _mass_matrix(model, joints, q)
+    rotors = model.dof_armature[dofs].copy()
+    return M - np.diag(rotors), rotors
+
+
+def _mass_matrix(model: mujoco.MjModel, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, list[int]]:
+    """The mass matrix (n, n) of joints at positions q, and their degrees of freedom."""
     data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
     data.qpos[[j.qposadr[0] for j in places]] = q
     mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
+    M, dofs = np.zeros((model.nv, model.nv)), [j.dofadr[0] for j in places]
     mujoco.mj_fullM(model, data, M)
-    dofs = [j.dofadr[0] for j in places]
-    rotors = model.dof_armature[dofs].copy()
-    return M[np.ix_(dofs, dofs)] - np.diag(rotors), rotors
+    return M[np.ix_(dofs, dofs)], dofs
 
 
-def _pose(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
+def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """A pose (4, 4) of a place (3,) and a rotation (9,) or (3, 3)."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R.reshape(3, 3), xyz
     return T
 
 
-def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
-    """The body that carries the flange, and the flange's pose (4, 4) in it."""
+def turned(quat: np.ndarray) -> np.ndarray:
+    """MuJoCo's rotation (3, 3) of a quaternion, wxyz."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, quat)
+    return R.reshape(3, 3)
+
+
+def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | None:
+    """The body that carries the flange, a site or a body, and the flange's pose (4, 4) in it; None where the model has neither.
+
+    As the compiler has it: a spec keeps an orientation as the file writes it (quat, euler, axisangle, xyaxes, zaxis), and its `quat` is
+    the identity where the file writes another of these.
+    """
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, flange)
     if site >= 0:
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, model.site_quat[site])
-        return int(model.site_bodyid[site]), _pose(model.site_pos[site], R)
+        return int(model.site_bodyid[site]), placed(model.site_pos[site], turned(model.site_quat[site]))
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, flange)
-    if body > 0:
-        return body, np.eye(4)
+    return (body, np.eye(4)) if body > 0 else None
+
+
+def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
+    if found := flange_in(model, flange):
+        return found
     there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
     kind, names = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
     known = f"its {kind}: {names}" if names else f"its {kind} have no names" if there else "it has none"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import FLIP, Array
 from vstestbed.sim.scene.groups import HAND_PLATE, RANGE_GROUP, TARGET_GROUP
+from vstestbed.sim.scene.joint_chain import placed, turned
 
 PLAIN_RGBA = (0.5, 0.5, 0.5, 1.0)  # MuJoCo's default colour of a geom, for which its material's is used
 PAPER_RGB = (0.96, 0.96, 0.96)
@@ -54,11 +55,8 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
         texture = _texture(model, int(i))
         if texture < 0 or not _shows_print(model, int(i)):
             continue
-        T, R, half = np.eye(4), np.zeros(9), model.geom_size[i].astype(float)
-        mujoco.mju_quat2Mat(R, model.geom_quat[i])
-        T[:3, :3] = R.reshape(3, 3)
-        T[:3, 3] = model.geom_pos[i] + (half[2] + PRINT_M) * T[:3, 2]
-        T = T @ FLIP  # of a geom's texture y is up
+        R, half = turned(model.geom_quat[i]), model.geom_size[i].astype(float)
+        T = placed(model.geom_pos[i] + (half[2] + PRINT_M) * R[:, 2], R) @ FLIP  # of a geom's texture y is up
         share = np.minimum(model.mat_texrepeat[model.geom_matid[i]], 1.0)
         image = texels_of(model, texture)
         columns, rows = (max(1, round(n * part)) for n, part in zip(image.shape[1::-1], share.tolist(), strict=True))
@@ -93,10 +91,8 @@ def solids(model: mujoco.MjModel) -> list[Solid]:
         unseen = model.geom_group[i] == RANGE_GROUP or model.geom_rgba[i, 3] == 0 or model.geom(i).name == HAND_PLATE
         if unseen or (model.geom_type[i] == mujoco.mjtGeom.mjGEOM_PLANE and model.geom(i).name == "floor"):  # viewers have their own
             continue
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, model.geom_quat[i])
-        placed = _triangles(model, i) @ R.reshape(3, 3).T + model.geom_pos[i]
-        found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(placed)
+        triangles = _triangles(model, i) @ turned(model.geom_quat[i]).T + model.geom_pos[i]
+        found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(triangles)
     return [_joined(body, rgb, parts) for (body, rgb), parts in found.items()]
 
 

@@ -152,10 +152,3 @@ def holds(eye: Array, most: Array, axes: Axes, tangents: Tangents) -> bool:
     left, to_right, down, to_up = np.array(tangents) * distance
     room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
     return bool((room >= most).all())
-
-
-def axes_of(model: mujoco.MjModel, camera: int) -> tuple[Array, Array]:
-    """Right and up (3,) of a camera that stands in the world."""
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, model.cam_quat[camera])
-    return R.reshape(3, 3)[:, 0], R.reshape(3, 3)[:, 1]

@@ -44,9 +44,11 @@ def check_scenery(file: str, T: Array, floor_z: float) -> None:
     file: absolute, or inside a package. T: its pose in the world (4, 4). floor_z: height of the floor [m]. Raises ParameterError: `file`,
     with what is wrong, its line where MuJoCo knows it, and what would work.
     """
-    path = place_of_file(file)
-    model = _checked(str(path), path.stat().st_mtime_ns)
-    _floors(model, T, floor_z)
+    _floors(_model(place_of_file(file)), T, floor_z)
+
+
+def _model(path: Path) -> mujoco.MjModel:
+    return _checked(str(path), path.stat().st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=8)
@@ -85,21 +87,16 @@ def _floors(model: mujoco.MjModel, T: Array, floor_z: float) -> list[int]:
     Raises ParameterError: a horizontal plane at another height; or a face of a box that would flicker in the floor.
     """
     tops = {g: z for g in range(model.ngeom) if (z := _top(model, g, T)) is not None}
-    _check_planes(model, tops, floor_z)
+    for g, z in tops.items():
+        if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
+            words = f"has the horizontal plane {_name(model, g)} at z = {z:g} m, and the floor is at world.floor_z = {floor_z:g} m"
+            raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
     level = [g for g, z in tops.items() if abs(z - floor_z) <= SAME_HEIGHT_M]
     floors = [g for g in level if model.geom_type[g] == PLANE or model.geom(g).name == "floor"]
     if level and not floors:
         words = f"has the geom {_name(model, level[0])}, whose upper face is at the height of the floor, where both would flicker"
         raise ParameterError("file", f"{words}; lift it by 2 mm, or name it floor to have it drawn in place of the floor")
     return floors
-
-
-def _check_planes(model: mujoco.MjModel, tops: dict[int, float], floor_z: float) -> None:
-    """Refuse a second floor at another height; tops: heights of horizontal faces by geom [m]."""
-    for g, z in tops.items():
-        if model.geom_type[g] == PLANE and abs(z - floor_z) > SAME_HEIGHT_M:
-            words = f"has the horizontal plane {_name(model, g)} at z = {z:g} m, and the floor is at world.floor_z = {floor_z:g} m"
-            raise ParameterError("file", f"{words}; set world.floor_z: {z:g}, or make a box of it")
 
 
 def _top(model: mujoco.MjModel, g: int, T: Array) -> float | None:
@@ -134,8 +131,7 @@ def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: flo
 
     A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not drawn, and hide nothing.
     """
-    path = place_of_file(file)
-    model = _checked(str(path), path.stat().st_mtime_ns)
+    model = _model(place_of_file(file))
     data, drawn, hit = _placed(model), np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
     eye, names = np.ascontiguousarray(T_scenery_camera[:3, 3]), []
     for way in p_camera @ T_scenery_camera[:3, :3].T:
@@ -151,7 +147,7 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
     floor_z: height of the scene's own floor [m].
     """
     path = place_of_file(file)
-    floors = _floors(_checked(str(path), path.stat().st_mtime_ns), T, floor_z)
+    floors = _floors(_model(path), T, floor_z)
     spec = read_model(path)
     _take_parts(spec, floors)
     if floors:
@@ -160,7 +156,9 @@ def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> di
         scene.light("key").active = False
     if any(texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
         scene.delete(scene.texture("sky"))
-    _same_options(spec, scene)
+    for name in dir(spec.option):  # of options of the file's own MuJoCo would warn
+        if not name.startswith("_"):
+            setattr(spec.option, name, getattr(scene.option, name))
     files = carry_files(spec, path, scene, PREFIX)
     scene.attach(spec, prefix=PREFIX, frame=scene.worldbody.add_frame(pos=T[:3, 3], quat=quaternion_wxyz(T[:3, :3])))
     return files
@@ -179,12 +177,6 @@ def _take_parts(spec: mujoco.MjSpec, floors: list[int]) -> None:
             geom.contype = geom.conaffinity = 0
 
 
-def _same_options(spec: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
-    for name in dir(spec.option):
-        if not name.startswith("_"):
-            setattr(spec.option, name, getattr(scene.option, name))
-
-
 @functools.cache
 def warn_of_colours(file: str, detector: str, chroma: int) -> None:
     """Warn once of scenery whose colours a detector may take for markers, those above a chroma (max - min of r, g, b) [grey levels]."""
@@ -194,7 +186,7 @@ def warn_of_colours(file: str, detector: str, chroma: int) -> None:
 
 def _saturated(path: Path, chroma: int, who: str) -> str:
     """What of a file is of a colour above a chroma in pictures, which `who` takes for a marker, and what would not be; "" for nothing."""
-    model, limit = _checked(str(path), path.stat().st_mtime_ns), chroma / 255 / BRIGHTEST
+    model, limit = _model(path), chroma / 255 / BRIGHTEST
     found = {name: value for name, value in _saturations(model) if value > limit}
     if not found:
         return ""
@@ -225,7 +217,7 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     Raises ParameterError: see `check_scenery`.
     """
     path = place_of_file(file)
-    model = _checked(str(path), path.stat().st_mtime_ns)
+    model = _model(path)
     spec = read_model(path)
     solid = int(np.count_nonzero((model.geom_contype | model.geom_conaffinity) != 0))
     yield "scenery", f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes, {model.ntex} textures"
@@ -235,7 +227,9 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
         yield "left out", "; ".join(found)
     if words := _saturated(path, CHROMA, "detector blobs"):
         yield "colours", words
-    if rays := _in_mean_colour(model):
+    from vstestbed.sim.render.shade import Paint
+
+    if rays := [_name(model, g) for g in Paint(model, _placed(model)).averaged]:
         yield "rays", f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole"
 
 
@@ -245,11 +239,3 @@ def _left_out(spec: mujoco.MjSpec) -> list[str]:
     names = [name for name in dir(spec.option) if not name.startswith("_")]
     changed = [name for name in names if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))]
     return [*found, f"<option> ({', '.join(changed)}), where the scene's own count"] if changed else found
-
-
-def _in_mean_colour(model: mujoco.MjModel) -> list[str]:
-    """The geoms whose textures `sim/render/shade.py` cannot map."""
-    from vstestbed.sim.render.shade import Paint
-
-    paint = Paint(model, _placed(model))
-    return [_name(model, g) for g in paint.averaged]

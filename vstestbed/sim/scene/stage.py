@@ -10,16 +10,14 @@ import numpy as np
 from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
-from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
+from vstestbed.core.geometry import FLIP, Array, inverse, quaternion_wxyz
 from vstestbed.core.planar import place_of
 from vstestbed.effects.base import RobotBody, StateIndices
 from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import Parts, compose
 from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.joint_chain import placed
 from vstestbed.targets.markers import HIDDEN_M
-
-# The pose of a movable base in MuJoCo's state: a free joint, or planar joints x, y and yaw.
-
 
 PLANAR = ("root_x", "root_y", "root_yaw")
 
@@ -33,23 +31,15 @@ class Root:
         self.free = f"{prefix}root" in names
         joints = [model.joint(prefix + name) for name in (("root",) if self.free else PLANAR)]
         self._qpos = np.concatenate([np.arange(j.qposadr[0], j.qposadr[0] + (7 if self.free else 1)) for j in joints])
-        self._qvel = np.concatenate([np.arange(j.dofadr[0], j.dofadr[0] + (6 if self.free else 1)) for j in joints])
 
     def put(self, qpos: NDArray[np.float64], T_world_base: Array) -> None:
         """Write a pose (4, 4) into the state `qpos`; of a planar base x, y and yaw alone."""
-        qpos[self._qpos] = (
-            np.concatenate([T_world_base[:3, 3], quaternion_wxyz(T_world_base[:3, :3])]) if self.free else place_of(T_world_base)
-        )
-
-    def rest(self, qvel: NDArray[np.float64]) -> None:
-        """Set the base's velocity in the state `qvel` to zero."""
-        qvel[self._qvel] = 0.0
+        T = T_world_base
+        qpos[self._qpos] = np.concatenate([T[:3, 3], quaternion_wxyz(T[:3, :3])]) if self.free else place_of(T)
 
     def pose(self, data: mujoco.MjData) -> Array:
         """T_world_base (4, 4) now."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = data.xmat[self.body].reshape(3, 3), data.xpos[self.body]
-        return T
+        return placed(data.xpos[self.body], data.xmat[self.body])
 
 
 class Stage:
@@ -79,9 +69,8 @@ class Stage:
         self._turned = np.zeros((4, 4)), np.zeros(4)
         self.root = Root(self.model, "robot/") if parts.robot.base != "fixed" else None
         self.leader = Root(self.model, "leader/") if parts.leader else None
-        self._T_target_leader = inverse(parts.target.pose.T)
-        world = parts.world
-        movers = world.movers
+        self.target_inverse = inverse(parts.target.pose.T)
+        movers = parts.world.movers
         self._plate_paths = list(movers.values())
         self._plates = [self.model.body(name).mocapid[0] for name in movers]
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
@@ -148,17 +137,12 @@ class Stage:
         """T_camera_base (4, 4)."""
         return inverse(self.parts.camera.mount.T)
 
-    @property
-    def target_inverse(self) -> Array:
-        """T_target_carrier (4, 4), for a target that is carried."""
-        return self._T_target_leader
-
     def place_target(self, T: Array) -> None:
         """Put the target at a pose (4, 4), with the vehicle that carries it; nothing for one in the gripper, which the joints place."""
         if self.parts.target.on_gripper:
             return
         if self.leader is not None:
-            self.leader.put(self.data.qpos, T @ self._T_target_leader)
+            self.leader.put(self.data.qpos, T @ self.target_inverse)
             return
         mocap = self._target.mocapid[0]
         if not np.array_equal(T, self._turned[0]):  # most targets are at rest, and the quaternion takes .2 ms
@@ -175,17 +159,16 @@ class Stage:
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""
-        T = np.eye(4)
-        T[:3, :3] = self.data.xmat[self._target.id].reshape(3, 3)
-        T[:3, 3] = self.data.xpos[self._target.id]
-        return T
+        return placed(self.data.xpos[self._target.id], self.data.xmat[self._target.id])
 
     def camera_pose(self) -> Array:
         """Pose (4, 4) of the servo camera in the world, computer-vision axes."""
-        T = np.eye(4)
-        T[:3, :3] = self.data.site_xmat[self.eye].reshape(3, 3)
-        T[:3, 3] = self.data.site_xpos[self.eye]
-        return T
+        return placed(self.data.site_xpos[self.eye], self.data.site_xmat[self.eye])
+
+    def pose_of(self, camera: str) -> Array:
+        """Pose (4, 4) of a camera by its name in the world, computer-vision axes."""
+        data = self.data.camera(camera)
+        return placed(data.xpos, data.xmat.reshape(3, 3) @ FLIP[:3, :3])
 
     def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
