@@ -1,4 +1,4 @@
-"""What takes seconds and is not what a test is about: worker processes, and the figures of a comparison's report."""
+"""What takes seconds and is not what a test is about: worker processes, figures of a comparison. The kinematics of the Puma."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
+import numpy as np
 import pytest
 
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
+from vstestbed.robots.puma560 import kinematics
 
 
 class Here:
@@ -39,3 +41,13 @@ def run_here(patch: pytest.MonkeyPatch) -> None:
 def draw_one_figure(patch: pytest.MonkeyPatch) -> None:
     """A comparison's report has the first of its figures alone, on its page and for papers."""
     patch.setattr(page, "PLOTS", page.PLOTS[:1])
+
+
+def forward(q: np.ndarray) -> np.ndarray:
+    """T_base_flange (4, 4) of the Puma at the joint angles q (6,) [rad]."""
+    return kinematics(q)[0]
+
+
+def jacobian(q: np.ndarray) -> np.ndarray:
+    """Its geometric Jacobian (6, 6) in the flange's frame."""
+    return kinematics(q)[1]

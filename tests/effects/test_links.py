@@ -9,12 +9,13 @@ import pytest
 
 import vstestbed as vs
 from tests.robots.arms import HERE
+from tests.shortcuts import forward
 from tests.sim.two_mass import arm, stage_of
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, adjoint, inverse, log
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.robots import Puma560
-from vstestbed.robots.puma560 import DH, _frames, forward
+from vstestbed.robots.puma560 import DH, _frames
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 

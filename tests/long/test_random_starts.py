@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import jacobian
 from vstestbed.core.geometry import Array
-from vstestbed.robots.puma560 import jacobian
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts, compose
 

@@ -321,7 +321,7 @@ def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     goal, gains, mount = np.array([5, 5, np.pi / 2]), PolarGains(1, 4, -2.5), Mount.of(np.eye(4))
     driver, order = Driver(rubber), [0.0, 0.0]
     driver.data.qpos[[0, 1, 3, 6]] = *start[:2], np.cos(start[2] / 2), np.sin(start[2] / 2)
-    basis, limits = driver.car.motion_basis(mount, driver.reading.q), driver.car.limits.bicycle()
+    basis, limits = driver.car.motion_basis(mount, driver.reading.q), driver.car.limits
     places = []
     for k, _ in enumerate(driver.go(12.0, lambda _, order=order: (order[0], order[1]))):
         if k % 4 == 3:

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import forward, jacobian
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.named_files import model_path
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading
-from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, Puma560, forward, jacobian
+from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, Puma560
 
 UNLIMITED = {"kind": "oracle", "field_of_view": "unlimited"}
 

@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 
+from tests.shortcuts import forward, jacobian
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
 from vstestbed.robots.arm import LIMIT_HORIZON_S, LIMIT_MARGIN
 from vstestbed.robots.base import Reading
-from vstestbed.robots.puma560 import (
-    JOINT_LIMITS,
-    REACH_UNIT,
-    SPEED_LIMITS,
-    JointAngles,
-    PumaStart,
-    forward,
-    jacobian,
-)
+from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, JointAngles, PumaStart
 
 ARM = Puma560()
 Q0 = ARM.configuration()

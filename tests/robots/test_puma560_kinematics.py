@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from tests.shortcuts import forward, jacobian
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.robots import Allocation, Mount, Puma560, Reading
 from vstestbed.robots.arm import resolved_rate
-from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, forward, jacobian, kinematics
+from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, kinematics
 
 Q0 = np.radians([0, 45, -180, 0, 45, -45])
 SCALE = np.array([1 / REACH_UNIT] * 3 + [1.0] * 3)

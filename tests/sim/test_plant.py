@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import forward
 from vstestbed.core.geometry import Array, Pose, adjoint, exp, inverse, rigid_error
 from vstestbed.robots import Mount
-from vstestbed.robots.puma560 import forward
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.build import build_plant
 

@@ -375,6 +375,13 @@ class Robot:
 RobotBase = Robot
 
 
+def random_of(start: Any, example: str) -> Any:
+    """The block of random starts. ParameterError where a robot has none."""
+    if start.random is None:
+        raise ParameterError("robot.start.random", f"is missing: a seed draws the start from it, e.g. {example}")
+    return start.random
+
+
 def longest_step(robot: Robot) -> float:
     """The longest default physics step of a robot [s]."""
     return min(robot.largest_step_s, robot.needed_step_s)

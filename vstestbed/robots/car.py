@@ -74,7 +74,9 @@ def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Arr
     return np.asarray(v * np.tan(steering) / wheelbase)
 
 
-def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits) -> tuple[Array, Array]:
+def within_limits(
+    v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits | CarLimits
+) -> tuple[Array, Array]:
     """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
 
     A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates, with
@@ -122,7 +124,7 @@ def drive(
     law: Callable[[Array], tuple[Array, Array]],
     start: Array,
     wheelbase: float,
-    limits: BicycleLimits,
+    limits: Limits,
     duration: float,
     period: float = 0.01,
 ) -> Drive:
@@ -218,12 +220,6 @@ class CarParameters:
         whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
         shares = ON_FRONT, ON_FRONT, ON_REAR, ON_REAR
         return tuple(Set("joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
-
-    @property
-    def ends_m(self) -> tuple[float, float]:
-        """The x of the rear and the front bumper [m]."""
-        longer = self.wheelbase_m - 1.0
-        return -0.188 - 0.17 * longer, 1.208 + 1.19 * longer
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -335,9 +331,8 @@ class CarLimits:
     acceleration_mps2: Annotated[float, Ge(1e-6), Le(2.5)] = 1.5
     steering_rate_radps: Annotated[PositiveRate, Narrower(le=4)] = 2.0
 
-    def bicycle(self) -> BicycleLimits:
-        """The same for the ideal bicycle: `vstestbed.robots.car.drive`."""
-        return BicycleLimits(self.speed_mps, self.steering_rad, self.acceleration_mps2, self.steering_rate_radps)
+
+Limits = BicycleLimits | CarLimits
 
 
 @dataclass(frozen=True, slots=True)
@@ -447,7 +442,8 @@ class Car(WornVehicle):
     @property
     def ends_m(self) -> tuple[float, float]:
         """The x of its rear and its front bumper [m]."""
-        return self.parameters.ends_m
+        longer = self.parameters.wheelbase_m - 1.0
+        return -0.188 - 0.17 * longer, 1.208 + 1.19 * longer
 
     @property
     def turning_radius_m(self) -> float:
@@ -463,10 +459,6 @@ class Car(WornVehicle):
     def believed_radius(self) -> float:
         """The calibrated wheel radius, with its error [m]."""
         return self.parameters.wheel_radius_m * (1 + self.wheel_radius_error)
-
-    def started_at(self, configuration: Array) -> Car:
-        """The same car from another place (x, y, heading)."""
-        return dataclasses.replace(self, start=self.start.at(configuration))
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (v, w) of the base, shape (6, 2), for any mount."""
@@ -525,7 +517,7 @@ class Car(WornVehicle):
         """
         v, w = (PLANE[:, [0, 2]].T @ (mount.to_flange @ twist)).tolist()
         held, wheelbase = float(reading.q[_STEERING]), self.parameters.wheelbase_m
-        speed, steering = (float(x) for x in within_limits(v, w, held, wheelbase, self.limits.bicycle()))
+        speed, steering = (float(x) for x in within_limits(v, w, held, wheelbase, self.limits))
         turn = float(yaw_rate(speed, steering, wheelbase)) if abs(speed) >= STANDSTILL else 0.0
         scale, limit = 1.0, ""
         if abs(v) < STANDSTILL:

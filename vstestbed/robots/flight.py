@@ -215,7 +215,6 @@ def rate_loop(
     return (tx, ty), (Jx * (k * ex + tx), Jy * (k * ey + ty), z)
 
 
-# What a quadrotor's instruments read and its flight loops estimate, and the setpoints of its failsafe.
 HOLD = np.zeros(4)  # the setpoint that levels the craft and holds it where it is
 
 

@@ -7,12 +7,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Discriminator, Tag
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.quantity import Angles, Position
 from vstestbed.core.spec import spec
 from vstestbed.robots.allocation import ALL_SIX, Allocation, Mount
-from vstestbed.robots.base import Reading, Robot
+from vstestbed.robots.base import Reading, Robot, random_of
 from vstestbed.robots.puma560 import Puma560, PumaStart
 
 
@@ -73,9 +72,7 @@ class Free(Robot):
 
     def randomised(self, rng: np.random.Generator) -> Free:
         """The same camera with a start drawn from the box."""
-        box = self.start.random
-        if box is None:
-            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [.2, .2, .2]}")
+        box = random_of(self.start, "{xyz: [.2, .2, .2]}")
         if isinstance(box, PumaStart):
             # By the arm's own draw, joint by joint: the same random numbers give the arm's flange pose of the same seed.
             arm = Puma560(start=box).randomised(rng)

@@ -19,10 +19,10 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
 from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation, Mount, Servo
-from vstestbed.robots.base import Reading
+from vstestbed.robots.base import Reading, random_of
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.real_arm import RIGID, RealArm
+from vstestbed.robots.real_arm import RealArm
 from vstestbed.robots.realism import Level
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
@@ -247,15 +247,9 @@ class Mjcf(RealArm):
         given = np.where(self.chain.slides, configuration, np.degrees(configuration))
         return replace(self, start=ArmStart(nominal=Positions(q_deg=tuple(given.tolist())), random=self.start.random))
 
-    def idealised(self) -> Mjcf:
-        """The same arm with stiff servos and gears and without friction."""
-        return replace(self, actuation="ideal", **RIGID)
-
     def randomised(self, rng: np.random.Generator) -> Mjcf:
         """The same arm with a start drawn within the box, clipped to the joint limits."""
-        box = self.start.random
-        if box is None:
-            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {q_deg: 15}")
+        box = random_of(self.start, "{q_deg: 15}")
         half = np.where(self.chain.slides, box.slide_m, np.radians(box.q_deg))
         q = self.configuration() + rng.uniform(-1, 1, len(half)) * half
         return self.started_at(np.clip(q, *self.chain.limits.T))

@@ -115,17 +115,6 @@ class OmniParameters:
         return np.asarray(np.linalg.pinv(self.W), dtype=np.float64)
 
     @property
-    def ends_m(self) -> tuple[float, float]:
-        """The x of the rear and the front edge of its wheels [m]."""
-        half = self.wheelbase_m / 2 + 0.058 * (self.wheel_radius_m / 0.05)
-        return -half, half
-
-    @property
-    def top_speed_mps(self) -> float:
-        """Straight ahead [m/s]."""
-        return self.wheel_speed_radps * self.wheel_radius_m
-
-    @property
     def spin(self) -> float:
         """Moment of inertia of a wheel with its motor about the axle [kg m^2]."""
         return ROTOR + SPIN * (self.wheel_radius_m / 0.05) ** 2
@@ -174,11 +163,6 @@ class OmniParameters:
         along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
         both = (Set("joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y"))
         return (*both, Set("joint", "root_yaw", "armature", 0.250 * turning))
-
-
-def larger_wheel(name: str, factor: float) -> tuple[Change, ...]:
-    """One wheel scaled as a whole with its rollers."""
-    return Scale("geom", "size", factor, name), Scale("geom", "pos", factor, name), *_larger_rollers(name, factor)
 
 
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
@@ -261,18 +245,19 @@ class Omni(WornVehicle):
             found += self.parameters.rolling(self.rolling_resistance)
         if self.wheel_spread is not None:
             for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True):
-                found += larger_wheel(name, factor)
+                found += [Scale("geom", "size", factor, name), Scale("geom", "pos", factor, name), *_larger_rollers(name, factor)]
         return tuple(found)
 
     @property
     def ends_m(self) -> tuple[float, float]:
         """The x of the rear and the front edge of its wheels [m]."""
-        return self.parameters.ends_m
+        half = self.parameters.wheelbase_m / 2 + 0.058 * (self.parameters.wheel_radius_m / 0.05)
+        return -half, half
 
     @property
     def top_speed_mps(self) -> float:
         """Straight ahead [m/s]."""
-        return self.parameters.top_speed_mps
+        return self.parameters.wheel_speed_radps * self.parameters.wheel_radius_m
 
     @property
     def slips(self) -> bool:
@@ -284,10 +269,6 @@ class Omni(WornVehicle):
         """The joints that its encoders read: the wheels, or the base's own joints in the model without wheel joints."""
         # Only differences of the latter are used (`odometry`): the absolute place would be truth.
         return WHEELS if self.wheels == "rollers" else ("root_x", "root_y", "root_yaw")
-
-    def started_at(self, configuration: Array) -> Omni:
-        """The same base from another place (x, y, heading)."""
-        return dataclasses.replace(self, start=self.start.at(configuration))
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
         """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""

@@ -22,7 +22,8 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
 from vstestbed.effects.links import GeometryError
 from vstestbed.robots.allocation import Actuation
-from vstestbed.robots.real_arm import RIGID, RealArm
+from vstestbed.robots.base import random_of
+from vstestbed.robots.real_arm import RealArm
 from vstestbed.robots.realism import Level
 
 DH = np.array(
@@ -96,16 +97,6 @@ def _frames(q: Array) -> Array:
     for i in range(1, 6):
         np.dot(frames[i], A[i], out=frames[i + 1])
     return frames
-
-
-def forward(q: Array) -> Array:
-    """T_base_flange (4, 4) at the joint angles q (6,) [rad]."""
-    return _frames(q)[6]
-
-
-def jacobian(q: Array) -> Array:
-    """Geometric Jacobian (6, 6) of the flange in the flange's frame, rows (v, w), at the joint angles q (6,) [rad]."""
-    return kinematics(q)[1]
 
 
 GEAR_RATIOS = (62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686)
@@ -245,15 +236,9 @@ class Puma560(RealArm):
         nominal = JointAngles(q_deg=tuple(np.degrees(configuration).tolist()))
         return replace(self, start=PumaStart(nominal=nominal, random=self.start.random))
 
-    def idealised(self) -> Puma560:
-        """The same arm with stiff servos and gears and without friction."""
-        return replace(self, actuation="ideal", **RIGID)
-
     def randomised(self, rng: np.random.Generator) -> Puma560:
         """The same arm with a start drawn within the box, clipped to the joint limits."""
-        box = self.start.random
-        if box is None:
-            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {q_deg: 15}")
+        box = random_of(self.start, "{q_deg: 15}")
         q = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, 6) * box.q_deg
         q = np.clip(q, *np.degrees(JOINT_LIMITS).T)
         nominal = JointAngles(q_deg=tuple(q.tolist()))

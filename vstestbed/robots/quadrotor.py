@@ -32,7 +32,7 @@ from vstestbed.robots import flight_sensors
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor
+from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.flight import (
     HOLD,
     MAX_TRIM,
@@ -316,9 +316,7 @@ class Quadrotor(FlightRealism):
 
     def randomised(self, rng: np.random.Generator) -> Quadrotor:
         """The same craft with a start drawn from the box, not so low that it would stand."""
-        box = self.start.random
-        if box is None:
-            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {xyz: [2, 2, 1], yaw_deg: 180}")
+        box = random_of(self.start, "{xyz: [2, 2, 1], yaw_deg: 180}")
         middle = box.about or self.start.nominal
         xyz = np.array(middle.xyz) + rng.uniform(-1, 1, 3) * box.xyz
         yaw = middle.yaw_deg + float(rng.uniform(-1, 1)) * box.yaw_deg

@@ -37,11 +37,6 @@ from vstestbed.robots.realism import Realistic
 
 SHORTEST_STEP_S = 1e-4
 """Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
-RIGID: Mapping[str, Any] = {
-    "realism": "none",
-    **dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error")),
-}
-"""What an arm with ideal actuators has not; its geometry and its payload stay what they are."""
 
 
 @spec
@@ -87,6 +82,11 @@ class RealArm(Realistic, Arm):
     def slides(self) -> NDArray[np.bool_]:
         """Which joints slide, (n,)."""
         return np.zeros(len(self.joints), dtype=bool)
+
+    def idealised(self) -> Self:
+        """The same arm with stiff servos and gears and without friction; its geometry and its payload stay what they are."""
+        rigid = dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error"))
+        return replace(self, **{"actuation": "ideal", "realism": "none", **rigid})
 
     def _check_effects(self) -> None:
         self.acting  # noqa: B018 - refuses what does not fit

@@ -112,19 +112,9 @@ class QuadrotorParameters:
         return YAW_SHARE * 4 * self.drag_coefficient * (self.limit - self.hover)
 
     @cached_property
-    def per_pair(self) -> float:
-        """Roll or pitch torque [Nm s^2] of a unit of r or p."""
-        return 2 * self.arm_m * self.thrust_coefficient
-
-    @cached_property
-    def per_four(self) -> float:
-        """Thrust [N s^2] of a unit of t."""
-        return 4 * self.thrust_coefficient
-
-    @cached_property
-    def per_yaw(self) -> float:
-        """Yaw torque [Nm s^2] of a unit of y."""
-        return 4 * self.drag_coefficient
+    def units(self) -> Vector:
+        """Roll or pitch torque of a unit of r or p, thrust of a unit of t, yaw torque of a unit of y [Nm s^2, N s^2, Nm s^2]."""
+        return 2 * self.arm_m * self.thrust_coefficient, 4 * self.thrust_coefficient, 4 * self.drag_coefficient
 
     def changes(self, body_share: float = 1.0) -> tuple[Change, ...]:
         """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a model of the rotors has the rest."""
@@ -168,7 +158,8 @@ def mix(thrust: float, torque: Vector, craft: QuadrotorParameters) -> tuple[Four
     limit = craft.limit
     half = 0.5 * limit
     x, y, z = torque
-    r, p, t, y = x / craft.per_pair, y / craft.per_pair, thrust / craft.per_four, z / craft.per_yaw
+    per_pair, per_four, per_yaw = craft.units
+    r, p, t, y = x / per_pair, y / per_pair, thrust / per_four, z / per_yaw
     cut = False
     if not (-half <= r <= half and -half <= p <= half):  # here and below: such a case is rare, and calls take time
         r, p, cut = clip(r, -half, half), clip(p, -half, half), True

@@ -22,7 +22,7 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.base import Base, Reading, Robot, RobotLog, RobotState, Supervisor
+from vstestbed.robots.base import Base, Reading, Robot, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
@@ -56,15 +56,9 @@ class GroundStart:
     nominal: GroundPose = GroundPose()
     random: GroundBox | None = None
 
-    def configuration(self) -> Array:
-        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
-        return self.nominal.place
-
     def drawn(self, rng: np.random.Generator) -> GroundStart:
         """A start whose nominal pose is drawn from the box, uniformly. Raises ParameterError: there is no box."""
-        at, box = self.nominal, self.random
-        if box is None:
-            raise ParameterError("robot.start.random", "is missing: a seed draws the start from it, e.g. {x: .5, y: .5, heading_deg: 20}")
+        at, box = self.nominal, random_of(self, "{x: .5, y: .5, heading_deg: 20}")
         x, y, heading = (rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)).tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
 
@@ -83,7 +77,7 @@ class Vehicle(Robot):
 
     def configuration(self) -> Array:
         """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
-        return self.start.configuration()
+        return self.start.nominal.place
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
@@ -203,6 +197,10 @@ class WornVehicle(Vehicle, Realistic):
     def randomised(self, rng: np.random.Generator) -> Self:
         """The same vehicle with a start drawn from the box. ParameterError without a box."""
         return dataclasses.replace(self, start=self.start.drawn(rng))
+
+    def started_at(self, configuration: Array) -> Self:
+        """The same vehicle from another place (x, y, heading)."""
+        return dataclasses.replace(self, start=self.start.at(configuration))
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each: y' = (order - y) / drive_lag_s, exactly."""

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import forward
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Pose, transform
-from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS, forward
+from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.scene.compose import Parts, compose
