@@ -152,7 +152,6 @@ class CurrentLoops:
     delay_s: MilliSeconds = 0.0
 
 
-# Elastic gears in an arm's model: a rotor beside each elastic joint, and a spring with play and damping between the two.
 NO_LOAD = 1e-6
 """Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
 ROTOR_KG, ROTOR_KGM2 = 1e-6, 1e-9

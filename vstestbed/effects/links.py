@@ -14,9 +14,6 @@ from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect, Remedy, RobotBody, RobotModel
 
-# What an arm does not know of its own body: errors of its geometry, and a load at its flange.
-
-
 PAYLOAD = "payload"
 Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
 

@@ -74,7 +74,6 @@ def inertia_torque(J: float, rates: Vector, speeds: Four, accelerations: Four) -
     return -h * rates[1], h * rates[0], -J * (a - b + c - d)
 
 
-# Motors and rotors of a quadrotor that are not alike.
 Factors = Annotated[tuple[Annotated[float, Ge(0.2), Le(2)], ...], Len(4, 4)]
 MOST_SIGMAS = 3.0  # a drawn factor is off by at most so many standard deviations
 

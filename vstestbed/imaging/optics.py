@@ -116,7 +116,6 @@ def _check_focus(defocus: Defocus, focal_length_m: float | None) -> None:
         raise ParameterError("optics.defocus.focus_m", f"must be farther than the focal length, {f:g} m", defocus.focus_m)
 
 
-# The errors of a lens in a rendered picture: defocus by layers of depth, lateral colour, vignetting.
 Floats = NDArray[np.float32]
 FINE_PX, COARSE = 0.5, 0.1  # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
 SHARP_PX = 0.3  # a disc of this diameter is one pixel [px]

@@ -170,7 +170,6 @@ def plain(light: Floats, setting: ExposureSetting) -> NDArray[np.uint8]:
     return np.clip(light * np.float32(setting.collected * setting.gain) + np.float32(0.5), 0, WHITE).astype(np.uint8)
 
 
-# A mosaic of colour filters: one colour in each pixel of the sensor, the other two interpolated from its neighbours.
 class Mosaic:
     """The filters before a sensor's pixels, and their inverse as far as there is one.
 
@@ -196,7 +195,6 @@ class Mosaic:
         return np.asarray(cv2.demosaicing(numbers, getattr(cv2, self._demosaic)), np.uint16)
 
 
-# Noise and gain drift of the image sensor, the same for every renderer.
 @spec
 class Drift:
     """Slow drift of the sensor's gains, with a = 2 pi t / period_s:

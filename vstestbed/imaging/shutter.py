@@ -90,7 +90,6 @@ def contributions(weights: Array, light: Array, depth: float) -> tuple[Contribut
     return tuple(Contribution(((1 - depth, w - b), (1 + depth, b))) for w, b in zip(weights, bright, strict=True))
 
 
-# How long a shutter is open for one picture, and when the images are drawn of which the picture is composed.
 @dataclass(frozen=True)
 class Opening:
     """One opening of the shutter, in physics steps from the picture's middle.

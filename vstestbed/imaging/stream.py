@@ -84,7 +84,6 @@ class H264Stream(VideoStream):
 STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})
 
 
-# Lossy round trips of pictures: what the computer has of a camera's stream.
 BUFFER_S = 0.5  # how far the average bit rate may be exceeded: the encoder's buffer [s]
 
 

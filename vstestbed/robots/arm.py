@@ -16,9 +16,6 @@ from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
 from vstestbed.robots.base import Reading, Robot
 from vstestbed.robots.own_model import OwnModel
 
-# Resolved-rate control of serial arms: joint speeds for a flange twist, damped near singularities.
-
-
 THRESHOLD = 0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
 
 
@@ -67,7 +64,6 @@ def share(realised: Array, commanded: Array, unit_m: float) -> float:
     return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0
 
 
-# Inverse kinematics of an arm by Newton steps: the joint positions that put its flange somewhere, near those that it has.
 MOST_STEPS = 200
 LARGEST_STEP = 0.3  # largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess
 NEAR_M, NEAR_RAD = 1e-7, 1e-7

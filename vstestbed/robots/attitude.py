@@ -128,7 +128,6 @@ def heading_rate(R: Level, rates: Vector) -> float:
     return (yy * rates[2] - yz * rates[1]) / (xx if xx > 0.1 else 0.1)
 
 
-# The inertial measurement unit of the quadrotor.
 @spec
 class Imu:
     """Noise of each reading (at the control rate) and constant bias, in body axes.

@@ -19,8 +19,6 @@ from vstestbed.effects.body import Change
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.own_model import CAMERA, OwnModel
 
-# A robot's sensor reading at one instant.
-
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -116,7 +114,6 @@ class Supervisor:
         return f"{blind} for {self.lost_after_m:g} m of the way" if self._blind_m >= self.lost_after_m else ""
 
 
-# The columns that only one kind of robot has in a log.
 @dataclass(frozen=True, slots=True)
 class RobotState:
     """Input of a robot's own log columns at one exposure. It holds truth, which goes to the log and nowhere else.

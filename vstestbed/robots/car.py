@@ -151,7 +151,6 @@ def drive(
     return Drive(np.linspace(0.0, steps * period, steps + 1), place, v, steering)
 
 
-# A car's physical parameters: what they change in models/car.xml, and Ackermann steering for any track and wheelbase.
 GRIP = 0.8  # friction of the tyres on a dry floor (models/car.xml)
 ROLLING_NM = 1.32  # rolling resistance of the buggy's four wheels [Nm]
 ON_FRONT, ON_REAR = 0.2044, 0.2956

@@ -42,9 +42,6 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, WornVehicle
 
-# An omnidirectional base's physical parameters: the kinematics of its wheels, and what they change in models/omni*.xml.
-
-
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """Signs of the wheels' places (x, y) in the base frame, shape (4, 2)."""
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])

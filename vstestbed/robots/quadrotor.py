@@ -51,9 +51,6 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import X4, QuadrotorParameters, mix, speed_control
 
-# The imperfections of a quadrotor, each a block of its own, and the presets that fill them.
-
-
 ROTORS = ("front", "right", "back", "left")
 LAB: dict[str, object] = {
     "ground_effect": GroundEffect(),
@@ -125,7 +122,6 @@ class FlightRealism(Realistic):
                     raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))
 
 
-# Where a craft hovers at the start of a run.
 LOWEST_M = 0.2  # the lowest start: it hovers there, its feet 3 cm above the ground [m]
 
 
@@ -175,7 +171,6 @@ class FlightStart:
     random: FlightBox | None = None
 
 
-# The columns of a quadrotor's log.
 ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")
 REFERENCE = ("ref_roll", "ref_pitch", "ref_wx", "ref_wy", "ref_wz")
 WIND = ("wind_x", "wind_y", "wind_z")

@@ -150,7 +150,6 @@ def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:
     return math.hypot(ahead, left) / duration, abs(float(wrapped(turn))) / duration
 
 
-# Imperfections that all vehicles have: wheels of unequal radius, rolling resistance, a drive with lag, an uneven floor.
 Rolling = Annotated[float, Ge(0), Le(0.5)]
 Lag = Annotated[Time, Narrower(le=5)]
 

@@ -228,7 +228,6 @@ class Displaced:
         return self.shift @ self.own(t)
 
 
-# Poses of camera and target at the start: the robot carries the camera or, eye to hand, the target.
 POSTURES = 12
 """Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one."""
 

@@ -67,7 +67,6 @@ class RobotContacts:
         return words or "something without a name"
 
 
-# Sensor readings of a robot: joints and MJCF sensors, with the noise of its sensor model.
 class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
@@ -102,7 +101,6 @@ class SensorReader:
         return self._reading
 
 
-# An arm put where it is shown its goal: by its true geometry, which is not the one that it computes with.
 EXACT_M = 1e-6  # entries of two poses that differ by less are the same: the arm's own model is exact
 ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
@@ -127,7 +125,6 @@ def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
     return q
 
 
-# Whether an arm's motors can hold it where it starts: an arm that cannot falls before its law has seen a picture.
 def check_static_load(stage: Stage) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
@@ -170,7 +167,6 @@ def _largest_torques(stage: Stage) -> Array:
     return np.array(found)
 
 
-# The equilibrium in which a robot begins: its servos carry its weight, and its gears are wound up by it.
 def settle(stage: Stage) -> None:
     """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
 
@@ -195,7 +191,6 @@ def settle(stage: Stage) -> None:
     mujoco.mj_forward(model, data)
 
 
-# The lead vehicle, which carries the target along a route, with path following by its true place.
 PERIOD_S = 0.01  # period of the path following [s], that of a car's onboard servos
 CROSS_GAIN, HEADING_GAIN = 1.5, 2.5
 """Gains of lateral offset [1/m^2] and heading error [1/m], overdamped: poles -1 and -1.5 [1/m]. The offset decays within some 1.6 m."""

@@ -209,7 +209,6 @@ def _texels(model: mujoco.MjModel, name: str) -> NDArray[np.uint8]:
     return model.tex_data[model.tex_adr[i] : model.tex_adr[i] + count].reshape(-1, 3)
 
 
-# The servo camera's pictures of a recorded run, taken again at its own size, without physics.
 class Retake:
     """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in which the run took them.
 

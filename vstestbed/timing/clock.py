@@ -58,7 +58,6 @@ class Clock:
         return self.step_s, n
 
 
-# A queue in physics steps: pictures on their way to the controller, commands on their way to the robot.
 T = TypeVar("T")
 
 

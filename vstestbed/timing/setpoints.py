@@ -126,7 +126,6 @@ class Led:
         return np.inf
 
 
-# Orders: a velocity, which lasts a stated time, or a stop. After the time, or at a stop, the robot stops in its own way.
 Stop = Literal["", "stop", "off"]
 """No stop; in the robot's own way (`Robot.stopping`); the motors of a craft that stands go off for good."""
 

@@ -14,8 +14,6 @@ from vstestbed.camera import Camera, Image, Perspective, Window
 from vstestbed.camera.wide import CUBE
 from vstestbed.core.geometry import Array, pixel_grid
 
-# Pinhole images as OpenGL renders them, from which the image of any other lens is resampled.
-
 
 @dataclass(frozen=True)
 class Pinhole:

@@ -118,7 +118,6 @@ class MotionBlur:
         return tuple(None if s is None else np.clip(s / total + 0.5, 0, 255).astype(np.uint8) for s in self._sums)
 
 
-# The depth camera of a run: the true depth of a rendered picture, as the scenario's sensor measures it.
 class DepthCamera:
     """Draws one number from its generator for each picture; the noise is a function of that number and of the true depth alone.
 

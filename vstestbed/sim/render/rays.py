@@ -23,8 +23,6 @@ from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.vision.colour import noise_rows
 
-# Bundles of rays: the cones round them, and which spheres these meet, so that only those geoms are cast at; how dense they are.
-
 
 def cone_of(rays: Array) -> tuple[Array, float]:
     """Axis (3,) and half angle [rad] of a cone that holds unit rays (n, 3): their mean, and the largest angle from it."""
@@ -54,7 +52,6 @@ def angles_to_next(rays: Array) -> Array:
     return out
 
 
-# Depth pictures by ray casting.
 ROWS = 32  # rows of an image that are cast at a time: of a narrow bundle most geoms are culled
 
 
@@ -293,7 +290,6 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
         raise EnvironmentLackError(what, gl.remedy())
 
 
-# The outside views of a scene without OpenGL.
 class RaySceneCamera:
     """A camera of a stage that films from outside, by rays, without shadows; while it is at rest, only changed tiles are cast.
 

@@ -11,8 +11,6 @@ from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.scene.groups import TARGET_GROUP
 from vstestbed.sim.scene.meshes import own_colours, texels_of
 
-# Textures by rays: sampled between the texels and, where a pixel holds several, from smaller copies (mipmap), as OpenGL does.
-
 
 class Mipmap:
     """A texture (H, W, 3) uint8 and its copies of half the size, a quarter, ... down to one texel, one after another in one table.

@@ -77,7 +77,6 @@ def _feed(own: mujoco.MjsActuator, servo: Servo) -> None:
     own.ctrllimited, own.ctrlrange = True, [-servo.speed, servo.speed]
 
 
-# Gives a robot's model the physical parameters of the scenario.
 PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
 """solref and solimp of the ends of a play: as stiff as the steering's couplings."""
 OUTPUT_ARMATURE, OUTPUT_DAMPING, OUTPUT_FRICTION = 0.003, 0.5, 1.5

@@ -59,7 +59,6 @@ def _carried(file: Path, folder: str, name: str, taken: dict[str, bytes], prefix
     return new
 
 
-# MuJoCo's errors about a model's file, for people: the place in the file, what is wrong there, and what would work.
 PARSING = re.compile(r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?Line number=(\d+)(?:.*?XMLElement name=(\w+))?", re.DOTALL)
 LINE = re.compile(r",?\s*line (\d+)\s*$")
 ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
@@ -118,7 +117,6 @@ def _line_with(path: Path, word: str) -> int:
     return next((number for number, text in enumerate(lines, start=1) if word in text), 0)
 
 
-# Reads a model's file into MuJoCo's spec; of a URDF with the shapes to look at, the links that do not move, and `package://`.
 ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
 """The beginning of a URDF: an MJCF file may have the word in a comment."""
 XACRO = re.compile(r"<xacro:")

@@ -22,9 +22,6 @@ from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain, o
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
-# A scenario to begin with for an arm of which only the file is known: a posture from which it can move, and a target in view.
-
-
 DRAWS, TRIED = 400, 100
 """Postures that are drawn, and how many of them, the best first, are looked at more closely."""
 DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)

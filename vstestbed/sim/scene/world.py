@@ -22,8 +22,6 @@ from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
 from vstestbed.targets.picture import picture_name, place_of_picture, read_rgb
 
-# What the floor looks like.
-
 
 @spec
 class Floor:
@@ -66,7 +64,6 @@ class Floor:
                 raise ParameterError("texture", error.problem, error.found) from None
 
 
-# What can be taken for markers: distractors that are listed, and clutter that is drawn from the seed.
 Shape = Literal["ball", "disc", "box"]
 DISC_HALF_M = 1e-3  # half the thickness of a disc [m]
 Share = Annotated[float, Ge(0), Le(1)]
@@ -168,7 +165,6 @@ def decoy_path(decoy: Decoy) -> Path:
     return lambda t: rest @ displacement(t)
 
 
-# What lights a scene: a lamp in place of the room's own light, and windows.
 LAMP = "lamp"  # name of the body of a lamp that moves
 SAMPLES_S = (0.0, 0.37, 1.13, 2.9, 7.3, 41.0)
 """Times at which a motion is looked at for whether it turns a lamp [s]: without a common period."""
