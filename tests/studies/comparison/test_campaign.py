@@ -27,7 +27,7 @@ from vstestbed.studies.comparison import Campaign, Comparison, Job, Jobs, compar
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.runs import RunRequest
 from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
-from vstestbed.studies.run_folder import files_of_failure
+from vstestbed.studies.run_folder import files_of_failure, store
 
 GAINS = {"law.gain": (3.0, 6.0)}
 BROKEN = '''
@@ -339,6 +339,18 @@ def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: 
     assert 3 <= len(done) < 200
     assert f"interrupted: {len(done)} of 200 runs are done; go on with: vstestbed compare --resume --out {out}" in err
     assert "Traceback" not in err
+
+
+def test_ctrl_c_between_the_storing_of_a_run_and_its_count_counts_it(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def stored_then_interrupted(*given: Any) -> None:
+        store(*given)
+        raise KeyboardInterrupt
+
+    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    monkeypatch.setattr("vstestbed.studies.comparison.runs.store", stored_then_interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        campaign.run(Here())
+    assert campaign.done == 1
 
 
 @pytest.mark.parametrize("keep", [0, 2])

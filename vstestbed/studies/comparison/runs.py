@@ -95,21 +95,25 @@ class Campaign:
 
     @cached_property
     def _done(self) -> set[str]:
-        """The folders of the jobs with a stored result: read once, then kept up to date."""
+        """The folders of the jobs with a stored result: read once, then kept up to date; read again after Ctrl-C."""
         return {job.folder for job, _ in finished(self.folder, self.jobs)}
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
         """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
         again = list[tuple[Job, RunRequest]]()
-        for job, request, future in completed(pool, self._requests(on_done), again):
-            try:
-                files = future.result()
-            except WorkerLostError as error:
-                if pool.tries(request) < MOST_TRIES:
-                    again.append((job, request))
-                    continue
-                files = files_of_failure(request.text, f"{error}, and the one that tried again, too")
-            self._store(job, files, max(1, pool.tries(request)), on_done)
+        try:
+            for job, request, future in completed(pool, self._requests(on_done), again):
+                try:
+                    files = future.result()
+                except WorkerLostError as error:
+                    if pool.tries(request) < MOST_TRIES:
+                        again.append((job, request))
+                        continue
+                    files = files_of_failure(request.text, f"{error}, and the one that tried again, too")
+                self._store(job, files, max(1, pool.tries(request)), on_done)
+        except KeyboardInterrupt:
+            vars(self).pop("_done", None)  # it may have come after a run was stored and before it was counted
+            raise
 
     def _store(self, job: Job, files: Files, attempts: int, on_done: OnDone) -> None:
         summary = store(self.folder / job.folder, files, self.folder / ASSETS, attempts)
