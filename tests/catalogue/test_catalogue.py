@@ -199,8 +199,8 @@ class TestTheSuitesFindWhatIsWrong:
         with pytest.raises(AssertionError, match="rolling: `draws` is False, and detect\\(\\) draws from rng"):
             suites.check_detector(DETECTORS.add(Rolling)())
 
-    def test_a_metric_that_forgets(self, own_kinds):
-        with pytest.raises(AssertionError, match=r"forgetful: .* keep what the next block needs"):
+    def test_a_metric_with_another_figure_than_its_title(self, own_kinds):
+        with pytest.raises(ParameterError, match=r"forgetful figures\(\) must give first_s"):
             suites.check_metric(METRICS.add(Forgetful)())
 
     def test_a_perturbation_that_does_nothing(self, own_kinds):

@@ -1,62 +1,17 @@
-"""Files are written whole, under names that nobody can guess, and never through a link."""
+"""Files are written whole."""
 
 from __future__ import annotations
 
 import os
-import shutil
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
-from vstestbed.core.files import PartFile, make_folder, read_file, temporary, write_whole
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
+from vstestbed.core.files import PartFile, read_file, temporary, write_whole
 from vstestbed.core.named_files import place_of_file
 from vstestbed.report.video import VideoWriter
-from vstestbed.studies.comparison import compare
-
-PRECIOUS = "written by somebody else"
-
-
-@pytest.fixture
-def victim(tmp_path: Path) -> Iterator[Path]:
-    """A file that a planted link leads to; at the end it is as it was."""
-    path = tmp_path / "elsewhere" / "victim"
-    path.parent.mkdir()
-    path.write_text(PRECIOUS)
-    yield path
-    assert path.read_text() == PRECIOUS and not path.is_symlink()
-
-
-def film(path: Path) -> None:
-    import numpy as np
-
-    with VideoWriter(path, 25) as writer:
-        writer.write(np.zeros((48, 64, 3), np.uint8))
-
-
-WRITERS: dict[str, Callable[[Path], object]] = {"text": lambda path: write_whole(path, "new"), "film": film}
-
-
-@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
-def test_a_link_under_the_files_own_name_is_replaced(write: Callable[[Path], object], tmp_path: Path, victim: Path) -> None:
-    path = tmp_path / "a.mp4"
-    path.symlink_to(victim)
-    write(path)
-    assert path.stat().st_size > 0 and not path.is_symlink()
-
-
-@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
-def test_a_link_under_the_temporary_name_is_not_followed(
-    write: Callable[[Path], object], tmp_path: Path, victim: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Even if somebody could guess it: the opening is exclusive."""
-    monkeypatch.setattr("secrets.token_hex", lambda n: "0" * 2 * n)
-    path = tmp_path / "a.mp4"
-    temporary(path).symlink_to(victim)
-    with pytest.raises(OutputError, match=r"a\.mp4: "):
-        write(path)
-    assert not path.exists()
 
 
 def test_names_are_different_each_time_and_not_too_long(tmp_path: Path) -> None:
@@ -81,44 +36,6 @@ def test_nothing_is_left_of_a_file_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.study
-def test_every_file_of_a_comparison_beside_planted_links(
-    command, quick: Path, tmp_path: Path, victim: Path, here: None, one_figure: None
-) -> None:
-    """Under each name that a file is renamed to, and under the fixed temporary names of earlier versions."""
-    out = tmp_path / "c"
-    compare([quick], seeds=1, jobs=1, out=out, film=False)
-    run = out / "runs/quick/as_it_is/0"
-    for path in [p for p in out.rglob("*") if p.is_file()]:
-        path.with_name(path.name + ".part").symlink_to(victim)
-    for path in (out / "report.html", out / "comparison.csv", out / "comparison.parquet", out / "figures/error.pdf"):
-        path.unlink()
-        path.symlink_to(victim)
-    assert command("report", run).code == 0
-    # a run that is missing, with links in place of its folders
-    shutil.rmtree(run)
-    run.symlink_to(victim.parent)
-    run.with_name("0.part").symlink_to(victim.parent)
-    assert command("compare", "--resume", "--out", out, "--no-film", "--jobs", 1, "--quiet").code == 0
-    assert (out / "comparison.csv").read_text().startswith("scenario,") and not (out / "report.html").is_symlink()
-    assert not run.is_symlink() and (run / "log.parquet").is_file()
-    assert list(victim.parent.iterdir()) == [victim]
-
-
-def test_a_folder_of_figures_that_is_a_link(tmp_path: Path, victim: Path) -> None:
-    (tmp_path / "figures").symlink_to(victim.parent)
-    with pytest.raises(OutputError, match=r"figures: is a link to another folder, .*; remove the link$"):
-        make_folder(tmp_path / "figures")
-
-
-def test_a_growing_log_is_never_opened_through_a_link(quick: Path, tmp_path: Path, victim: Path) -> None:
-    from vstestbed.loop.log_file import FolderLog
-
-    (tmp_path / "log.part").symlink_to(victim)
-    with pytest.raises(OutputError, match="File exists"):
-        FolderLog.create(tmp_path, ("t", "frame", "lost"))
-
-
 def test_what_is_no_plain_file_is_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")  # to open it would wait for a writer for ever
     (tmp_path / "loop").symlink_to("loop")
@@ -135,8 +52,8 @@ def test_a_full_disk_while_the_film_is_written(tmp_path: Path, monkeypatch: pyte
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(EnvironmentLackError, match="no room for"):
-        film(tmp_path / "a.mp4")
+    with pytest.raises(EnvironmentLackError, match="no room for"), VideoWriter(tmp_path / "a.mp4", 25) as writer:
+        writer.write(np.zeros((48, 64, 3), np.uint8))
     assert list(tmp_path.iterdir()) == []
 
 

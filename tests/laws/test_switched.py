@@ -161,11 +161,10 @@ def test_the_report_shows_the_modes_and_that_of_other_laws_does_not():
 
 
 def test_growth_of_known_errors():
-    part = ErrorGrowth().part(None)  # pyright: ignore[reportArgumentType] - unused
+    setup: Any = None  # unused
     e = np.array([5, 4, 4.5, np.nan, 3, 3 + 1e-5, 6, 5])
-    for rows in (slice(0, 3), slice(3, 8)):
-        part.add({"error_px": e[rows], "position_error_m": -e[rows] + 9, "rotation_error_rad": 0 * e[rows]})
-    assert list(part.figures().values()) == [2, 2, 0]
+    log = {"error_px": e, "position_error_m": -e + 9, "rotation_error_rad": 0 * e}
+    assert list(ErrorGrowth().figures(log, setup).values()) == [2, 2, 0]
 
 
 def test_a_law_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch):

@@ -22,7 +22,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.loop.log_file import read_log
+from vstestbed.loop.log_file import open_log
 
 pytestmark = pytest.mark.study
 KILLS = int(os.environ.get("VSTESTBED_KILLS", "100"))
@@ -97,7 +97,7 @@ def test_runs_killed_at_any_moment(start: Start, tmp_path: Path):
             assert (folder / "report.html").is_file()
         elif (folder / "log.part").exists():
             try:
-                log = read_log(folder)
+                log = open_log(folder).frame()
             except RunFolderError as error:
                 assert "before its first line does" in str(error)  # killed before its head was written
             else:
@@ -134,7 +134,7 @@ def test_a_killed_run_loses_a_tenth_of_a_second_at_most(tmp_path: Path, quick: P
             killed = time.time()
             process.wait()
         came = [float(line.split()[1]) for line in printed.read_text().splitlines() if line.count(".") == 1]
-        kept = read_log(tmp_path / "out")
+        kept = open_log(tmp_path / "out").frame()
         assert kept["frame"].to_list() == list(range(kept.height))
         lost.append(killed - came[kept.height] if kept.height < len(came) else 0.0)
     print(f"a frame each {pause_s} s: lost {max(lost):.3f} s")

@@ -27,8 +27,8 @@ PLAIN: dict[str, Any] = {
 
 def errors(change: dict[str, Any]) -> tuple[Array, Array]:
     """Times and image errors of a run of the arm from start 1."""
-    blocks = list(vs.run(vs.load("arm_ibvs", PLAIN | change, seed=1)).rows.blocks(("t", "error_px")))
-    return np.concatenate([b["t"] for b in blocks]), np.concatenate([b["error_px"] for b in blocks])
+    recording = vs.run(vs.load("arm_ibvs", PLAIN | change, seed=1))
+    return recording["t"], recording["error_px"]
 
 
 def age_s(t: Array, error: Array) -> float:

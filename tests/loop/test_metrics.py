@@ -10,9 +10,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.recording import MemoryRows, Recording
+from vstestbed.loop.log_file import Log
+from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.metrics import FIGURES
 
 
 @pytest.fixture
@@ -27,9 +27,7 @@ def recording(scenario: Scenario, frames: int, outcome: vs.Outcome = vs.Outcome.
     given = {"t": np.arange(frames) / 10, "frame": np.arange(frames), "cam_qw": 1.0, "tgt_qw": 1.0, "scale": 1.0} | columns
     for name, values in given.items():
         table[:, names.index(name)] = values
-    return Recording(
-        scenario, outcome, "because", MemoryRows(names, table), wall_time_s=2.0, time_ms={"law": 10.0}, versions={"numpy": "2"}
-    )
+    return Recording(scenario, outcome, "because", Log(names, table), wall_time_s=2.0, time_ms={"law": 10.0}, versions={"numpy": "2"})
 
 
 def test_the_clock_and_what_is_passed_on(scenario: Scenario):
@@ -128,25 +126,3 @@ def test_a_task_without_an_end_tells_its_worst_error_once_settled():
     pursuit = vs.load("car_pursuit", {"goal.settle_s": 0.2})
     assert recording(pursuit, 5, vs.Outcome.completed, task_error_m=[1, 0.5, -0.25, 0.125, 0]).summary()["worst_task_error_m"] == 0.25
     assert "worst_task_error_m" not in recording(vs.load("ibvs_book"), 5).summary()
-
-
-def test_a_long_log_has_the_figures_of_a_short_one(scenario: Scenario, monkeypatch: pytest.MonkeyPatch):
-    """Computed in blocks of seven rows, all figures are those of one block; sums to rounding."""
-    columns = Layout(scenario).columns
-    table = np.random.default_rng(0).standard_normal((100, len(columns)))
-    table[:, columns.index("t")] = np.arange(100) / 10
-    table[:, columns.index("lost")] = 0
-    table[:, columns.index("error_px")] = np.where(np.arange(100) < 40, 9.0, 0.1)
-    motion = {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}
-    moving = vs.load("ibvs_book", motion | {"stop.converged": {"error_px": 0.2}})
-    assert moving.target.moves
-    both = []
-    for block in (100, 7):
-        monkeypatch.setattr("vstestbed.loop.recording.BLOCK", block)
-        rows = MemoryRows(columns, table)
-        assert len(next(rows.blocks())["t"]) == block
-        both.append(Recording(moving, vs.Outcome.converged, "because", rows).summary())
-    assert both[0]["time_to_converge_s"] == 4.0
-    assert all(both[0][name] is not None for name in FIGURES)
-    for name in FIGURES:
-        assert both[0][name] == pytest.approx(both[1][name], rel=1e-12), name

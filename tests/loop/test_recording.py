@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,42 +14,46 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
-from vstestbed.loop import recording
-from vstestbed.loop.recording import Log, MemoryRows
+from vstestbed.loop import log_file
+from vstestbed.loop.log_file import Log, LogWriter
 
 
 @pytest.mark.parametrize("interval_s", [0.0003, 0.01, 0.04, 0.099, 0.5])
 def test_no_frame_waits_for_more_than_a_tenth_of_a_second(monkeypatch: pytest.MonkeyPatch, interval_s: float) -> None:
     """Of frames at a constant rate; a row is as old as the time since its frame came."""
-    now, rows = [0.0], MemoryRows(("t",))
-    monkeypatch.setattr(recording, "kept", lambda t: {"t": t})
-    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
-    layout: Any = type("Layout", (), {"rows": lambda _, frames: np.array([[f["t"]] for f in frames])})()
-    log = Log(layout, rows)
+    now = [0.0]
+    monkeypatch.setattr(log_file, "kept", lambda t: {"t": t})
+    monkeypatch.setattr(log_file.time, "monotonic", lambda: now[0])
+    layout: Any = SimpleNamespace(columns=("t",), rows=lambda frames: np.array([[f["t"]] for f in frames]))
+    writer = LogWriter(layout)
     ages, sizes = [], [0]
     for i in range(2000):
         now[0] = (i + 1) * interval_s
-        before = len(rows)
+        before = sizes[-1]
         frame: Any = now[0]
-        log.append(frame)
+        writer.append(frame)
         waits_until = now[0] + interval_s  # a kill just before the next frame
-        sizes.append(len(rows))
-        ages.append(waits_until - (len(rows) + 1) * interval_s if len(rows) < i + 1 else 0.0)
-        assert len(rows) >= before
-    assert max(ages) <= Log.PERIOD_S + 1e-9
+        sizes.append(len(writer.log()))
+        ages.append(waits_until - (sizes[-1] + 1) * interval_s if sizes[-1] < i + 1 else 0.0)
+        assert sizes[-1] >= before
+    assert max(ages) <= LogWriter.PERIOD_S + 1e-9
     batches = np.diff([0, *(b for a, b in pairwise(sizes) if b > a)])
-    assert np.median(batches) == pytest.approx(1 + np.floor(Log.PERIOD_S / interval_s), abs=1)  # as many as may wait, save for rounding
-    log.flush()
-    assert rows.table()[:, 0].tolist() == [(i + 1) * interval_s for i in range(2000)]
+    # as many as may wait, save for rounding
+    assert np.median(batches) == pytest.approx(1 + np.floor(LogWriter.PERIOD_S / interval_s), abs=1)
+    writer.flush()
+    assert writer.log()["t"].tolist() == [(i + 1) * interval_s for i in range(2000)]
 
 
-def test_columns_and_tables_are_read_once() -> None:
-    rows = MemoryRows(("a", "b"))
-    for i in range(5):
-        rows.append(np.array([[i, 10.0 * i]]))
-    assert rows.table() is rows.table()
-    assert [block["b"].tolist() for block in rows.blocks(["b"])] == [[0.0, 10.0, 20.0, 30.0, 40.0]]
-    assert MemoryRows(("a", "b")).table().shape == (0, 2)
+def test_a_log_that_was_taken_stays_as_it_is() -> None:
+    layout: Any = SimpleNamespace(columns=("a", "b"), rows=lambda frames: np.zeros((len(frames), 2)))
+    writer = LogWriter(layout)
+    before = writer.log()
+    assert before.table.shape == (0, 2)
+    writer.add(np.array([[1.0, 2.0]]))
+    after = writer.log()
+    writer.add(np.array([[3.0, 4.0]]))
+    assert (len(before), len(after), len(writer.log())) == (0, 1, 2)
+    assert after.by_name()["b"].tolist() == after["b"].tolist() == [2.0]
 
 
 def test_poses_are_those_of_spatialmath() -> None:
@@ -77,7 +82,7 @@ def test_a_line_to_follow_has_no_goal_pose_and_no_frames_are_no_poses() -> None:
     run = vs.run(vs.load("car_line", {"stop.duration_s": 0.1}))
     with pytest.raises(ParameterError, match="goal of kind line is no single pose of the camera"):
         run.goal_pose()
-    empty = replace(run, rows=MemoryRows(run.columns))
+    empty = replace(run, rows=Log(run.columns, run.table[:0]))
     assert len(empty.camera_poses()) == len(empty.camera_twists()) == 0
 
 

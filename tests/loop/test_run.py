@@ -16,7 +16,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import Array
 from vstestbed.loop import plants as loop
-from vstestbed.loop.log_file import read_log
+from vstestbed.loop.log_file import open_log
 from vstestbed.sim.base import Plant
 from vstestbed.sim.plant import MujocoPlant
 from vstestbed.studies.run_folder import run_into
@@ -187,13 +187,13 @@ class TestRepeats:
     def test_other_seeds_other_noise(self, repeated: dict[str, Path], tmp_path: Path):
         scenario = replace(vs.load(repeated["first"] / "scenario.yaml"), seed=1)
         r = vs.run(scenario)
-        assert not np.array_equal(r["u_0"], read_log(repeated["first"])["u_0"].to_numpy())
+        assert not np.array_equal(r["u_0"], open_log(repeated["first"]).frame()["u_0"].to_numpy())
 
     def test_folder(self, repeated: dict[str, Path]):
         names = {p.name for p in repeated["filmed"].iterdir()}
         given = {"scenario.yaml", "resolved.yaml", "model.xml"}
         assert names == given | {"log.parquet", "summary.json", "report.html", "camera.mp4", "overview.mp4"}
-        log = read_log(repeated["first"])
+        log = open_log(repeated["first"]).frame()
         assert log.height == 9  # frames at 0, 40 .. 320 ms: the first at or after the duration is the last
         assert log.schema["frame"] == pl.Int64 and log.schema["lost"] == pl.Boolean
 
@@ -214,7 +214,7 @@ class TestHidden:
         assert np.abs(columns(r, *(f"qd_{j}" for j in JOINTS))[-1]).max() < 1e-3
         assert np.isnan(r["u_0"][-1]) and np.isnan(r["error_px"][-1])
         # A readable folder, in which what has no value has none.
-        assert read_log(tmp_path).height == len(r.table)
+        assert open_log(tmp_path).frame().height == len(r.table)
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert (summary["outcome"], summary["success"], summary["final_error_px"]) == ("target_lost", False, None)
         assert summary["frames_lost"] == lost.sum()
@@ -308,7 +308,7 @@ class TestEnds:
 
         r = run_into(tmp_path, vs.load("arm_ibvs"), "none", [Impatient()])
         assert r.outcome is vs.Outcome.interrupted and not r.outcome.success
-        assert len(r.table) == read_log(tmp_path).height == 5
+        assert len(r.table) == open_log(tmp_path).frame().height == 5
         assert json.loads((tmp_path / "summary.json").read_text())["outcome"] == "interrupted"
 
     def test_an_unstable_simulation_crashes_as_an_outcome(self, monkeypatch: pytest.MonkeyPatch):

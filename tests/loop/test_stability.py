@@ -5,7 +5,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.stability import FEWEST, LastPart, Swinging, closed_form, grows, period, reversal, swing_frames, swings, to_and_fro
+from vstestbed.loop.stability import FEWEST, LastPart, closed_form, grows, period, reversal, swing, swing_frames, swings, to_and_fro
 from vstestbed.report.run.numbers import headline
 from vstestbed.studies.batch import fly, start_of
 from vstestbed.tasks.metrics import TWIST
@@ -240,12 +240,8 @@ def test_growth_without_a_swing():
     assert not grows(part(up, error=up, reference=up[:, None]), 1.0)
 
 
-def test_the_longest_swing_of_a_log_does_not_depend_on_its_blocks():
+def test_the_longest_swing_of_a_log():
     n = 40 * FEWEST
     x = np.where(np.arange(n) < 10 * FEWEST, 1.0, (-1.0) ** np.arange(n))
     log = {"error_px": np.full(n, 5.0)} | {f"cmd_{name}": x for name in TWIST}
-    whole, parts = (Swinging(vs.load("ibvs_book", NEAR)) for _ in range(2))
-    whole.add(log)
-    for at in range(0, n, 37):
-        parts.add({name: values[at : at + 37] for name, values in log.items()})
-    assert whole.figures() == parts.figures() == {"swung_s": pytest.approx(30 * FEWEST * PERIOD_S), "swing_frames": 2.0}
+    assert swing(vs.load("ibvs_book", NEAR), log) == {"swung_s": pytest.approx(30 * FEWEST * PERIOD_S), "swing_frames": 2.0}

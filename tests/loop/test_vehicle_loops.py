@@ -55,7 +55,7 @@ def base_alone(gain: float = 1.0, lags_s: tuple[float, ...] = (), ramp: bool = F
 def measured(**changes: object) -> tuple[float, float]:
     """When the base comes under 1 cm from its goal [s], and the rate of its distance under 0.5 m [1/s]."""
     rows = vs.run(vs.load("omni_ibvs", BASE | {name.replace("__", "."): value for name, value in changes.items()})).rows
-    t, x, y = (rows.table()[:, rows.columns.index(name)] for name in ("t", "base_x", "base_y"))
+    t, x, y = (rows[name] for name in ("t", "base_x", "base_y"))
     distance = np.hypot(x + 2, y)
     late = distance < 0.1
     return float(np.interp(-0.01, -distance, t)), -float(np.polyfit(t[late], np.log(distance[late]), 1)[0])
@@ -89,7 +89,7 @@ def test_on_a_slippery_floor_rollers_hold_less_than_wheels() -> None:
     """A roller at 45 degrees turns away from all but a force along its axis: mu m g / sqrt 2 ahead, and a little by their bearings."""
     start = {"robot.wheels": "rollers", "robot.start.nominal": {"x": -5, "y": 0, "heading_deg": 0}, "stop.duration_s": 0.8}
     rows = vs.run(vs.load("omni_ibvs", BASE | start | {"world.floor_friction": 0.1})).rows
-    t, x = (rows.table()[:, rows.columns.index(name)] for name in ("t", "base_x"))
+    t, x = (rows.table[:, rows.columns.index(name)] for name in ("t", "base_x"))
     late = t > 0.2
     assert 2 * np.polyfit(t[late], x[late], 2)[0] == pytest.approx(0.1 * GRAVITY / math.sqrt(2), rel=0.08)
 
@@ -114,7 +114,7 @@ def straight(lag_s: float, from_m: float = 2.0, to_m: float = 0.05) -> float:
 def arrival(**changes: object) -> float:
     """The same of the simulated car, which drives straight to its goal [s]."""
     rows = vs.run(vs.load("car_pbvs", CAR | {name.replace("__", "."): value for name, value in changes.items()})).rows
-    t, y = (rows.table()[:, rows.columns.index(name)] for name in ("t", "base_y"))
+    t, y = (rows.table[:, rows.columns.index(name)] for name in ("t", "base_y"))
     return float(np.interp(-0.05, y - 5, t))
 
 
@@ -144,4 +144,4 @@ def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(alpha
     rows = vs.run(vs.load("car_pbvs", CAR | law | start | {"stop.duration_s": 5.5})).rows
     e = rho * LANDMARKS_S * bias
     expected = e + (bias + e) * alpha / -beta
-    assert math.degrees(rows.table()[-1, rows.columns.index("base_heading")]) - 90 == pytest.approx(expected, rel=0.12)
+    assert math.degrees(rows.table[-1, rows.columns.index("base_heading")]) - 90 == pytest.approx(expected, rel=0.12)

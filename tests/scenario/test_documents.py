@@ -50,7 +50,7 @@ def test_both_documents_repeat_the_run(case: str) -> None:
     assert given == scenario
     assert given.resolved == resolved == scenario.resolved
     assert resolved.resolved is resolved  # nothing is left to draw
-    tables = [vs.run(one).rows.table() for one in (scenario, given, resolved)]
+    tables = [vs.run(one).rows.table for one in (scenario, given, resolved)]
     for table in tables[1:]:
         np.testing.assert_array_equal(table, tables[0])
 

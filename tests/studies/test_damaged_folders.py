@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.loop.log_file import read_log
+from vstestbed.loop.log_file import open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report import write_report
 from vstestbed.scenario.load import load
@@ -77,7 +77,7 @@ def test_logs(command, run: Path) -> None:
     log = pl.read_parquet(run / "log.parquet")
     whole = (run / "log.parquet").read_bytes()
     tables = {
-        "has no column": [pl.DataFrame({"a": [1], "b": ["x"]}), pl.DataFrame(), log.drop("cam_x")],
+        "has no column": [pl.DataFrame({"a": [1], "b": [2]}), pl.DataFrame(), log.drop("cam_x")],
         "something else than numbers": [log.with_columns(pl.lit(v).alias("u_0")) for v in ("x", [1.0], None)],
         "times do not go on": [log.reverse(), log.with_columns(t=pl.lit(np.nan)), log.with_columns(t=pl.lit(np.inf))],
     }
@@ -108,7 +108,7 @@ def test_flipped_bits_are_read_or_refused(run: Path, name: str) -> None:
     for damaged in flipped((run / name).read_bytes(), 1):
         (run / name).write_bytes(damaged)
         try:
-            {"scenario.yaml": lambda: load(run / name), "log.parquet": lambda: read_log(run, scenario)}.get(
+            {"scenario.yaml": lambda: load(run / name), "log.parquet": lambda: open_log(run, scenario).frame()}.get(
                 name, lambda: read_summary(run, "")
             )()
         except VstestbedError:

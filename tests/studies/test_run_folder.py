@@ -20,8 +20,7 @@ import pytest
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderError
 from vstestbed.loop.columns import Layout
-from vstestbed.loop.log_file import FolderLog, open_log, read_log
-from vstestbed.loop.recording import to_frame
+from vstestbed.loop.log_file import Log, LogWriter, finish, open_log
 from vstestbed.loop.session import run
 from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.load import load
@@ -245,7 +244,7 @@ class TestWholeOrNotAtAll:
         with pytest.raises(EnvironmentLackError, match="the plug"):
             run_into(folder, scenario, "none", [Fails()])
         assert {p.name for p in folder.iterdir()} == {"scenario.yaml", "resolved.yaml", "model.xml", "log.part"}
-        assert read_log(folder)["frame"].to_list() == [0, 1, 2, 3, 4, 5]
+        assert open_log(folder).frame()["frame"].to_list() == [0, 1, 2, 3, 4, 5]
 
 
 class TestLogPart:
@@ -253,17 +252,17 @@ class TestLogPart:
     def part(self, scenario: Scenario, tmp_path: Path) -> Path:
         """Five rows of numbers that are hard to write down, among them NaN and infinity."""
         layout = Layout(scenario)
-        writer = FolderLog.create(tmp_path, layout.columns)
+        writer = LogWriter(layout, tmp_path)
         rng = np.random.default_rng(0)
         for i in range(5):
             row = rng.standard_normal(len(layout.columns)) * 10.0 ** rng.integers(-300, 300, len(layout.columns))
             row[:6] = i / 25, i, i % 2, np.nan, np.inf, -0.0
-            writer.append(row[None])
+            writer.add(row[None])
         writer.close()
         return tmp_path / "log.part"
 
     def test_numbers_read_back_exactly(self, part: Path, scenario: Scenario) -> None:
-        log = read_log(part.parent, scenario)
+        log = open_log(part.parent, scenario).frame()
         rng = np.random.default_rng(0)
         for i in range(5):
             row = rng.standard_normal(log.width) * 10.0 ** rng.integers(-300, 300, log.width)
@@ -278,40 +277,40 @@ class TestLogPart:
         ends = [head + i * size + beside for i in range(1, 6) for beside in (-8, -1, 0, 1) if i < 5 or beside <= 0]
         for length in [*range(len(whole) - size, len(whole) + 1, 41), *ends, head]:
             part.write_bytes(whole[:length])
-            log = read_log(part.parent, scenario)
-            assert log.height == len(open_log(part.parent)) == (length - head) // (8 * log.width)
+            log = open_log(part.parent, scenario).frame()
+            assert log.height == (length - head) // (8 * log.width)
             assert log["frame"].to_list() == list(range(log.height))
         for length in (0, 1, head - 1):
             part.write_bytes(whole[:length])
             with pytest.raises(RunFolderError, match=r"log\.part ends before its first line does"):
-                read_log(part.parent)
+                open_log(part.parent).frame()
 
     @pytest.mark.parametrize("n", [0, 1, 70])
     def test_the_finished_log_is_that_of_one_table(
         self, tmp_path: Path, scenario: Scenario, monkeypatch: pytest.MonkeyPatch, n: int
     ) -> None:
-        """In blocks and row groups of 32 rows, the numbers are those that were appended; in one, the bytes are those of a table."""
+        """In row groups of 32 rows, the numbers are those that were appended; in one, the bytes are those of a table."""
         place = tmp_path / "log"
         place.mkdir()
-        columns = Layout(scenario).columns
+        layout = Layout(scenario)
+        columns = layout.columns
         table = np.random.default_rng(0).standard_normal((n, len(columns)))
         table[:, columns.index("frame")], table[:, columns.index("lost")] = np.arange(n), np.arange(n) % 2
-        whole = to_frame(dict(zip(columns, table.T, strict=True)))
+        whole = Log(columns, table).frame()
         whole.write_parquet(place / "whole", compression="zstd", statistics=False)
-        for block in (32, 8_192):
-            monkeypatch.setattr("vstestbed.loop.log_file.BLOCK", block)
-            log = FolderLog.create(place, columns)
+        for group in (32, 8_192):
+            monkeypatch.setattr("vstestbed.loop.log_file.ROW_GROUP", group)
+            writer = LogWriter(layout, place)
             for rows in np.array_split(table, 3):
-                log.append(rows)
-            before = read_log(place)
-            assert len(log) == n
-            log.finish()
-            assert len(log) == n
+                writer.add(rows)
+            writer.close()
+            before = open_log(place).frame()
+            finish(place, writer.log())
             assert {p.name for p in place.iterdir()} == {"whole", "log.parquet"}
-            for found in (before, read_log(place), pl.read_parquet(place / "log.parquet")):
+            for found in (before, open_log(place).frame(), pl.read_parquet(place / "log.parquet")):
                 assert found.equals(whole) and found.schema == whole.schema
             same = (place / "log.parquet").read_bytes() == (place / "whole").read_bytes()
-            assert same or block < n
+            assert same or group < n
             (place / "log.parquet").unlink()
         (place / "whole").unlink()
 
@@ -320,11 +319,11 @@ class TestLogPart:
         for damaged in (whole + row * b"x", whole.replace(b"float64: ", b"")):
             part.write_bytes(damaged)
             with pytest.raises(RunFolderError, match=r"log\.part: cannot be read"):
-                read_log(part.parent, scenario)
+                open_log(part.parent, scenario).frame()
 
     def test_the_finished_log_goes_before_it(self, part: Path) -> None:
         pl.DataFrame({"frame": [7]}).write_parquet(part.with_name("log.parquet"))
-        assert read_log(part.parent)["frame"].to_list() == [7]
+        assert open_log(part.parent).frame()["frame"].to_list() == [7]
 
 
 Start = Callable[..., "subprocess.Popen[str]"]
@@ -385,14 +384,14 @@ class TestCutOff:
         process.communicate(timeout=60)
         folder = tmp_path / "run"
         assert not FINISHED & {p.name for p in folder.iterdir()}
-        log = read_log(folder, load(folder / "scenario.yaml"))
+        log = open_log(folder, load(folder / "scenario.yaml")).frame()
         assert log["frame"].to_list() == list(range(log.height))
         assert log.height >= frames
         assert command("report", folder).code == 0
         assert "cut off" in (folder / "report.html").read_text(encoding="utf-8")
         (folder / "log.part").unlink()
-        few = FolderLog.create(folder, log.columns)
-        few.append(log.head(3).cast(pl.Float64).to_numpy())
+        few = LogWriter(Layout(load(folder / "scenario.yaml")), folder)
+        few.add(log.head(3).cast(pl.Float64).to_numpy())
         few.close()
         assert command("render", folder, "--size", "64x48").code == 0
         assert seconds_of(folder / "overview.mp4") == pytest.approx(log["t"][2], abs=PICTURE_S)
@@ -406,7 +405,7 @@ class TestFullDisk:
         assert err.count("\n") == 1
         assert "Traceback" not in err
         assert not FINISHED & {p.name for p in folder.iterdir()}
-        log = read_log(folder, load(folder / "scenario.yaml"))
+        log = open_log(folder, load(folder / "scenario.yaml")).frame()
         assert log["frame"].to_list() == list(range(log.height))
         return log
 
@@ -486,7 +485,7 @@ class TestFoldersOfBefore:
         found = load_run(former)
         assert found == replace(wanted, robot=replace(wanted.robot, start=found.robot.start))
         assert found.robot.start.nominal == wanted.robot.start.nominal
-        assert run(found).rows.table().tolist() == read_log(former).to_numpy().astype(float).tolist()
+        assert run(found).table.tolist() == open_log(former).table.tolist()
 
     @pytest.mark.opengl
     def test_report_render_and_export_read_it(self, command, former: Path) -> None:

@@ -26,24 +26,20 @@ def test_integrals_of_a_known_error():
     t = np.arange(0, 10, 1e-3)
     e = 4 * np.exp(-t)
     e[100:150] = np.nan  # a gap is bridged
-    part = ErrorIntegrals().part(None)
-    for block in (slice(0, 1), slice(1, 120), slice(120, 5000), slice(5000, None)):
-        part.add({"t": t[block], "error_px": e[block]})
-    assert part.figures() == pytest.approx({"iae_px_s": 4, "ise_px2_s": 8, "itae_px_s2": 4}, abs=5e-3)
+    found = ErrorIntegrals().figures({"t": t, "error_px": e}, None)
+    assert found == pytest.approx({"iae_px_s": 4, "ise_px2_s": 8, "itae_px_s2": 4}, abs=5e-3)
 
 
 def test_integrals_of_a_target_never_seen():
-    part = ErrorIntegrals().part(None)
-    part.add({"t": np.arange(3.0), "error_px": np.full(3, np.nan)})
-    assert part.figures() == {"iae_px_s": None, "ise_px2_s": None, "itae_px_s2": None}
+    log = {"t": np.arange(3.0), "error_px": np.full(3, np.nan)}
+    assert ErrorIntegrals().figures(log, None) == {"iae_px_s": None, "ise_px2_s": None, "itae_px_s2": None}
 
 
 def test_variation_of_a_known_command():
-    part, steps = CommandVariation().part(None), np.zeros((5, 6))
+    steps = np.zeros((5, 6))
     steps[:, 0], steps[:, 5] = [0, 3, 3, 0, 0], [0, 0, 1, 0, 1]
-    for block in (steps[:2], steps[2:]):
-        part.add({f"cmd_{name}": block[:, i] for i, name in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))})
-    assert part.figures() == {"command_variation_mps": 6.0, "command_variation_radps": 3.0}
+    log = {f"cmd_{name}": steps[:, i] for i, name in enumerate(("vx", "vy", "vz", "wx", "wy", "wz"))}
+    assert CommandVariation().figures(log, None) == {"command_variation_mps": 6.0, "command_variation_radps": 3.0}
 
 
 def test_they_follow_the_figures_of_every_run_and_are_in_the_report():
@@ -77,24 +73,13 @@ def test_a_name_that_is_taken_is_refused(own_kinds):
         kind: Literal["thief"] = "thief"
         titles: ClassVar[Mapping[str, tuple[str, str]]] = {"frames": ("Frames", "")}
 
-        def part(self, setup):
+        def figures(self, log, setup):
             raise NotImplementedError
 
     with pytest.raises(ScenarioError, match=r"metrics.0: of kind thief has a figure 'frames', which every run has already"):
         vs.load("ibvs_book", FAST | {"metrics": ["thief"]})
     with pytest.raises(ScenarioError, match=r"metrics.1: of kind error_integrals has a figure 'iae_px_s', which metrics.0 has"):
         vs.load("ibvs_book", FAST | {"metrics": ["error_integrals", "error_integrals"]})
-
-
-class Three:
-    def __init__(self, found):
-        self.found = found
-
-    def add(self, log):
-        pass
-
-    def figures(self):
-        return self.found
 
 
 @pytest.mark.parametrize(
@@ -109,8 +94,8 @@ def test_figures_that_are_none_are_said(own_kinds, found, words):
         kind: Literal["wrong_figures"] = "wrong_figures"
         titles: ClassVar[Mapping[str, tuple[str, str]]] = {"three": ("Three", "")}
 
-        def part(self, setup):
-            return Three(found)
+        def figures(self, log, setup):
+            return found
 
     recording = vs.run(vs.load("ibvs_book", FAST | {"metrics": ["wrong_figures"], "stop.duration_s": 0.2}))
     with pytest.raises(ParameterError, match=f"metrics: wrong_figures {words}|wrong_figures.*{words}"):

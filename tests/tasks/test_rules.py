@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,10 +111,8 @@ def test_shares_of_the_start():
     distance, angle = np.array([0.5, 0.04, 0.3, 0.04, 0.02, 0.02]), np.array([1.0, 0.5, 0.0, 0.2, 0.05, 0.05])
     log = {"position_error_m": distance, "rotation_error_rad": angle, "cam_qw": np.cos(angle / 2), "cam_qx": np.sin(angle / 2)}
     log |= {name: np.zeros(6) for name in ("cam_qy", "cam_qz")}
-    for cuts in ((0, 6), (0, 1, 4, 6)):
-        part = StartShares().part(None)  # pyright: ignore[reportArgumentType] - it needs nothing of the experiment
-        for a, b in itertools.pairwise(cuts):
-            part.add({name: column[a:b] for name, column in log.items()})
-        expected = {"position_share": 0.04, "rotation_share": 0.05, "pictures_to_share": 5, "rotation_path_ratio": 1.35}
-        assert part.figures() == pytest.approx(expected)
-    assert set(StartShares().part(None).figures().values()) == {None}  # pyright: ignore[reportArgumentType] - as above
+    setup: Any = None  # it needs nothing of the experiment
+    expected = {"position_share": 0.04, "rotation_share": 0.05, "pictures_to_share": 5, "rotation_path_ratio": 1.35}
+    assert StartShares().figures(log, setup) == pytest.approx(expected)
+    at_goal = log | {"position_error_m": 0 * distance}
+    assert set(StartShares().figures(at_goal, setup).values()) == {None}

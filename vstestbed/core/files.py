@@ -1,7 +1,5 @@
-"""The one way in which files are written: whole, never through a link; and the errors of files that cannot be written or read.
-
-A file is written under a temporary name that cannot be guessed, opened exclusively (O_EXCL: a file or a link of that name is neither
-written to nor followed; CWE-59), and renamed. The rename replaces a link that stands under the file's own name; its target stays as it is.
+"""The one way in which files are written: whole, under a temporary name, then renamed; and the errors of files that cannot be written or
+read.
 """
 
 from __future__ import annotations
@@ -76,7 +74,7 @@ class PartFile:
 
 
 def temporary(path: Path) -> Path:
-    """A name beside `path` that cannot be guessed (64 random bits), for what is renamed to `path` when it is complete."""
+    """A name beside `path` that no other process uses, for what is renamed to `path` when it is complete."""
     # Cut, since file systems take names of up to 255 bytes.
     return path.with_name(f"{path.name[:50]}.{secrets.token_hex(8)}.part")
 
@@ -112,11 +110,9 @@ def flush_entries(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder inside one of results, unless it is there; OutputError for a link: its files would be replaced."""
+    """Make a folder inside one of results, unless it is there."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    if folder.is_symlink():
-        raise OutputError(folder, "is a link to another folder, whose files would be replaced", "remove the link")
     return folder
 
 

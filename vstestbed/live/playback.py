@@ -33,7 +33,7 @@ class Recorded:
         log = open_log(folder, self.scenario)
         if not len(log):
             raise RunFolderError(folder, "has a log without frames; there is nothing to show", NOTHING_RAN)
-        self._columns, self._table = log.columns, log.table()
+        self._columns, self._table = log.columns, log.table
         self._ending = ending_of(folder)
         self.t = self._table[:, self._columns.index("t")]
 

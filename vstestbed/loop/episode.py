@@ -6,6 +6,7 @@ import inspect
 import time
 from collections.abc import Generator, Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.ego_motion import Arrival, Exposure
 from vstestbed.loop.judge import Judge, LostMarkers
+from vstestbed.loop.log_file import LogWriter
 from vstestbed.loop.plants import plant_of, shown_clean, take_goal_images
-from vstestbed.loop.recording import Log, MemoryRows, Recording, Rows, Watcher
+from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
 from vstestbed.robots.allocation import Order
@@ -81,13 +83,11 @@ class Episode:
     by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
     """
 
-    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], rows: Rows | None, plate_m: float = 0.0):
+    def __init__(self, scenario: Scenario, pictures: bool, watchers: tuple[Watcher, ...], folder: Path | None, plate_m: float = 0.0):
         began = time.perf_counter()
         scenario = scenario.resolved
         self.scenario, self._watchers = scenario, watchers
-        layout = Layout(scenario)
-        self.rows = MemoryRows(layout.columns) if rows is None else rows
-        self._log = Log(layout, self.rows)
+        self._log = LogWriter(Layout(scenario), folder)
         self.outcome: Outcome | None = None
         self.reason, self.ended_s = "", 0.0
         self.by_hand: dict[str, tuple[float, int]] = {}
@@ -143,6 +143,7 @@ class Episode:
                 self._note()
             self._log.flush()
         finally:
+            self._log.close()
             self._frames.close()  # it holds this object: a cycle, in which the model (100 MB with an arm's meshes) waited for the collector
             self.plant.close()
 
@@ -150,7 +151,6 @@ class Episode:
         """The record of what has run so far; frames that come later are not in it."""
         if not self.closed:
             self._log.flush()
-        rows = MemoryRows(self.rows.columns, self.rows.table()) if isinstance(self.rows, MemoryRows) else self.rows
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
         took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
@@ -162,7 +162,7 @@ class Episode:
             scenario,
             outcome,
             self.reason or outcome.value,
-            rows,
+            self._log.log(),
             wall_time_s=self.build_s + self.loop_s,
             loop_s=self.loop_s,
             time_ms={part: 1e3 * seconds for part, seconds in zip(PARTS, took, strict=True)},

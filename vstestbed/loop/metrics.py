@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,71 +10,43 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array, rotation_angle, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.columns import TWIST
-from vstestbed.loop.stability import Swinging
+from vstestbed.loop.stability import swing
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.tasks.base import Log as Columns
-from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, OwnFigures, Part
-
-# The parts of a run's metrics, each computed block by block: a log of a day needs no more memory than one of an hour.
-
+from vstestbed.tasks.base import Log
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, Figures, own_figures
 
 SATURATED = 0.999  # a command scaled under this counts as saturated
+XYZ, WXYZ = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 
 
-def side_by_side(log: Columns, prefix: str, names: tuple[str, ...]) -> Array:
+def side_by_side(log: Log, prefix: str, names: tuple[str, ...]) -> Array:
     """Columns `prefix_name` as (rows, names)."""
     return np.column_stack([log[f"{prefix}_{name}"] for name in names])
 
 
-class _Counts:
+def _counts(log: Log) -> Figures:
     """Frames, and the values in the last one."""
-
-    def __init__(self) -> None:
-        self._frames = self._lost = self._saturated = 0
-        self._last = {"t": 0.0, "error_px": math.nan, "position_error_m": math.nan, "rotation_error_rad": math.nan}
-
-    def add(self, log: Columns) -> None:
-        self._frames += len(log["t"])
-        self._lost += int(log["lost"].sum())
-        self._saturated += int((log["scale"] < SATURATED).sum())
-        names = (*self._last, "error_grey") if "error_grey" in log else tuple(self._last)
-        self._last |= {name: float(log[name][-1]) for name in names}
-
-    def figures(self) -> Figures:
-        found: Figures = {
-            "sim_time_s": self._last["t"],
-            "frames": self._frames,
-            "frames_lost": self._lost,
-            "final_error_px": self._last["error_px"],
-            "final_position_error_m": self._last["position_error_m"],
-            "final_rotation_error_deg": math.degrees(self._last["rotation_error_rad"]),
-            "saturated_fraction": self._saturated / self._frames if self._frames else None,
-        }
-        return found | ({"final_error_grey": self._last["error_grey"]} if "error_grey" in self._last else {})
+    found: Figures = {
+        "sim_time_s": float(log["t"][-1]),
+        "frames": len(log["t"]),
+        "frames_lost": int(log["lost"].sum()),
+        "final_error_px": float(log["error_px"][-1]),
+        "final_position_error_m": float(log["position_error_m"][-1]),
+        "final_rotation_error_deg": math.degrees(log["rotation_error_rad"][-1]),
+        "saturated_fraction": int((log["scale"] < SATURATED).sum()) / len(log["t"]),
+    }
+    return found | ({"final_error_grey": float(log["error_grey"][-1])} if "error_grey" in log else {})
 
 
-class _Convergence:
-    """Start of the last unbroken stretch in which the goal's conditions held, of a run that converged [s]."""
-
-    def __init__(self, scenario: Scenario, outcome: Outcome):
-        self._scenario, self._asked = scenario, outcome is Outcome.converged
-        self._since: float | None = None
-
-    def add(self, log: Columns) -> None:
-        if not self._asked:
-            return
-        over = np.flatnonzero(~_converged_frames(self._scenario, log))
-        if not len(over):
-            self._since = float(log["t"][0]) if self._since is None else self._since
-        else:  # an error that dips under its threshold on the way there has not converged
-            after = log["t"][int(over[-1]) + 1 :]
-            self._since = float(after[0]) if len(after) else None
-
-    def figures(self) -> Figures:
-        return {"time_to_converge_s": self._since}
+def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
+    """Start of the last unbroken stretch in which the goal's conditions held [s]."""
+    over = np.flatnonzero(~_converged_frames(scenario, log))
+    # an error that dips under its threshold on the way there has not converged
+    after = log["t"][int(over[-1]) + 1 if len(over) else 0 :]
+    return float(after[0]) if len(after) else None
 
 
-def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
+def _converged_frames(scenario: Scenario, log: Log) -> NDArray[np.bool_]:
     """Frames in which the conditions of `stop.converged` hold at the last goal view, shape (frames,) bool."""
     counted = scenario.goal_view.counted
     markers = range(scenario.rows) if counted is None else np.flatnonzero(counted)
@@ -90,211 +60,100 @@ def _converged_frames(scenario: Scenario, log: Columns) -> NDArray[np.bool_]:
     return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
 
 
-class _CameraPath:
+def _camera_path(s: Scenario, log: Log) -> Figures:
     """Length of the camera's path, its retreat and its turn; of a target in the gripper, of the camera relative to it."""
-
-    def __init__(self, scenario: Scenario):
-        self._scenario = scenario
-        self._length = self._farthest = self._turn = 0.0
-        self._straight = self._distance = math.nan
-        self._last: Array | None = None
-        self._R = np.eye(3)
-
-    def add(self, log: Columns) -> None:
-        s = self._scenario
-        camera, target = side_by_side(log, "cam", ("x", "y", "z")), side_by_side(log, "tgt", ("x", "y", "z"))
-        distance = np.linalg.norm(camera - target, axis=1)
-        R = rotation_from_quaternion(side_by_side(log, "cam", ("qw", "qx", "qy", "qz")))
-        if s.target.on_gripper:
-            R_target = rotation_from_quaternion(side_by_side(log, "tgt", ("qw", "qx", "qy", "qz")))
-            R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
-        if self._last is None:
-            self._R, self._distance, self._straight = R[0], float(distance[0]), s.goal.distance_to_go_m(log, s.goal_poses)
-        way = camera if self._last is None else np.vstack([self._last, camera])
-        self._last = camera[-1]
-        self._length += float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-        self._farthest = max(self._farthest, float(distance.max()))
-        self._turn = float(np.maximum(self._turn, rotation_angle(self._R.T @ R).max()))
-
-    def figures(self) -> Figures:
-        if self._last is None:
-            nothing: Figures = {}
-            return nothing | dict.fromkeys(("path_length_m", "path_ratio", "max_retreat_m", "max_rotation_deg"))
-        at_goal = float(np.linalg.norm(self._scenario.goal_poses[-1][:3, 3]))
-        return {
-            "path_length_m": self._length,
-            # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with. Nor has one whose goal
-            # is no single pose.
-            "path_ratio": self._length / self._straight if self._straight > 1e-3 and not self._scenario.free_motions else None,
-            "max_retreat_m": max(0.0, self._farthest - max(self._distance, at_goal)),
-            "max_rotation_deg": math.degrees(self._turn),
-        }
+    camera, target = side_by_side(log, "cam", XYZ), side_by_side(log, "tgt", XYZ)
+    distance = np.linalg.norm(camera - target, axis=1)
+    R = rotation_from_quaternion(side_by_side(log, "cam", WXYZ))
+    if s.target.on_gripper:
+        R_target = rotation_from_quaternion(side_by_side(log, "tgt", WXYZ))
+        R, camera = R_target.mT @ R, np.einsum("nji,nj->ni", R_target, camera - target)
+    length, straight = float(np.linalg.norm(np.diff(camera, axis=0), axis=1).sum()), s.goal.distance_to_go_m(log, s.goal_poses)
+    at_goal = float(np.linalg.norm(s.goal_poses[-1][:3, 3]))
+    return {
+        "path_length_m": length,
+        # Under 1 mm the ratio says nothing: a run that starts at its goal has no straight way to compare with. Nor has one whose goal
+        # is no single pose.
+        "path_ratio": length / straight if straight > 1e-3 and not s.free_motions else None,
+        "max_retreat_m": max(0.0, float(distance.max()) - max(float(distance[0]), at_goal)),
+        "max_rotation_deg": math.degrees(max(0.0, float(rotation_angle(R[0].T @ R).max()))),
+    }
 
 
-class _ImagePaths:
+def _image_paths(s: Scenario, log: Log) -> Figures:
     """The paths of the true markers in the image: excursion, overshoot, margin to the border."""
-
-    def __init__(self, scenario: Scenario):
-        self._camera, self._goal = scenario.camera, scenario.goal_view.uv
-        # Of points that are others in every picture there are no paths.
-        self._names = tuple(str(i) for i in range(scenario.rows)) if scenario.detector.rows is None else ()
-        self._start: Array | None = None
-        self._excursion = self._beyond = -math.inf
-        self._margin = math.inf
-
-    def add(self, log: Columns) -> None:
-        if not self._names:
-            return
-        uv = np.stack([side_by_side(log, "u_true", self._names), side_by_side(log, "v_true", self._names)], axis=-1)
-        self._start = start = uv[0] if self._start is None else self._start
-        along = self._goal - start
-        # Clipped to the segment: beyond its ends the distance counts from the end, so that an overshoot is an excursion, too.
-        length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
-        share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
-        excursion = np.linalg.norm(uv - start - share[..., None] * along, axis=-1)
-        error, first = (uv - self._goal).reshape(len(uv), -1), (start - self._goal).ravel()
-        beyond = -(error @ first) / max(float(first @ first), 1e-12)
-        # Pixel centres are at whole numbers: the picture reaches from -.5 to width - .5.
-        margin = np.minimum(uv + 0.5, np.array([self._camera.width, self._camera.height]) - 0.5 - uv)
-        known = np.isfinite(excursion)
-        self._excursion = max(self._excursion, float(excursion[known].max(initial=-math.inf)))
-        self._beyond = max(self._beyond, float(beyond[np.isfinite(beyond)].max(initial=-math.inf)))
-        self._margin = min(self._margin, float(margin[known].min(initial=math.inf)))
-
-    def figures(self) -> Figures:
-        """See `Part`; an infinity stands for a figure that is undefined."""
-        return {
-            "max_feature_excursion_px": self._excursion,
-            "feature_overshoot": max(0.0, self._beyond) if math.isfinite(self._beyond) else None,
-            "min_border_margin_px": self._margin,
-        }
+    nothing: Figures = {**dict.fromkeys(("max_feature_excursion_px", "feature_overshoot", "min_border_margin_px"))}
+    names = tuple(str(i) for i in range(s.rows)) if s.detector.rows is None else ()
+    if not names:  # of points that are others in every picture there are no paths
+        return nothing
+    uv = np.stack([side_by_side(log, "u_true", names), side_by_side(log, "v_true", names)], axis=-1)
+    start, goal = uv[0], s.goal_view.uv
+    along = goal - start
+    # Clipped to the segment: beyond its ends the distance counts from the end, so that an overshoot is an excursion, too.
+    length2 = np.maximum((along**2).sum(axis=-1), 1e-12)
+    share = np.clip(((uv - start) * along).sum(axis=-1) / length2, 0, 1)
+    excursion = np.linalg.norm(uv - start - share[..., None] * along, axis=-1)
+    error, first = (uv - goal).reshape(len(uv), -1), (start - goal).ravel()
+    beyond = -(error @ first) / max(float(first @ first), 1e-12)
+    # Pixel centres are at whole numbers: the picture reaches from -.5 to width - .5.
+    margin = np.minimum(uv + 0.5, np.array([s.camera.width, s.camera.height]) - 0.5 - uv)
+    known, whole = np.isfinite(excursion), np.isfinite(beyond)
+    return nothing | {
+        "max_feature_excursion_px": float(excursion[known].max(initial=-math.inf)),
+        "feature_overshoot": max(0.0, float(beyond[whole].max())) if whole.any() else None,
+        "min_border_margin_px": float(margin[known].min(initial=math.inf)),
+    }
 
 
-class _Peaks:
+def _peaks(log: Log) -> Figures:
     """Largest true speed and rate of the camera."""
-
-    def __init__(self) -> None:
-        self._peaks = np.full(2, -math.inf)
-
-    def add(self, log: Columns) -> None:
-        peaks = [np.linalg.norm(side_by_side(log, "act", names), axis=1).max() for names in (TWIST[:3], TWIST[3:])]
-        self._peaks = np.maximum(self._peaks, peaks)
-
-    def figures(self) -> Figures:
-        return {"peak_speed_mps": float(self._peaks[0]), "peak_rate_radps": float(self._peaks[1])}
+    speed, rate = (float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max()) for names in (TWIST[:3], TWIST[3:]))
+    return {"peak_speed_mps": speed, "peak_rate_radps": rate}
 
 
-class _Tracking:
-    """True errors of a moving target once settled."""
-
-    def __init__(self, scenario: Scenario):
-        # A target that the robot itself moves is not tracked.
-        self._asked = scenario.target.moves and (scenario.goal.continuing or not scenario.target.on_gripper)
-        self._settle_s, self._names = scenario.goal.settle_s, tuple(str(i) for i in range(scenario.rows))
-        self._frames, self._squares, self._largest = 0, np.zeros(2), np.zeros(2)
-
-    def add(self, log: Columns) -> None:
-        settled = log["t"] >= self._settle_s
-        if not (self._asked and settled.any()):
-            return
-        uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in self._names for c in "uv"], axis=1)[settled]
-        errors = np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]
-        self._frames += len(uv)
-        self._squares = self._squares + [(error**2).sum() for error in errors]
-        self._largest = np.maximum(self._largest, [error.max() for error in errors])
-
-    def figures(self) -> Figures:
-        names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
-        if not self._frames:
-            nothing: Figures = {}
-            return nothing | dict.fromkeys(names)
-        rms = np.sqrt(self._squares / self._frames)
-        return dict(zip(names, map(float, (rms[0], self._largest[0], rms[1], self._largest[1])), strict=True))
+def _tracking(s: Scenario, log: Log) -> Figures:
+    """True errors of a moving target once settled; a target that the robot itself moves is not tracked, but in a continuing task."""
+    names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
+    settled = log["t"] >= s.goal.settle_s
+    if not (s.target.moves and (s.goal.continuing or not s.target.on_gripper) and settled.any()):
+        nothing: Figures = {}
+        return nothing | dict.fromkeys(names)
+    uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in range(s.rows) for c in "uv"], axis=1)[settled]
+    found: list[float] = []
+    for error in (np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]):
+        found += [float(np.sqrt((error**2).sum() / len(uv))), float(error.max())]
+    return dict(zip(names, found, strict=True))
 
 
-class _Modes:
+def _modes(s: Scenario, log: Log) -> Figures:
     """How a law with `modes` was switched: each change of the mode from one frame to the next is a switch."""
-
-    def __init__(self, scenario: Scenario):
-        self._words = scenario.law.modes
-        self._frames = np.zeros(len(self._words), dtype=int)
-        self._last: Array = np.empty((0, 2))  # time and mode of the last frame: a switch may lie between two blocks
-        self._switched_s: list[float] = []
-
-    def add(self, log: Columns) -> None:
-        if not self._words:
-            return
-        rows = np.vstack([self._last, np.column_stack([log["t"], log["law_mode"]])])
-        self._switched_s += rows[1:, 0][np.diff(rows[:, 1]) != 0].tolist()
-        self._frames += np.bincount(log["law_mode"].astype(int), minlength=len(self._words))
-        self._last = rows[-1:]
-
-    def figures(self) -> Figures:
-        """See `Part`; none for a law without modes."""
-        if not self._words:
-            return {}
-        frames = max(int(self._frames.sum()), 1)
-        return {
-            "law_switches": len(self._switched_s),
-            "law_shortest_stay_s": float(np.diff(self._switched_s).min()) if len(self._switched_s) > 1 else None,
-            "law_mode_share": {word: int(n) / frames for word, n in zip(self._words, self._frames, strict=True)},
-        }
+    words = s.law.modes
+    if not words:
+        return {}
+    mode = log["law_mode"].astype(int)
+    switched_s = log["t"][1:][np.diff(mode) != 0]
+    share = np.bincount(mode, minlength=len(words)) / len(mode)
+    return {
+        "law_switches": len(switched_s),
+        "law_shortest_stay_s": float(np.diff(switched_s).min()) if len(switched_s) > 1 else None,
+        "law_mode_share": dict(zip(words, share.tolist(), strict=True)),
+    }
 
 
-class _LinkFigures:
+def _link(s: Scenario, log: Log) -> Figures:
     """Pictures that never arrived, pictures that were refused, commands that never arrived; none of a run without such effects."""
-
-    def __init__(self, scenario: Scenario):
-        self._counts_pictures, self._columns = scenario.timing.link is not None, scenario.timing.columns
-        self._used = self._refused = self._commands = 0
-        self._sent = 0
-
-    def add(self, log: Columns) -> None:
-        self._used += len(log["t"])
-        self._sent = max(self._sent, int(log["frame"].max()) + 1)
-        if "refused" in self._columns:
-            self._refused = int(log["refused"][-1])
-        if "command_lost" in self._columns:
-            self._commands += int(log["command_lost"].sum())
-
-    def figures(self) -> Figures:
-        found: Figures = {"pictures_lost": max(0, self._sent - self._used - self._refused)} if self._counts_pictures else {}
-        found |= {"pictures_refused": self._refused} if "refused" in self._columns else {}
-        return found | ({"commands_lost": self._commands} if "command_lost" in self._columns else {})
+    columns, found = s.timing.columns, Figures()
+    refused = int(log["refused"][-1]) if "refused" in columns else 0
+    if s.timing.link is not None:
+        found["pictures_lost"] = max(0, int(log["frame"].max()) + 1 - len(log["t"]) - refused)
+    if "refused" in columns:
+        found["pictures_refused"] = refused
+    if "command_lost" in columns:
+        found["commands_lost"] = int(log["command_lost"].sum())
+    return found
 
 
-class Blocks(Protocol):
-    """The rows of a log (`recording.Rows`), as the metrics need them."""
-
-    columns: tuple[str, ...]
-
-    def blocks(self, names: Sequence[str] | None = None) -> Iterator[dict[str, Array]]:
-        """The rows in their order, some thousands at a time; `names`: only these columns."""
-        ...
-
-
-class WholeColumns(Mapping[str, Array]):
-    """The columns of a log by name, each read as a whole when it is first asked for."""
-
-    def __init__(self, log: Blocks):
-        self._log = log
-        self._read: dict[str, Array] = {}
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._log.columns:
-            raise KeyError(name)
-        if name not in self._read:
-            self._read[name] = np.concatenate([np.zeros(0), *(block[name] for block in self._log.blocks([name]))])
-        return self._read[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._log.columns)
-
-    def __len__(self) -> int:
-        return len(self._log.columns)
-
-
-def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, object]:
+def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, object]:
     """The metrics of a run; None where one is undefined (no frames, target never seen, no distance to the goal).
 
     path_ratio: length of the camera's path over the straight distance between its start and its goal; None where
@@ -322,27 +181,17 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Blocks) -> dict[str, ob
     final_error_grey: only of a law that works on grey levels: its RMS difference of picture and goal picture at the end.
     The figures of the scenario's own metrics (`tasks.metrics`) follow.
 
-    outcome: how it ended. log: its rows, which are read a block at a time.
+    outcome: how it ended. log: its columns.
     """
-    parts: list[Part] = [
-        _Counts(),
-        _Convergence(scenario, outcome),
-        _CameraPath(scenario),
-        _ImagePaths(scenario),
-        _Peaks(),
-        _Tracking(scenario),
-        _Modes(scenario),
-        _LinkFigures(scenario),
-        Swinging(scenario),
-    ]
-    own = OwnFigures(scenario.metrics, scenario.setup)
-    for block in log.blocks():
-        for part in (*parts, own):
-            part.add(block)
-    figures = {name: value for part in parts for name, value in part.figures().items()}
-    columns, before = WholeColumns(log), FIGURES.index("saturated_fraction")  # the task's own figures stand before it
-    task = scenario.goal.metrics(columns) | scenario.goal.judged(columns, scenario.stop).summary()
+    if not len(log["t"]):
+        counts: Figures = {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0}
+        return dict.fromkeys(FIGURES) | counts | {name: None for metric in scenario.metrics for name in metric.titles}
+    converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
+    figures = _counts(log) | {"time_to_converge_s": converged} | _camera_path(scenario, log) | _image_paths(scenario, log) | _peaks(log)
+    figures |= _tracking(scenario, log) | _modes(scenario, log) | _link(scenario, log) | swing(scenario, log)
+    before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
+    task = scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()
     ordered: Figures = {name: figures[name] for name in FIGURES[:before]} | task
     ordered |= {name: figures[name] for name in (*FIGURES[before:], *SOME_FIGURES, "law_mode_share") if name in figures}
-    figures = (ordered | own.figures()).items()  # NaN and infinity as None: JSON has neither
+    figures = (ordered | own_figures(scenario.metrics, log, scenario.setup)).items()  # NaN and infinity as None: JSON has neither
     return {name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in figures}

@@ -1,11 +1,10 @@
-"""The record of a run: frames become rows (`columns`), rows a log, in memory or on disk (`log_file`)."""
+"""The record of a run: its log (`log_file`), how it ended, and its summary."""
 
 from __future__ import annotations
 
 import json
 import math
-import time
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
@@ -19,8 +18,9 @@ from vstestbed.core.files import read_file
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.spatial import as_se3, as_twist3
-from vstestbed.loop.columns import POSE, TWIST, Kept, Layout, kept
-from vstestbed.loop.metrics import WholeColumns, summarise
+from vstestbed.loop.columns import POSE, TWIST
+from vstestbed.loop.log_file import Log
+from vstestbed.loop.metrics import summarise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES
@@ -38,92 +38,12 @@ class Watcher(Protocol):
         ...
 
 
-Block = dict[str, Array]  # columns by name, of rows that follow each other
-BLOCK = 8_192
-"""Rows of a block, and of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns."""
-
-
-class Rows(Protocol):
-    """The rows of a log, wherever they are kept."""
-
-    columns: tuple[str, ...]
-
-    def append(self, rows: Array) -> None:
-        """Add rows (n, columns)."""
-        ...
-
-    def __len__(self) -> int: ...
-
-    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
-        """The rows in their order, some thousands at a time; `names`: only these columns."""
-        ...
-
-    def table(self) -> Array:
-        """All rows as one array in memory, shape (rows, columns)."""
-        ...
-
-
-class MemoryRows:
-    """Rows in memory."""
-
-    def __init__(self, columns: tuple[str, ...], table: Array | None = None):
-        self.columns, self._parts = columns, [] if table is None else [table]
-
-    def append(self, rows: Array) -> None:
-        """Add rows (n, columns)."""
-        self._parts.append(rows)
-
-    def __len__(self) -> int:
-        return sum(map(len, self._parts))
-
-    def blocks(self, names: Sequence[str] | None = None) -> Iterator[Block]:
-        """The rows in their order, as views."""
-        table, at = self.table(), [self.columns.index(name) for name in names or self.columns]
-        for start in range(0, len(table), BLOCK):
-            yield {self.columns[i]: table[start : start + BLOCK, i] for i in at}
-
-    def table(self) -> Array:
-        """All rows as one array (rows, columns): the log itself, no copy."""
-        if len(self._parts) != 1:
-            self._parts = [np.concatenate([np.zeros((0, len(self.columns))), *self._parts])]
-        return self._parts[0]
-
-
-class Log:
-    """Frames become rows many at once, which costs a tenth of the time of one after the other. No frame waits for more than PERIOD_S [s] of
-    wall time, which a killed process may lose: rows are made when the next frame, if it took as long as the last one, would come too late.
-    """
-
-    PERIOD_S: ClassVar[float] = 0.1
-
-    def __init__(self, layout: Layout, rows: Rows):
-        self._layout, self._rows = layout, rows
-        self._waiting: list[Kept] = []
-        self._oldest = self._last = time.monotonic()
-
-    def append(self, frame: Frame) -> None:
-        """Keep one more frame, whose arrays must not be written to again: they are not copied."""
-        now = time.monotonic()
-        if not self._waiting:
-            self._oldest = now
-        self._waiting.append(kept(frame))
-        if 2 * now - self._last > self._oldest + self.PERIOD_S:
-            self.flush()
-        self._last = now
-
-    def flush(self) -> None:
-        """Make rows of the frames that wait."""
-        waiting, self._waiting = self._waiting, []
-        if waiting:
-            self._rows.append(self._layout.rows(waiting))
-
-
 @dataclass(frozen=True)
 class Recording:
     """A finished run: scenario, outcome, log, wall time by part.
 
     Attributes:
-        rows: the log; of a run with a folder it is on disk alone.
+        rows: the log.
         time_ms: wall time by part, in all [ms]. wall_time_s: of the run; loop_s: without building and closing the scene [s].
         versions: of the packages and the renderer used.
         ended_s: simulated time of the verdict [s], which is after the last frame where pictures stayed away.
@@ -133,7 +53,7 @@ class Recording:
     scenario: Scenario
     outcome: Outcome
     reason: str
-    rows: Rows
+    rows: Log
     wall_time_s: float = math.nan
     loop_s: float = math.nan
     time_ms: dict[str, float] = field(default_factory=dict)
@@ -151,12 +71,12 @@ class Recording:
     @property
     def table(self) -> Array:
         """The log as one array in memory, shape (frames, columns)."""
-        return self.rows.table()
+        return self.rows.table
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.columns:
             raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
-        return WholeColumns(self.rows)[name]
+        return self.rows[name]
 
     def camera_poses(self) -> SE3:
         """The camera's true pose T_world_camera (x right, y down, z forward) in each of the n frames, as one spatialmath SE3 of n."""
@@ -193,7 +113,7 @@ class Recording:
 
     def frame(self) -> polars.DataFrame:
         """The log as a polars table in memory, one row a camera frame."""
-        return to_frame(dict(zip(self.columns, self.table.T, strict=True)))
+        return self.rows.frame()
 
     def _repr_html_(self) -> str | None:
         return Recording.shown_by(self)
@@ -202,7 +122,7 @@ class Recording:
         """The metrics of the run, as in `summary.json`; `time_ms`: mean wall time of a frame by part [ms]. With the gains of servos that
         were made for an arm of one's own (`Actuation.gains`).
         """
-        figures = summarise(self.scenario, self.outcome, self.rows)
+        figures = summarise(self.scenario, self.outcome, self.rows.by_name())
         last, frames = figures["sim_time_s"], max(int(str(figures["frames"])), 1)
         assert isinstance(last, float)
         sim_time = figures["sim_time_s"] = max(last, self.ended_s)
@@ -216,22 +136,6 @@ class Recording:
         actuators, names = self.scenario.robot.actuator_set, self.scenario.target.names
         named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
         return {"scenario": self.scenario.name} | ended | named | figures | (actuators.gains() if actuators else {}) | cost
-
-
-def types_of(columns: Container[str]) -> dict[str, polars.DataType]:
-    """The types of those columns that are no floating-point numbers."""
-    import polars as pl
-
-    types: dict[str, Any] = {"frame": pl.Int64, "lost": pl.Boolean}
-    return {name: kind for name, kind in types.items() if name in columns}
-
-
-def to_frame(columns: Block) -> polars.DataFrame:
-    """Columns as a polars table with its own types: `frame` whole numbers, `lost` true or false."""
-    import polars as pl
-
-    frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in columns.items()})
-    return frame.with_columns(pl.col(name).cast(kind) for name, kind in types_of(columns).items())
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.

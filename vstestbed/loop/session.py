@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.core.spatial import pose_matrix, twist_numbers
 from vstestbed.laws import Law
 from vstestbed.loop.episode import Episode
-from vstestbed.loop.recording import Recording, Rows, Watcher
+from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import seeded
 from vstestbed.scenario.scenario import Scenario
@@ -43,7 +44,6 @@ class Session:
         pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
             detector `tags`: a tag's texture drawn whole differs from one drawn in a window by a grey level, its corners by .001 px.
         watch: receive every frame, with the command that was sent.
-        rows: where the rows of the log go, for one episode; into memory by default.
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
     """
 
@@ -53,13 +53,12 @@ class Session:
         *,
         pictures: bool = False,
         watch: Iterable[Watcher] = (),
-        rows: Rows | None = None,
         plate_m: float = 0.0,
     ):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self._plate_m = plate_m
-        self._given, self._pictures, self._watchers, self._rows = scenario, pictures, tuple(watch), rows
+        self._given, self._pictures, self._watchers = scenario, pictures, tuple(watch)
         self.episode: Episode | None = None
         robot = scenario.robot
         self._motions = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints()).shape[1]
@@ -75,8 +74,7 @@ class Session:
         """
         self.close()
         scenario = self._given if seed is None else seeded(self._given, seed)
-        rows, self._rows = self._rows, None
-        self.episode = Episode(scenario, self._pictures, self._watchers, rows, self._plate_m)
+        self.episode = Episode(scenario, self._pictures, self._watchers, None, self._plate_m)
         frame = self.episode.advance()
         if frame is None:
             raise SessionError(f"the run ended before a picture arrived: {self.episode.reason}", "change the camera's timing")
@@ -180,15 +178,16 @@ class Session:
         return numbers
 
 
-def run(scenario: Scenario, watch: Iterable[Watcher] = (), rows: Rows | None = None, *, pictures: bool = False) -> Recording:
+def run(scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None = None, *, pictures: bool = False) -> Recording:
     """Simulate a scenario from its nominal start until an outcome (`Scenario.randomised` draws another start).
 
-    watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. rows: where the rows of the log go; into
-    memory by default. pictures: take whole pictures for those who watch, see `Session`, whose errors it raises.
+    watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. folder: where `log.part`
+    grows with the run; in memory alone by default. pictures: take whole
+    pictures for those who watch, see `Session`, whose errors it raises.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
-    episode = Episode(scenario, pictures, tuple(watch), rows)
+    episode = Episode(scenario, pictures, tuple(watch), folder)
     with contextlib.closing(episode), contextlib.suppress(KeyboardInterrupt):
         while episode.outcome is None:
             episode.advance()

@@ -391,34 +391,23 @@ class Stability:
         return sentence(self._scenario, LastPart(t, error, twist, scale < LIMITED, moved.reshape(len(t), -1), away), self._first)
 
 
-class Swinging:
-    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames. It is a part of the
-    metrics (`tasks.metrics.Part`), which a run has whose command swung for LONG_SPANS of them. A span has room for PERIODS of the swing at
-    the gain limit, of a robot that lags by a frame.
+LONG_SPANS = 2
+
+
+def swing(scenario: Scenario, log: Columns) -> Figures:
+    """Longest time for which the command swung without a break, with an error that counts, in whole spans of frames; none of a run whose
+    command swung for fewer than LONG_SPANS of them. A span has room for PERIODS of the swing at the gain limit, of a robot that lags by a
+    frame.
     """
-
-    LONG_SPANS = 2
-
-    def __init__(self, scenario: Scenario):
-        self._period_s, self._waiting = scenario.camera.period, np.empty((0, 7))
-        self._least, unit = _least(scenario)
-        self._error = "error_px" if unit == "px" else "error_grey"
-        self._span = max(FEWEST, PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)))
-        self._now: list[float] = []
-        self._longest: list[float] = []
-
-    def add(self, log: Columns) -> None:
-        """See `Part`."""
-        rows = np.vstack([self._waiting, np.column_stack([log[self._error], *(log[f"cmd_{name}"] for name in TWIST)])])
-        whole = len(rows) // self._span * self._span
-        for span in rows[:whole].reshape(-1, self._span, 7):
-            found = period(span[:, 1:]) if np.isfinite(span).all() and np.median(span[:, 0]) >= self._least else 0.0
-            self._now = [*self._now, found] if found else []
-            self._longest = max(self._longest, self._now, key=len)
-        self._waiting = rows[whole:]
-
-    def figures(self) -> Figures:
-        """See `Part`; none for a run that did not swing for long."""
-        if len(self._longest) < self.LONG_SPANS:
-            return {}
-        return {"swung_s": len(self._longest) * self._span * self._period_s, "swing_frames": float(np.median(self._longest))}
+    least, unit = _least(scenario)
+    span = max(FEWEST, PERIODS * swing_frames(1 + math.ceil(_delay_s(scenario) / scenario.camera.period - 1e-9)))
+    rows = np.column_stack([log["error_px" if unit == "px" else "error_grey"], *(log[f"cmd_{name}"] for name in TWIST)])
+    now: list[float] = []
+    longest: list[float] = []
+    for each in rows[: len(rows) // span * span].reshape(-1, span, 7):
+        found = period(each[:, 1:]) if np.isfinite(each).all() and np.median(each[:, 0]) >= least else 0.0
+        now = [*now, found] if found else []
+        longest = max(longest, now, key=len)
+    if len(longest) < LONG_SPANS:
+        return {}
+    return {"swung_s": len(longest) * span * scenario.camera.period, "swing_frames": float(np.median(longest))}

@@ -17,8 +17,7 @@ from vstestbed.core import files
 from vstestbed.core.errors import OutputError, RunFolderError
 from vstestbed.core.files import flush_entries, make_folder, temporary, write_whole, writing
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.columns import Layout
-from vstestbed.loop.log_file import FolderLog, open_log
+from vstestbed.loop.log_file import finish, open_log
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.session import run
 from vstestbed.scenario.dump import documents, kept_files
@@ -92,19 +91,14 @@ def _run_into(
         scenario = scenario.resolved
         with _filming(folder, scenario, films, tile_px, fine) as filming:
             put(folder, before)
-            log = FolderLog.create(folder, Layout(scenario).columns)
-            try:
-                # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
-                pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
-                recording = run(scenario, [*filming, *watch], log, pictures=pictures)
-            finally:
-                log.close()
+            # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
+            pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
+            recording = run(scenario, [*filming, *watch], folder, pictures=pictures)
             for film in filming:
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
-    after = files_after(recording)  # before `log.finish`: log.part is read without decompressing it
-    log.finish()
-    put(folder, after)
+    finish(folder, recording.rows)
+    put(folder, files_after(recording))
     return recording
 
 
@@ -174,9 +168,7 @@ def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, A
         put(part, {name: content for name, content in files.items() if not _linked(part / name, name, content, shared)})
         put(part, {SUMMARY: _summary(summary)})
         flush_entries(part)
-        if place.is_symlink():
-            place.unlink()
-        elif place.exists():  # left incomplete: a complete one is never stored again
+        if place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)
         part.rename(place)
         flush_entries(place.parent)

@@ -1,4 +1,4 @@
-"""Metrics that a scenario adds to those of every run (`metrics: [...]`), each computed from the log block by block."""
+"""Metrics that a scenario adds to those of every run (`metrics: [...]`), each computed from the log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Within
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
@@ -18,6 +17,7 @@ from vstestbed.tasks.base import Log
 from vstestbed.tasks.monitor import Setup
 
 ERRORS = ("position_error_m", "rotation_error_rad")
+Figures = dict[str, object]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-6
 """A start nearer to its goal than this has no share [m, rad]."""
@@ -43,37 +43,20 @@ class StartShares:
         "rotation_path_ratio": ("Angle turned through over that at the start", ""),
     }
 
-    def part(self, setup: Setup) -> _StartShares:
-        """Sums of turns."""
-        return _StartShares(self.share)
-
-
-class _StartShares:
-    def __init__(self, share: float) -> None:
-        self._share, self._start, self._last = share, np.full(2, np.nan), np.full(2, np.nan)
-        self._quaternion: Array = np.empty((0, 4))
-        self._turned, self._pictures, self._reached = 0.0, 0, 0
-
-    def add(self, log: Log) -> None:
+    def figures(self, log: Log, setup: Setup) -> Figures:
+        """See `MetricContract`; undefined also where the goal is no single pose."""
         errors = np.column_stack([log[name] for name in ERRORS])
-        if not self._pictures:
-            self._start = errors[0]
-        over = np.flatnonzero((errors >= self._share * self._start).any(axis=1))
-        if len(over):
-            self._reached = self._pictures + int(over[-1]) + 1  # pictures that are not under it for good
-        q = np.vstack([self._quaternion, np.column_stack([log[name] for name in QUATERNION])])
+        start, last = errors[0], errors[-1]
+        if not (start > LEAST).all():
+            return {**dict.fromkeys(self.titles)}
+        over = np.flatnonzero((errors >= self.share * start).any(axis=1))
+        pictures = int(over[-1]) + 2 if len(over) else 1
+        q = np.column_stack([log[name] for name in QUATERNION])
         cosine = np.abs(np.einsum("ij,ij->i", q[1:], q[:-1]))
         sine = np.sqrt(np.maximum(0, 1 - np.minimum(cosine, 1) ** 2))
-        self._turned += float(2 * np.arctan2(sine, cosine).sum())
-        self._pictures, self._quaternion, self._last = self._pictures + len(errors), q[-1:], errors[-1]
-
-    def figures(self) -> dict[str, object]:
-        known = bool((self._start > LEAST).all())
-        if not known:  # also where the goal is no single pose
-            return {**dict.fromkeys(StartShares.titles)}
-        position, rotation = (self._last / self._start).tolist()
-        reached = self._reached + 1 if self._reached < self._pictures else None
-        return dict(zip(StartShares.titles, (position, rotation, reached, self._turned / float(self._start[1])), strict=True))
+        turned = float(2 * np.arctan2(sine, cosine).sum())
+        found = (*(last / start).tolist(), pictures if pictures <= len(errors) else None, turned / float(start[1]))
+        return dict(zip(self.titles, found, strict=True))
 
 
 FIGURES = (
@@ -111,23 +94,11 @@ _COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task"
 _OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
 TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))
 """Names that a summary or a comparison's table has already."""
-Figures = dict[str, object]
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 
-class Part(Protocol):
-    """Some of the metrics of one run."""
-
-    def add(self, log: Log) -> None:
-        """Take the next block of rows, of one row at least."""
-
-    def figures(self) -> Figures:
-        """The metrics of the blocks so far."""
-        ...
-
-
 class MetricContract(Protocol):
-    """A metric: its parameters are frozen in the object, and each run has a `Part` of its own.
+    """A metric.
 
     Attributes:
         titles: the figures that it adds to `summary.json`, by name, each with the title and the unit of the reports.
@@ -140,8 +111,11 @@ class MetricContract(Protocol):
         """The word in a scenario."""
         ...
 
-    def part(self, setup: Setup) -> Part:
-        """What computes the figures of one run; `figures` gives a number for each name of `titles`, or None where it is undefined."""
+    def figures(self, log: Log, setup: Setup) -> Figures:
+        """The figures of one run: a number for each name of `titles`, or None where it is undefined.
+
+        log: its columns by name, each with one row a frame, of one frame at least. setup: the experiment.
+        """
         ...
 
 
@@ -162,26 +136,12 @@ class ErrorIntegrals:
         "itae_px_s2": ("Integral of time times error", "px s²"),
     }
 
-    def part(self, setup: Setup) -> Part:
-        """Sums of trapezoids."""
-        return _ErrorIntegrals()
-
-
-class _ErrorIntegrals:
-    def __init__(self) -> None:
-        self._last: Array = np.empty((0, 2))  # time and error of the last measured frame: trapezoids reach over the blocks' ends
-        self._sums = np.zeros(3)
-
-    def add(self, log: Log) -> None:
+    def figures(self, log: Log, setup: Setup) -> Figures:
+        """See `MetricContract`; undefined for a target that was never seen."""
         t, e = np.asarray(log["t"], dtype=float), np.asarray(log["error_px"], dtype=float)
-        rows = np.vstack([self._last, np.column_stack([t, e])[np.isfinite(e)]])
-        if len(rows):
-            self._last, (t, e) = rows[-1:], rows.T
-            self._sums = self._sums + [np.trapezoid(y, t) for y in (e, e * e, t * e)]
-
-    def figures(self) -> Figures:
-        names = ErrorIntegrals.titles
-        return dict(zip(names, self._sums.tolist(), strict=True)) if len(self._last) else {**dict.fromkeys(names)}
+        t, e = t[np.isfinite(e)], e[np.isfinite(e)]
+        found = [float(np.trapezoid(y, t)) for y in (e, e * e, t * e)] if len(e) else [None] * 3
+        return dict(zip(self.titles, found, strict=True))
 
 
 @spec
@@ -197,23 +157,10 @@ class CommandVariation:
         "command_variation_radps": ("Total variation of the commanded rate", "rad/s"),
     }
 
-    def part(self, setup: Setup) -> Part:
-        """Sums of steps."""
-        return _CommandVariation()
-
-
-class _CommandVariation:
-    def __init__(self) -> None:
-        self._last: Array = np.empty((0, 6))
-        self._sums = np.zeros(2)
-
-    def add(self, log: Log) -> None:
-        rows = np.vstack([self._last, np.column_stack([log[f"cmd_{name}"] for name in TWIST])])
-        steps = np.diff(rows, axis=0).reshape(-1, 2, 3)
-        self._last, self._sums = rows[-1:], self._sums + np.linalg.norm(steps, axis=2).sum(axis=0)
-
-    def figures(self) -> Figures:
-        return dict(zip(CommandVariation.titles, self._sums.tolist(), strict=True))
+    def figures(self, log: Log, setup: Setup) -> Figures:
+        """See `MetricContract`."""
+        steps = np.diff(np.column_stack([log[f"cmd_{name}"] for name in TWIST]), axis=0).reshape(-1, 2, 3)
+        return dict(zip(self.titles, np.linalg.norm(steps, axis=2).sum(axis=0).tolist(), strict=True))
 
 
 @spec
@@ -235,25 +182,12 @@ class ErrorGrowth:
         "rotation_error_growth_frames": ("Frames in which the rotation error grew", ""),
     }
 
-    def part(self, setup: Setup) -> Part:
-        """Counts."""
-        return _ErrorGrowth(self.least)
-
-
-class _ErrorGrowth:
-    def __init__(self, least: float) -> None:
-        self._least, self._last, self._largest = least, np.full(3, np.nan), np.full(3, -np.inf)
-        self._frames = np.zeros(3, dtype=int)
-
-    def add(self, log: Log) -> None:
+    def figures(self, log: Log, setup: Setup) -> Figures:
+        """See `MetricContract`."""
         errors = np.column_stack([log[name] for name in ("error_px", "position_error_m", "rotation_error_rad")])
-        rows = np.vstack([self._last, errors])
-        largest = np.maximum(self._largest, np.fmax.accumulate(np.nan_to_num(rows, nan=-np.inf), axis=0))
-        self._frames += (np.diff(rows, axis=0) > self._least * largest[1:]).sum(axis=0)
-        self._last, self._largest = rows[-1], largest[-1]
-
-    def figures(self) -> Figures:
-        return dict(zip(ErrorGrowth.titles, self._frames.tolist(), strict=True))
+        largest = np.fmax.accumulate(np.nan_to_num(errors, nan=-np.inf), axis=0)
+        grew = (np.diff(errors, axis=0) > self.least * largest[1:]).sum(axis=0)
+        return dict(zip(self.titles, grew.tolist(), strict=True))
 
 
 METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
@@ -275,28 +209,16 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
             owner[name] = f"metrics.{i}"
 
 
-def figures_of(metric: MetricContract, part: Part) -> Figures:
-    """The figures of a metric of one run. Raises ParameterError: they are not those of its `titles`, or not numbers."""
-    found, names = part.figures(), list(metric.titles)
+def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Figures:
+    """The figures of a scenario's own metrics of one run. Raises ParameterError: they are not those of the titles, or not numbers."""
+    return {name: value for metric in metrics for name, value in _figures_of(metric, log, setup).items()}
+
+
+def _figures_of(metric: MetricContract, log: Log, setup: Setup) -> Figures:
+    found, names = metric.figures(log, setup), list(metric.titles)
     if not isinstance(found, dict) or set(found) != set(names):
         raise ParameterError(f"metrics: {metric.kind}", f"figures() must give {', '.join(names)}, as its `titles` say", str(found))
     for name, value in found.items():
         if isinstance(value, bool) or not isinstance(value, Real | None):
             raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
     return {name: float(value) if isinstance(value := found[name], Real) else None for name in names}
-
-
-class OwnFigures:
-    """The part of a scenario's own metrics in one run."""
-
-    def __init__(self, metrics: Sequence[MetricContract], setup: Setup):
-        self._parts = [(metric, metric.part(setup)) for metric in metrics]
-
-    def add(self, log: Log) -> None:
-        """See `Part`."""
-        for _, part in self._parts:
-            part.add(log)
-
-    def figures(self) -> Figures:
-        """See `Part`; ParameterError as `figures_of`."""
-        return {name: value for metric, part in self._parts for name, value in figures_of(metric, part).items()}

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import math
-import weakref
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +12,6 @@ import pytest
 
 from tests.report.comparison.comparisons import build, errors, start_px
 from vstestbed.core.errors import RunFolderError
-from vstestbed.loop.log_file import FolderLog
 from vstestbed.report.comparison.figures import INSTANTS, read_series
 from vstestbed.report.comparison.results import TIME, ComparisonResults, Metric, against, pairs, short_names
 from vstestbed.report.comparison.tables import headline, pair_text
@@ -135,28 +131,6 @@ def test_a_run_holds_its_last_value_and_what_sees_nothing_ranks_last(tmp_path: P
     assert np.isinf(high).all()  # one of four has no log: the upper quartile lies between a number and none
     assert np.isfinite(low).all() and np.isinf(middle[-1])
     np.testing.assert_allclose(middle[10], np.sort(error[[0, 1, 3], 10])[1:].mean(), rtol=1e-6)
-
-
-def test_logs_are_read_one_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frame = build(tmp_path, {"a": 1.0}, 4)
-    read, alive, most = FolderLog.blocks, [0], []
-
-    class Column(np.ndarray):
-        """A column that is counted while it is held."""
-
-    def counting(log: FolderLog, names: tuple[str, ...]) -> Iterator[dict[str, np.ndarray]]:
-        gc.collect()
-        most.append(alive[0])
-        assert names == ("t", "error_px")  # and no more of it than that
-        for block in read(log, names):
-            held = {name: values.view(Column) for name, values in block.items()}
-            alive[0] += 1
-            weakref.finalize(held["t"], lambda: alive.__setitem__(0, alive[0] - 1))
-            yield held
-
-    monkeypatch.setattr(FolderLog, "blocks", counting)
-    read_series(tmp_path, ComparisonResults(frame))
-    assert len(most) == 4 and max(most) <= 1
 
 
 def test_logs_that_are_missing_or_empty_are_gaps_and_damaged_ones_are_named(tmp_path: Path) -> None:

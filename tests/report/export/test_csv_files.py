@@ -11,7 +11,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import OutputError
-from vstestbed.loop.log_file import read_log
+from vstestbed.loop.log_file import open_log
 from vstestbed.report.export.source import opened, write_csv
 
 
@@ -25,7 +25,7 @@ def test_a_log_comes_back_as_it_was(folders: list[Path], home: Path, tmp_path: P
         "runs/1.csv",
     ]
     for i, folder in enumerate(folders):
-        assert pl.read_csv(out / f"runs/{i}.csv").equals(read_log(folder))
+        assert pl.read_csv(out / f"runs/{i}.csv").equals(open_log(folder).frame())
     assert pl.read_csv(out / "comparison.csv").equals(table)
 
 
@@ -43,7 +43,7 @@ def test_what_there_is_not_is_empty(tmp_path: Path) -> None:
     folder.mkdir()
     settings = {"noise.dropout": 0.5, "stop.duration_s": 0.4, "detector": {"kind": "oracle"}}
     vs.run_into(folder, vs.load("arm_ibvs", settings, 3), "none", report=False)
-    out, log = write_csv(opened([folder]), tmp_path / "out"), read_log(folder)
+    out, log = write_csv(opened([folder]), tmp_path / "out"), open_log(folder).frame()
     found = pl.read_csv(out / "run.csv")
     unseen = np.isnan(log["u_0"].to_numpy())
     assert 0 < unseen.sum() < len(log)

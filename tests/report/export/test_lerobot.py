@@ -91,7 +91,7 @@ def test_rows_hold_the_run(dataset: Path, folders: list[Path]) -> None:
     data = pl.read_parquet(dataset / "data/*/*.parquet")
     for i, folder in enumerate(folders):
         run = RecordedRun.of(folder)
-        log, rows = dict(zip(run.log.columns, run.log.table().T, strict=True)), data.filter(pl.col("episode_index") == i)
+        log, rows = dict(zip(run.log.columns, run.log.table.T, strict=True)), data.filter(pl.col("episode_index") == i)
         np.testing.assert_allclose(rows["action"].to_numpy()[:, 0], log["cmd_vx"], rtol=1e-6)  # no limits: 1 is 1 m/s
         np.testing.assert_allclose(rows["observation.state"].to_numpy()[:, 5], log["q_joint_6"], rtol=1e-6)
         np.testing.assert_allclose(rows["markers"].to_numpy()[:, 3], log["v_1"], rtol=1e-6)

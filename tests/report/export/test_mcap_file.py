@@ -62,7 +62,7 @@ def exported(folders: list[Path], tmp_path_factory: pytest.TempPathFactory) -> P
 
 def test_topics_have_foxgloves_schemas_and_the_logs_times(exported: Path, folders: list[Path]) -> None:
     found, schemas, _, _ = read(exported)
-    log = RecordedRun.of(folders[0]).log.table()
+    log = RecordedRun.of(folders[0]).log.table
     columns = RecordedRun.of(folders[0]).log.columns
     assert FOXGLOVE.items() <= schemas.items()
     assert {name for name in schemas.values() if not name.startswith("foxglove.")} == {
@@ -79,7 +79,7 @@ def test_topics_have_foxgloves_schemas_and_the_logs_times(exported: Path, folder
 def test_numbers_are_the_logs_with_units_in_their_names(exported: Path, folders: list[Path]) -> None:
     found, _, _, _ = read(exported)
     run = RecordedRun.of(folders[0])
-    log = dict(zip(run.log.columns, run.log.table().T, strict=True))
+    log = dict(zip(run.log.columns, run.log.table.T, strict=True))
     for topic, field, column in (
         ("/camera/error", "error_px", "error_px"),
         ("/camera/depths", "depth_0_m", "depth_0"),

@@ -17,7 +17,7 @@ import pytest
 from tests.report.html import Reader, checked
 from vstestbed.core.errors import RunFolderError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, quaternion_wxyz, rigid_error, transform
-from vstestbed.loop.recording import MemoryRows
+from vstestbed.loop.log_file import Log
 from vstestbed.report import Setting, render_page, write_report
 from vstestbed.report.html.canvas import marker_colors
 from vstestbed.report.html.template import number
@@ -268,7 +268,7 @@ def test_long_logs_are_thinned_and_stay_quick() -> None:
     table = table[np.arange(60_000) % 20].with_columns(pl.Series("t", np.arange(60_000) / 1000))
     numbers = table.cast(pl.Float64).to_numpy().copy()
     numbers[12_345, table.columns.index("error_px")] = 1e4  # a peak in one frame is in the figure, with the rest of its row
-    rows = MemoryRows(tuple(table.columns), numbers)
+    rows = Log(tuple(table.columns), numbers)
     tracks = Tracks.of(rows, setting(4))
     assert 0.4 * MOST_ROWS < len(tracks.t) <= MOST_ROWS and tracks.t[0] == 0 and tracks.t[-1] == pytest.approx(59.999)
     assert tracks.t[np.nanargmax(tracks.column("error_px"))] == pytest.approx(12.345)

@@ -87,9 +87,8 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
     """Zero-order hold of a log's error at the times t (G,) [s]; NaN before its first frame, and everywhere where there is no log."""
     if not path.is_file():  # of a run that crashed
         return np.full(len(t), np.nan)
-    blocks = list(open_log(path.parent).blocks(("t", column)))
+    times, error = open_log(path.parent, names=("t", column)).table.T
     # 1e-9 s: a grid point that rounding has put just before its frame belongs to that frame
-    times, error = (np.concatenate([np.empty(0), *(block[name] for block in blocks)]) for name in ("t", column))
     frame = np.searchsorted(times, t + 1e-9, side="right") - 1
     return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)
 

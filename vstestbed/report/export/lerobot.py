@@ -88,8 +88,7 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     s = run.scenario
     markers = [f"{axis}{at}_{i}" for i in range(s.rows) for axis in "uv" for at in ("", "_goal")]
     columns = ["t", *markers, *(f"cmd_{name}" for name in TWIST), *(f"q_{name}" for name in s.robot.joints), *s.own_columns]
-    blocks = list(run.log.blocks(columns))
-    log = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    log = {name: run.log[name] for name in columns}
     n, frames = s.rows, len(log["t"])
     state = _state(s, log)
     last = np.arange(frames) == frames - 1

@@ -17,7 +17,7 @@ from vstestbed.camera import Image
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import PartFile, make_folder, whole_folder, write_whole, writing
 from vstestbed.core.geometry import Array
-from vstestbed.loop.log_file import FolderLog, open_log
+from vstestbed.loop.log_file import ROW_GROUP, Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.film import rows_of
 from vstestbed.report.video.overlay import FilmFrame
@@ -50,7 +50,7 @@ class RecordedRun:
 
     folder: Path  # of the run
     scenario: Scenario  # with its start and its noise
-    log: FolderLog  # on disk
+    log: Log
     summary: dict[str, Any] | None  # as written; None of a run that was cut off
 
     @classmethod
@@ -250,7 +250,7 @@ def write_csv(
 def _write_log(run: RecordedRun, path: Path, tick: Callable[[], None]) -> None:
     """A log, some thousands of rows at a time."""
     with writing(path), PartFile(path) as part:
-        for number, block in enumerate(run.log.frames()):
+        for number, block in enumerate(run.log.frame().iter_slices(ROW_GROUP)):
             buffer = io.BytesIO()
             block.with_columns(cs.float().fill_nan(None)).write_csv(buffer, include_header=number == 0)
             part.file.write(buffer.getvalue())

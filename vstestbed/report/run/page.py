@@ -12,7 +12,7 @@ import polars as pl
 
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import write_whole
-from vstestbed.loop.log_file import open_log
+from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.html.chart import Chart
 from vstestbed.report.html.template import STYLE, cell, figure, film, folded, page, picture
@@ -20,7 +20,7 @@ from vstestbed.report.run import figures, numbers, robots, space
 from vstestbed.report.run.tracks import Setting, Tracks
 
 if TYPE_CHECKING:
-    from vstestbed.loop.recording import Recording, Rows
+    from vstestbed.loop.recording import Recording
 
 FARTHEST_M: Final = 1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
 EMBED_BYTES: Final = 30_000_000
@@ -82,9 +82,7 @@ PLOTS: Final[dict[Callable[[Tracks], Chart | None], tuple[str, str]]] = {
 TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
 
 
-def write_report(
-    run_dir: Path, log: Rows | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()
-) -> Path:
+def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()) -> Path:
     """Write `report.html` into a run's folder; returns its path.
 
     Args:
@@ -114,7 +112,7 @@ def write_report(
 
 
 def render_page(
-    log: Rows | pl.DataFrame,
+    log: Log | pl.DataFrame,
     summary: Mapping[str, Any],
     texts: Mapping[str, str],
     videos: Mapping[str, Path],
@@ -179,12 +177,11 @@ def _goal_pictures(pictures: Sequence[bytes]) -> str:
     return f'<section class="films"><h2>Picture of the goal</h2><div class="grid">{cards}</div></section>' if cards else ""
 
 
-def _in_reach(run_dir: Path, log: Rows) -> Rows:
+def _in_reach(run_dir: Path, log: Log) -> Log:
     """The log, unless a position is so far away that only a damaged file can have it: figures have no scale for it."""
-    for block in log.blocks([f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"]):
-        for name, values in block.items():
-            if not (abs(values) < FARTHEST_M).all():
-                raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
+    for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
+        if not (abs(log[name]) < FARTHEST_M).all():
+            raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
     return log
 
 

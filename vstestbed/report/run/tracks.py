@@ -12,11 +12,11 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion, transform
+from vstestbed.loop.log_file import Log
 
 if TYPE_CHECKING:
     from vstestbed.camera import Camera
     from vstestbed.features import Feature
-    from vstestbed.loop.recording import Rows
     from vstestbed.scenario.scenario import Scenario
 
 
@@ -169,44 +169,22 @@ class Setting:
         )
 
 
-def thinned(log: Rows, most: int = MOST_ROWS) -> pl.DataFrame:
+def thinned(log: Log, most: int = MOST_ROWS) -> pl.DataFrame:
     """A log as a table of at most some `most` rows: every n-th, the first and the last, and those with an extreme of a column.
 
-    It is read twice, a block at a time. Of each of its intervals, as many as half the rows allow, the rows with the least and the largest
-    value of each column are kept: so each curve keeps its largest peaks.
+    Of each of its intervals, as many as half the rows allow, the rows with the least and the largest value of each column are kept: so
+    each curve keeps its largest peaks.
     """
     n = len(log)
-    chosen = np.arange(n)
-    if n > most:
-        intervals = max(1, most // (4 * len(log.columns)))
-        even = np.linspace(0, n - 1, most // 2).astype(int)
-        chosen = np.unique(np.concatenate([even, _extreme_rows(log, n, intervals)]))
-    parts, start = [], 0
-    for block in log.blocks():
-        end = start + len(block["t"])
-        at = chosen[(chosen >= start) & (chosen < end)] - start
-        parts.append({name: values[at] for name, values in block.items()})
-        start = end
-    return pl.DataFrame({name: np.concatenate([np.zeros(0), *(part[name] for part in parts)]) for name in log.columns})
-
-
-def _extreme_rows(log: Rows, n: int, intervals: int) -> NDArray[np.int_]:
-    """Numbers of the rows with the least and the largest value of each column, in each of so many intervals of the n rows."""
-    values = np.full((2, intervals, len(log.columns)), -np.inf)  # of -value and of value: two largest ones
-    rows = np.zeros(values.shape, dtype=int)
-    start = 0
-    for block in log.blocks():
-        interval = (start + np.arange(len(block["t"]))) * intervals // n
-        pieces = [np.flatnonzero(interval == k)[[0, -1]] for k in range(int(interval[0]), int(interval[-1]) + 1)]
-        for column, numbers in enumerate(block.values()):  # one by one: all at once would need several times the block's memory
-            for k, (first, last) in enumerate(pieces, int(interval[0])):
-                for side, sign in enumerate((-1, 1)):
-                    here = np.nan_to_num(sign * numbers[first : last + 1], nan=-np.inf, posinf=-np.inf)  # an infinity cannot be drawn
-                    at = int(here.argmax())
-                    if here[at] > values[side, k, column]:
-                        values[side, k, column], rows[side, k, column] = here[at], start + first + at
-        start += len(interval)
-    return rows[np.isfinite(values)]
+    if n <= most:
+        return pl.DataFrame(log.by_name())
+    chosen = [np.linspace(0, n - 1, most // 2).astype(int)]
+    for part in np.array_split(np.arange(n), max(1, most // (4 * len(log.columns)))):
+        table = log.table[part]
+        known = np.isfinite(table)  # an infinity cannot be drawn
+        extremes = np.where(known, table, np.inf).argmin(axis=0), np.where(known, table, -np.inf).argmax(axis=0)
+        chosen += [part[rows[known.any(axis=0)]] for rows in extremes]
+    return pl.DataFrame(Log(log.columns, log.table[np.unique(np.concatenate(chosen))]).by_name())
 
 
 @dataclass(frozen=True)
@@ -217,7 +195,7 @@ class Tracks:
     setting: Setting
 
     @classmethod
-    def of(cls, log: Rows | pl.DataFrame, setting: Setting) -> Tracks:
+    def of(cls, log: Log | pl.DataFrame, setting: Setting) -> Tracks:
         """The tracks of a log, thinned to MOST_ROWS rows where it has more (`thinned`)."""
         return cls(log if isinstance(log, pl.DataFrame) else thinned(log), setting)
 

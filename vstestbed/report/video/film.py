@@ -8,7 +8,6 @@ import math
 import queue
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +19,8 @@ import numpy as np
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.loop.recording import Rows, read_summary
+from vstestbed.loop.log_file import Log
+from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.outside import Outside, inset_share
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, draw_caption, draw_ending, overlay_of
 from vstestbed.report.video.writer import Image, VideoWriter, png_of
@@ -233,16 +233,15 @@ def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, siz
         replay.close()
 
 
-def rows_of(log: Rows) -> Iterator[dict[str, float]]:
+def rows_of(log: Log) -> Iterator[dict[str, float]]:
     """The rows of a log one by one."""
-    for block in log.blocks():
-        for values in zip(*block.values(), strict=True):
-            yield dict(zip(block, map(float, values), strict=True))
+    for row in log.table:
+        yield dict(zip(log.columns, row.tolist(), strict=True))
 
 
 def film_log(
     scenario: Scenario,
-    log: Rows,
+    log: Log,
     camera: str,
     path: Path,
     quality: Quality,
@@ -264,9 +263,9 @@ def film_log(
     return path if film.frames else None
 
 
-def picture_of_the_end(scenario: Scenario, log: Rows, path: Path, quality: Quality) -> None:
+def picture_of_the_end(scenario: Scenario, log: Log, path: Path, quality: Quality) -> None:
     """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no OpenGL, no space."""
-    (last,) = deque(rows_of(log), maxlen=1)
+    last = dict(zip(log.columns, log.table[-1].tolist(), strict=True))
     with closing(replay_of(scenario, quality, quality.size)) as replay:
         image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     write_whole(path, png_of(image))

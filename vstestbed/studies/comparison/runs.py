@@ -12,7 +12,7 @@ from typing import Any
 
 from vstestbed.core.errors import EnvironmentLackError, UnreachableError, VstestbedError
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.recording import Rows
+from vstestbed.loop.log_file import Log
 from vstestbed.scenario.dump import given_text
 from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
@@ -64,7 +64,7 @@ class RunRequest:
             return files_in(folder)
 
 
-def picture_of_the_end(scenario: Scenario, rows: Rows, folder: Path) -> None:
+def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
     """Write `end.png`: the scene from outside at the end of a failed run."""
     from vstestbed.report.video import film
     from vstestbed.report.video.film import FINE
