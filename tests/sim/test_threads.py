@@ -35,16 +35,6 @@ first, main, again = *in_threads(160), log(), *in_threads(160)
 wide = log(200)  # of another size: a rendering context of its own
 print(main[:2], {first, main, again} == {main}, in_threads(160, 200) == [main, wide], in_threads(200, 160, 200) == [wide, main, wide])
 """
-AT_EXIT = """
-class Started:
-    def __init__(self): self.ready = threading.Event()
-    def frame(self, frame): self.ready.set()
-for changes in ({}, {"camera.renderer": "rays"}, {"detector": "oracle"}):
-    run, started = vs.load("arm_ibvs", {"stop.duration_s": 1000, "stop.converged.error_px": 1e-9} | changes), Started()
-    threading.Thread(target=vs.run, args=(run, [started]), daemon=True).start()
-    assert started.ready.wait(60)
-print("ready")
-"""
 INTERRUPTED = """
 class Interrupts:
     def frame(self, frame): threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)).start() if frame.timing.number == 1 else None
@@ -74,10 +64,9 @@ REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; star
     ("code", "said"),
     [
         (ANY_ORDER + INTERRUPTED, "gl True True True\ninterrupted True\n"),
-        (AT_EXIT, "ready\n"),
         pytest.param(FORKED, f"0 True\n{REFUSED}\n0 True\n", marks=pytest.mark.study),
     ],
-    ids=["thread, main, thread, several at once, Ctrl-C", "the process ends during a run in a daemon thread", "forks"],
+    ids=["thread, main, thread, several at once, Ctrl-C", "forks"],
 )
 @pytest.mark.opengl
 def test_any_thread_draws(code: str, said: str, tmp_path: Path):

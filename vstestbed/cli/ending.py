@@ -24,10 +24,9 @@ from vstestbed.core.shares import STOPS
 
 
 class Stream:
-    """A standard stream that drops its text from the first error on; None: the process was started without it (`>&-`)."""
+    """A standard stream that drops its text from the first error on; None: the process has none."""
 
     def __init__(self, stream: TextIO | None):
-        self._closed = stream is None
         self._stream: Any = open(os.devnull, "w", encoding="utf-8") if stream is None else stream  # noqa: SIM115, PTH123 - open to the end
         if hasattr(self._stream, "reconfigure"):
             self._stream.reconfigure(errors="backslashreplace")  # in a locale without the degree sign it is \xb0
@@ -40,8 +39,6 @@ class Stream:
 
     def write(self, text: str) -> int:
         """Write text, or drop it."""
-        if self._closed and text:
-            self.lack = self.lack or OSError(errno.EBADF, "it is closed")
         self._tried(lambda: self._stream.write(text))
         return len(text)
 
@@ -67,11 +64,6 @@ class Stream:
 @contextmanager
 def standard_streams() -> Iterator[Stream]:
     """Make both streams safe to write to while a command runs; yields standard output."""
-    for descriptor in (0, 1, 2):  # else the next file that is opened, such as a log, would get what is printed
-        try:
-            os.fstat(descriptor)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number, which is this one
     before = sys.stdout, sys.stderr
     out, err = Stream(sys.stdout), Stream(sys.stderr)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, err)

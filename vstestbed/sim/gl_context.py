@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from vstestbed.core.lacks import shortage
 from vstestbed.sim import gl_probe
-from vstestbed.sim.gl_probe import may_end_here
 
 # The process's one OpenGL context, on a thread of its own, so that any thread may ask for pictures.
 #
@@ -69,10 +68,6 @@ class RenderingThread(executor.BaseRenderExecutor):
     def _lock_if_necessary(self) -> Any:
         # A job that asks for another one (a finaliser, for example) must not wait for whoever waits for the job.
         return threading.RLock() if threading.current_thread() is self._thread else self._mutex
-
-    def _check_not_terminated(self) -> None:
-        may_end_here(self._terminated)  # else a daemon thread that still draws while the process ends would raise
-        super()._check_not_terminated()
 
     def call(self, func: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Execute a function on the rendering thread and return its result."""

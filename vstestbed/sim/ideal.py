@@ -8,7 +8,6 @@ from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.gl_probe import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
@@ -76,7 +75,6 @@ class IdealPlant(Plant):
 
     def advance(self, steps: int) -> bool:
         """Advance by exact exponentials: no integration error, however many steps each stands for. False beyond all numbers."""
-        may_end_here()
         end = self._steps + steps
         while self._steps < end:
             ahead = self._orders.unchanged(self._steps, end - self._steps)

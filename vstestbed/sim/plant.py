@@ -18,7 +18,6 @@ from vstestbed.effects.base import Actor, Effect, StateIndices
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.gl_probe import may_end_here
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
@@ -429,7 +428,6 @@ class MujocoPlant(Plant):
 
         Onboard controllers act at fixed multiples of the physics step, however the calls divide the time.
         """
-        may_end_here()
         end = self._steps + steps
         while self._steps < end:
             ahead = end - self._steps
