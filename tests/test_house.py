@@ -127,7 +127,6 @@ WRITERS = {  # beside core/files.py: where, which call, and why it may
     ("report/video/writer.py", "open"): "the encoder writes into the open file of a PartFile",
     ("report/video/gif.py", "open"): "the encoder writes into memory",
     ("cli/ending.py", "open"): "opens the null device in place of a closed pipe",
-    ("cli/ending.py", "os.open"): "opens the null device in place of closed standard streams",
 }
 
 
@@ -160,7 +159,7 @@ def buffers(within: Iterable[ast.AST]) -> set[str]:
 
 
 def test_files_are_written_in_one_place():
-    """`core.files` opens a temporary name exclusively; every other writer could be led through a planted link, or leave half a file."""
+    """`core.files` writes under a temporary name and renames; every other writer could leave half a file."""
     found = {}
     for file in FILES:
         place = file.relative_to(PACKAGE).as_posix()

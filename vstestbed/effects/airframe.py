@@ -1,6 +1,6 @@
-"""The imperfections of one quadrotor in one run: its blocks (`flight_realism`) as forces, torques, orders and vibration.
+"""The imperfections of one quadrotor in one run: its blocks as forces, torques, orders and vibration.
 
-It knows the truth, which the simulator gives it, and the flight loops (`flight`) know nothing of it.
+It knows the truth, which the simulator gives it, and the flight loops know nothing of it.
 """
 
 from __future__ import annotations

@@ -224,7 +224,7 @@ REACH = 0.1
 """In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
 leave the first, so that a marker a little outside of its predicted window is still rendered."""
 MEASURED_PX = 2
-"""Blobs are measured so far beyond their mask's box [px] (`colour_blobs`), which may touch the window in which they were searched."""
+"""Blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched."""
 TWIN_COSINE = math.cos(math.radians(3))
 """Two blobs of one hue less than 3 degrees apart, in two overlapping panels, are one marker seen twice."""
 
