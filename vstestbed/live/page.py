@@ -24,15 +24,13 @@ FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
 FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
 AMBIENT = 1.2
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
-REACH = 0.13
-"""Length of the camera's frustum over its distance from the target, or from its goal, at the start."""
+REACH = 0.13  # length of the camera's frustum over its distance from the target, or from its goal, at the start
 REACH_OF_ROOM = 0.05
 """The same of a camera that stands in the room: it may be nearer to the viewer than the robot, and must not hide it."""
 SHORTEST_M, LONGEST_M = 0.06, 0.6
 NEAR = 0.02
 """Near plane over the distance of what is looked at: the depth buffer must tell lines on the floor from the floor."""
-LAYER_M = 0.004
-"""Distance of the grid under the floor of the simulation, and of the surface under the grid [m]."""
+LAYER_M = 0.004  # distance of the grid under the floor of the simulation, and of the surface under the grid [m]
 GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
 PLACES = 400  # points of the trail: when there are more, every other one is dropped
 PLATE_GREY = (115, 115, 120)

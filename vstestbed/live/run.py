@@ -36,8 +36,7 @@ from vstestbed.targets.picture import TEXTURE, textures
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
-SEED = "seed"
-"""The setting that draws start and noise as `--seed` does; None for the scenario's own start."""
+SEED = "seed"  # the setting that draws start and noise as `--seed` does; None for the scenario's own start
 DISTORTION = "camera.distortion"
 TEXTS = {"name", "description", "plugins"}
 
@@ -187,8 +186,7 @@ class Served:
         self._inbox.put(lambda: None)
 
 
-LATE_S = 0.25
-"""How far behind its pace a run may be and still catch up; beyond, it goes on from where it is."""
+LATE_S = 0.25  # how far behind its pace a run may be and still catch up; beyond, it goes on from where it is
 MEASURED_S = 2.0  # time on the wall over which the pace is measured
 
 

@@ -158,8 +158,7 @@ ON_FRONT, ON_REAR = 0.2044, 0.2956
 MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
 """Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3."""
-WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279
-"""Polynomial from the left crank to the left front wheel there."""
+WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279  # polynomial from the left crank to the left front wheel there
 
 
 @spec

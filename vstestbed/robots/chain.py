@@ -30,8 +30,7 @@ class ChainReader(Protocol):
         ...
 
 
-READERS: list[Callable[[], ChainReader]] = []
-"""Imports the reader when one is needed; `vstestbed.sim` enters it."""
+READERS: list[Callable[[], ChainReader]] = []  # imports the reader when one is needed; `vstestbed.sim` enters it
 
 
 def reader() -> ChainReader:

@@ -38,8 +38,7 @@ from vstestbed.studies.comparison import compare
 from vstestbed.studies.run_folder import Films, run_into
 from vstestbed.tasks.stop import Stop
 
-NEVER_S = 1e9
-"""Hold time at the goal that no run completes, so that the duration ends it."""
+NEVER_S = 1e9  # hold time at the goal that no run completes, so that the duration ends it
 BATCH_STEPS = 60
 """Steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps."""
 
@@ -267,8 +266,7 @@ def _floor(recording: Recording) -> BaselineCost:
 
 
 # What became slower or faster between two measurements of the benchmarks, beyond their noise.
-LEAST_CHANGE = 0.05
-"""A smaller change of the median is not called one."""
+LEAST_CHANGE = 0.05  # a smaller change of the median is not called one
 
 
 @spec
@@ -361,13 +359,11 @@ class SpeedChanges:
 
 
 ROBOTS = ("arm_ibvs", "omni_ibvs", "car_pbvs", "quadrotor_hover")
-SHORT_S = 4.0
-"""Simulated time of a benchmark's run [s]."""
+SHORT_S = 4.0  # simulated time of a benchmark's run [s]
 IDEAL_STEPS = 2000
 IDEAL: dict[str, object] = {"detector": {"kind": "oracle"}, "law.depth": "oracle"}
 RUNS, JOBS = 16, 2
-PROMPT = "import mujoco, cv2, numpy"
-"""What any program with physics and pictures must import."""
+PROMPT = "import mujoco, cv2, numpy"  # what any program with physics and pictures must import
 FIRST = """
 import os, vstestbed as vs
 class First:

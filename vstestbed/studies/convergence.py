@@ -26,8 +26,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
 
-CHUNK = 4
-"""Runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms."""
+CHUNK = 4  # runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms
 
 
 @dataclass(frozen=True)

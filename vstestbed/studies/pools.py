@@ -69,8 +69,7 @@ Of = TypeVar("Of")
 Asked = TypeVar("Asked", bound=Request[Any])
 MOST_TRIES = 2
 """Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
-RUNNING = ".running"
-"""Folder of the workers' temporary files in a study's folder."""
+RUNNING = ".running"  # folder of the workers' temporary files in a study's folder
 
 
 class Pool(Protocol):

@@ -38,8 +38,7 @@ FILM_CAMERAS: dict[str, dict[str, str]] = {
 }
 SUMMARY = "summary.json"
 OWN_FILES = (GIVEN, RESOLVED, "model.xml", "log.part")
-ASSETS = "assets"
-"""Folder of the files that model.xml refers to."""
+ASSETS = "assets"  # folder of the files that model.xml refers to
 REMEDY = "give a new folder; an older run is never written over"
 
 

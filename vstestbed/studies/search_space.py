@@ -27,8 +27,7 @@ OPTION = "--vary"
 FORM = "needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2,..."
 STEPS = 1000
 """Values of a range from which a search chooses: a recommendation of more digits than these would claim too much."""
-EDGE = 0.02
-"""Share of a range at each end that counts as its end."""
+EDGE = 0.02  # share of a range at each end that counts as its end
 
 
 @dataclass(frozen=True)
@@ -300,8 +299,7 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
 # Which settings to try next: a tree-structured Parzen estimator (optuna).
 #
 # Reference: Bergstra et al. 2011, Algorithms for hyper-parameter optimization, NeurIPS.
-STARTUP = 8
-"""Trials that are drawn at random before the estimator has anything to go by."""
+STARTUP = 8  # trials that are drawn at random before the estimator has anything to go by
 GUIDED, ATTEMPTS = 10, 200
 """Attempts at a setting that was not tried yet: by the estimator, then at random as well."""
 

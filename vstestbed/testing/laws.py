@@ -25,8 +25,7 @@ from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
 from vstestbed.timing.plan import Timing
 
-STEP = 1e-6
-"""Motion of the camera for a difference quotient [m, rad], which then has 9 digits."""
+STEP = 1e-6  # motion of the camera for a difference quotient [m, rad], which then has 9 digits
 VIEWS = 20
 RADIUS_M = 0.35
 
@@ -102,8 +101,7 @@ def quick(task: str) -> Scenario:
     return load(name, {"detector": {"kind": "oracle"}, **changes})
 
 
-FREE = ("t", "uv")
-"""Fields of an observation that are there for every law."""
+FREE = ("t", "uv")  # fields of an observation that are there for every law
 
 
 class _Frames:

@@ -19,8 +19,7 @@ from vstestbed.tasks.monitors import MONITORS, MonitorContract
 from vstestbed.testing.laws import quick
 from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
 
-DRAWS = 200
-"""Pictures or measurements of which a perturbation must change one at least."""
+DRAWS = 200  # pictures or measurements of which a perturbation must change one at least
 SHORT_S = 0.3
 
 

@@ -33,8 +33,7 @@ SCENES: dict[str, tuple[str, dict[str, object]]] = {
     "outline": ("arm_region", {}),
 }
 """A bundled scenario with each kind of marker in the picture at its start."""
-MARGIN_PX = 10.0
-"""A marker that must be found is this far inside the picture [px]."""
+MARGIN_PX = 10.0  # a marker that must be found is this far inside the picture [px]
 
 
 def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
@@ -109,14 +108,10 @@ def _check_nothing(detector: Detector[Any], s: Scenario, picture: Picture) -> No
 
 
 # What every lens must do.
-GRID = 25
-"""Pixels that are tried along each side of the picture."""
-LEAST_SEEN = 0.2
-"""Least share of the picture in which each pixel must have a ray."""
-WITHIN_PX = 1e-4
-"""Largest error of the way to a ray and back [px]: a thousandth of the best measurement."""
-AT_M = 0.6
-"""Distance of the target that is rendered [m]."""
+GRID = 25  # pixels that are tried along each side of the picture
+LEAST_SEEN = 0.2  # least share of the picture in which each pixel must have a ray
+WITHIN_PX = 1e-4  # largest error of the way to a ray and back [px]: a thousandth of the best measurement
+AT_M = 0.6  # distance of the target that is rendered [m]
 
 
 def check_camera(camera: Camera, seed: int = 0) -> None:
@@ -176,10 +171,8 @@ def _check_picture(camera: Camera, uv: Array) -> None:
 
 
 # What every kind of local features must do.
-WIDTH, HEIGHT, FINER = 320, 240, 2
-"""Size of the two pictures, and samples along each side of a pixel."""
-TURN_DEG, SIZE = 8.0, 0.93
-"""Rotation and scale of the second against the first."""
+WIDTH, HEIGHT, FINER = 320, 240, 2  # size of the two pictures, and samples along each side of a pixel
+TURN_DEG, SIZE = 8.0, 0.93  # rotation and scale of the second against the first
 SHEETS = 120
 
 

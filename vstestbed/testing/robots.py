@@ -11,10 +11,8 @@ from vstestbed.features import ThetaU
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 
-STEP = 1e-6
-"""Difference by which a configuration is moved [rad or m]: the quotient then has 9 digits."""
-HUGE = 1e4
-"""Factor on a twist that no real robot can make."""
+STEP = 1e-6  # difference by which a configuration is moved [rad or m]: the quotient then has 9 digits
+HUGE = 1e4  # factor on a twist that no real robot can make
 
 
 def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 0) -> None:

@@ -57,8 +57,7 @@ def _check_scene(target: Target) -> None:
 
 # What every motion of a target must do.
 SPAN_S, STEP_S = 10.0, 1e-3
-FASTEST_MPS = 50.0
-"""A path that moves by more than that is taken to jump [m/s]."""
+FASTEST_MPS = 50.0  # A path that moves by more than that is taken to jump [m/s]
 
 
 def check_motion(motion: MotionBase) -> None:
@@ -123,8 +122,7 @@ def _check_refusal(motion: MotionBase) -> None:
 
 
 # What every task must do.
-SHORT_FRAMES = 3
-"""A run of so many frames cannot end a task."""
+SHORT_FRAMES = 3  # A run of so many frames cannot end a task
 
 
 def check_task(scenario: Scenario) -> None:

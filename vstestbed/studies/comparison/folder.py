@@ -27,8 +27,7 @@ from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 
 PLAN = "comparison.yaml"
-GROUP = 10_000
-"""Runs of a row group of the table, and rows that are in memory as dictionaries."""
+GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
 DEEPEST = 5
 """Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)."""
 
@@ -133,8 +132,7 @@ class ComparisonTable(pl.DataFrame):
 
 # Results of a comparison beside its runs: the side-by-side film of one seed, and the report.
 FILM = "comparison.mp4"
-FILMS = ("overview.mp4", "camera.mp4")
-"""Films of a run, from top to bottom of its column."""
+FILMS = ("overview.mp4", "camera.mp4")  # films of a run, from top to bottom of its column
 
 
 def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
@@ -197,8 +195,7 @@ def command_of(comparison: Comparison) -> str:
 # An earlier comparison as the baseline of a new one: which of its runs are the same, and what changed in them.
 TABLES = ("comparison.parquet", "comparison.csv")
 NEEDED = ("scenario", "seed", "outcome", "success")
-MOST_NAMED = 6
-"""Most controllers of an earlier comparison that a message names."""
+MOST_NAMED = 6  # most controllers of an earlier comparison that a message names
 WORKS = "give the folder of a comparison, or its comparison.parquet or comparison.csv"
 Key = tuple[object, ...]
 

@@ -139,8 +139,7 @@ def _read_lists(file: str) -> StartLists:
 
 
 T = TypeVar("T")
-TASK, AMOUNT = "task", "amount"
-"""Columns that only a comparison with tasks has."""
+TASK, AMOUNT = "task", "amount"  # columns that only a comparison with tasks has
 OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *SOME_FIGURES)
 """Columns of the table, whose names no case may have."""
 
@@ -352,16 +351,14 @@ class Starts(Lazy[Scenario]):
         return self._made(i)[1]
 
 
-AS_IT_IS = "as_it_is"
-"""Name of the variant of a scenario where nothing is varied."""
+AS_IT_IS = "as_it_is"  # name of the variant of a scenario where nothing is varied
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
 MOST_KEPT = 10_000
 """Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
 
 
-SIDE_BY_SIDE = 1000
-"""Most folders in one: file browsers, and some file systems, are slow with more."""
+SIDE_BY_SIDE = 1000  # most folders in one: file browsers, and some file systems, are slow with more
 
 
 def among(number: int, of: int, name: str = "") -> str:
