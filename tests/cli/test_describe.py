@@ -49,7 +49,9 @@ def test_a_law(command) -> None:
     assert lines[0] == "law.pbvs"
     assert lines[2].startswith("u = -lambda pinv(L B) e")
     assert "Source: Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573." in lines
-    assert "gain 0.5 1/s lambda. See gain." in lines
+    shown = [line.split(" ")[0] for line in lines[lines.index("field default unit what it is") :]]
+    assert shown.index("translation") < shown.index("gain") < shown.index("solve")  # its own field before those of all laws of an error
+    assert any(line.startswith("gain 0.5 1/s lambda, a number or an adaptive gain") for line in lines)
     assert any(line.startswith("Used in: arm_pbvs, ") for line in lines)
     assert lines[-1] == "law: {kind: pbvs, gain: 0.5, translation: cdMc}"
 

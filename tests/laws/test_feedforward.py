@@ -12,7 +12,7 @@ from scipy.linalg import solve_discrete_are
 
 import vstestbed as vs
 from vstestbed.features.observation import OwnMotion
-from vstestbed.laws.feedforward import AlphaBeta, Change, KalmanCA, KalmanCV, follow, look_ahead, white_noise
+from vstestbed.laws.feedforward import AlphaBeta, KalmanCA, KalmanCV, follow, look_ahead, white_noise
 
 DT = 0.04
 STILL = OwnMotion(np.zeros(6), DT, np.zeros(6), 0.0, np.zeros(6))
@@ -23,7 +23,7 @@ def followed(kind, ways):
     """The trend after the target's displacements ways (K,) along x, seen by a camera that stands still."""
     trend = None
     for before, now in zip([ways[0], *ways[:-1]], ways, strict=True):
-        trend = follow(kind, trend, Change(np.eye(6)[0] * (now - before), np.eye(6)), B, STILL)
+        trend = follow(kind, trend, (np.eye(6)[0] * (now - before), np.eye(6)), B, STILL)
     return trend
 
 
@@ -73,7 +73,7 @@ def test_the_cameras_own_motion_is_taken_out():
     L = np.random.default_rng(0).normal(size=(8, 6))
     trend, motion = None, OwnMotion(twist, DT, np.zeros(6), 0.0, twist)
     for _ in range(50):
-        trend = follow(KalmanCV(), trend, Change(L @ twist * DT, L), B, motion)
+        trend = follow(KalmanCV(), trend, (L @ twist * DT, L), B, motion)
     assert np.allclose(trend.rate, 0, atol=1e-12)
 
 

@@ -14,7 +14,6 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
-from vstestbed.laws.following import NOTHING
 from vstestbed.laws.points import NO_POSE, TOO_FEW
 from vstestbed.targets.points import Square
 from vstestbed.vision.homography import relative_view
@@ -36,7 +35,7 @@ def test_the_matrix_is_the_derivative_of_the_error():
     goal, law, h = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source="model"), 1e-6
 
     def feature(T: Array) -> tuple[Array, Array]:
-        return law.equations(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
+        return law.of_middle(T[:3, 3] / TILTED[2, 3], TILTED[:3, :3] @ T[:3, :3].T, goal.T_camera_target[:3, 3])
 
     L = feature(AWAY)[1]
     for i, twist in enumerate(np.eye(6)):
@@ -48,7 +47,7 @@ def test_the_matrix_is_the_derivative_of_the_error():
 def test_homography_and_model_order_the_same(goal_pose: Array):
     goal = Goal.from_view(CAMERA, POINTS, goal_pose)
     o = view(AWAY, goal)
-    twists = [Hybrid(source=source).step(NOTHING, o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
+    twists = [(law := Hybrid(source=source)).step(law.init(goal), o, goal, np.eye(6))[1].twist for source in ("homography", "model")]  # pyright: ignore[reportArgumentType]
     assert twists[0] == pytest.approx(twists[1], abs=1e-6)  # findHomography computes in single precision
 
 
@@ -66,7 +65,7 @@ def test_views_that_cannot_be_compared_bring_rest():
     o = view(AWAY, goal)
     blind = Observation(t=0, uv=o.uv, xy=o.xy, depth=o.depth, T_camera_target=None, relative=None)
     for law in (Hybrid(), Hybrid(source="model")):
-        command = law.step(NOTHING, blind, goal, np.eye(6))[1]
+        command = law.step(law.init(goal), blind, goal, np.eye(6))[1]
         assert command.rest_reason == NO_POSE and not command.twist.any()
 
 
@@ -121,4 +120,4 @@ class TestFlat:
         o = view(AWAY, goal)
         for visible, reason in ((needed, ""), (needed - 1, TOO_FEW)):
             o.uv[:, 0] = np.where(np.arange(4) < visible, 1.0, np.nan)
-            assert law.step(NOTHING, o, goal, np.eye(6))[1].rest_reason == reason
+            assert law.step(law.init(goal), o, goal, np.eye(6))[1].rest_reason == reason

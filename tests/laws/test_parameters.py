@@ -12,24 +12,25 @@ import pytest
 from vstestbed.core.errors import ParameterError
 from vstestbed.laws import IBVS, PBVS, Hybrid, LawBase, LineFollowing, Partitioned, PoseController, Pursuit, Uncalibrated
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
+from vstestbed.laws.error_law import CARRY_S
 from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV
-from vstestbed.laws.following import CARRY_S
 from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import Solve
 from vstestbed.laws.uncalibrated import Broyden, Excitation, RecursiveLeastSquares
 
+OF_ERRORS = {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "smoothing_s": 0.0, "keep_last": False}
 NUMBERS: dict[type, dict[str, Any]] = {
-    IBVS: {"gain": ConstantGain(value=0.5), "smooth_start_s": 0.0, "smoothing_s": 0.0, "keep_last": False, "redundant": False},
-    Partitioned: {
-        "gain": ConstantGain(value=0.5),
+    IBVS: OF_ERRORS | {"redundant": False},
+    Partitioned: OF_ERRORS
+    | {
         "gain_z": 1.0,
         "gain_turn": 0.5,
         "gain_xy": 0.5,
         "axes": ("z", "wz"),
         "turn_limits_deg": None,
     },
-    PBVS: {"gain": ConstantGain(value=0.5)},
-    Hybrid: {"gain": ConstantGain(value=0.5)},
+    PBVS: OF_ERRORS,
+    Hybrid: OF_ERRORS,
     Uncalibrated: {
         "gain": ConstantGain(value=0.5),
         "step_px": 3.0,

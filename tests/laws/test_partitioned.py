@@ -177,8 +177,13 @@ class TestChoiceOfTurn:
     )
     def test_the_first_frame(self, limits: tuple[float, float] | None, angle: float, expected: float):
         law = Partitioned(turn_limits_deg=limits)
-        assert law._turn(None, np.array(angle)) == pytest.approx(expected, abs=1e-12)
-        np.testing.assert_allclose(law._turn(None, np.array([angle, 0.1])), [expected, 0.1], atol=1e-12)
+        assert law._turn(np.array(np.nan), np.array(angle)) == pytest.approx(expected, abs=1e-12)
+        np.testing.assert_allclose(law._turn(np.full(2, np.nan), np.array([angle, 0.1])), [expected, 0.1], atol=1e-12)
+
+    def test_of_many_each_chooses_at_its_own_first_frame(self):
+        for limits in (None, (-180, 180)):
+            found = Partitioned(turn_limits_deg=limits)._turn(np.array([3.1, np.nan]), np.array([-3.1, -3.1]))
+            np.testing.assert_allclose(found, [2 * np.pi - 3.1, -3.1])
 
     def test_later_the_way_round_is_kept(self):
         law = Partitioned()
@@ -196,7 +201,7 @@ def test_the_signs_and_gains_along_and_about_the_axis():
     memory, command = law.step(law.init(goal), seen, goal, np.eye(6))
     # Half as large as at the goal: forward; turned by 20 degrees: the camera turns after it.
     np.testing.assert_allclose(command.twist, [0, 0, 0.4 * 0.5, 0, 0, 0.3 * np.radians(20)], atol=1e-9)
-    assert memory.turn == pytest.approx(np.radians(20))
+    assert memory.own[0] == pytest.approx(np.radians(20))
     assert law.state_size == 1
 
 
@@ -211,7 +216,7 @@ def test_a_batch_rests_only_where_the_markers_span_no_area():
         seen = Observation(0, p[i, :, :2], p[i, :, :2] / p[i, :, 2:], p[i, :, 2])
         one, command = law.step(law.init(goal), seen, goal, np.eye(6))
         np.testing.assert_allclose(twist[i], command.twist, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(memory[i, 0], one.turn)
+        np.testing.assert_allclose(memory[i, 0], one.own[0])
 
 
 PARTITIONS = [("z",), ("wz",), ("x", "y"), ("x",), ("x", "y", "wz"), ("x", "y", "z"), ("x", "y", "z", "wz")]

@@ -21,12 +21,16 @@ GOAL = Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
 START = {"xyz": (0.6, 0.3, -2.0), "rpy_deg": (8.0, -14.0, 100.0)}
 
 
+def at(T: np.ndarray) -> Goal:
+    return Goal.from_view(CAMERA, POINTS, T)
+
+
 @pytest.mark.parametrize("way", ["cdMc", "cMcd", "cMo"])
 def test_the_matrix_is_the_derivative_of_the_error(way: Way):
     law, T, h = PBVS(translation=way), inverse(Pose(**START).T), 1e-6  # pyright: ignore[reportArgumentType]
-    L = law.equations(T, GOAL.T_camera_target)[1]
+    L = law.equations(at(T), GOAL)[1]
     for i, twist in enumerate(np.eye(6)):
-        ahead, back = (law.equations(exp(-s * h * twist) @ T, GOAL.T_camera_target)[0] for s in (1, -1))
+        ahead, back = (law.equations(at(exp(-s * h * twist) @ T), GOAL)[0] for s in (1, -1))
         assert (ahead - back) / (2 * h) == pytest.approx(L[:, i], abs=1e-8)
 
 

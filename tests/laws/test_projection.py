@@ -56,7 +56,7 @@ def test_the_norm_of_the_error_decreases_as_without_a_secondary_task():
 def test_the_projector_is_that_of_the_paper(T: np.ndarray):
     projection = Large()
     law, o = IBVS(), view(T)
-    e, L = law.equations(o.xy, o.depth, GOAL.xy, GOAL.depth)
+    e, L = law.equations(o, GOAL)
     share = projection.share(np.linalg.pinv(L) @ e)
     of_norm = np.eye(6) - np.outer(L.T @ e, L.T @ e) / (e @ L @ L.T @ e)
     P = share * of_norm + (1 - share) * (np.eye(6) - np.linalg.pinv(L) @ L)

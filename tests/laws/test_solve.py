@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import linalg
@@ -15,8 +17,8 @@ from vstestbed.features import Point
 from vstestbed.features.depth import OracleDepth
 from vstestbed.features.observation import Goal, Observation, OwnMotion
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, LineFollowing, Partitioned
-from vstestbed.laws.feedforward import Change, KalmanCV, follow
-from vstestbed.laws.following import Followed, change_of_markers
+from vstestbed.laws.error_law import Followed
+from vstestbed.laws.feedforward import KalmanCV, follow
 from vstestbed.laws.solve import PINV_RCOND, Solve, least_squares
 from vstestbed.robots import Mount
 from vstestbed.targets.points import Square
@@ -214,10 +216,10 @@ class TestLawsUseIt:
         assert self.twist(IBVS(solve=solve)) != pytest.approx(self.twist(IBVS()), abs=1e-3)
         for law in (PBVS(solve=solve, translation="cMo"), Hybrid(solve=solve, source="model")):
             if isinstance(law, PBVS):
-                e, L = law.equations(self.T, self.GOAL.T_camera_target)
+                e, L = law.equations(o, self.GOAL)
             else:
                 R = self.GOAL.T_camera_target[:3, :3] @ self.T[:3, :3].T
-                e, L = law.equations(self.T[:3, 3], R, self.GOAL.middle)
+                e, L = law.of_middle(self.T[:3, 3], R, self.GOAL.middle)
             assert self.twist(law) == pytest.approx(-0.5 * self.solved(solve, L, e), abs=1e-10)
 
     @pytest.mark.parametrize("solve", SOLVES, ids=repr)
@@ -231,14 +233,21 @@ class TestLawsUseIt:
         assert found[[0, 1, 3, 4]] == pytest.approx(expected, abs=1e-10)
 
     def test_the_target_of_a_feedforward(self):
-        change = Change(np.ones(6), np.diag([1.0, 1, 1, 1, 1, 0.05]), Solve(cutoff=0.1))
+        change, solve = (np.ones(6), np.diag([1.0, 1, 1, 1, 1, 0.05])), Solve(cutoff=0.1)
         still = OwnMotion(np.zeros(6), 0.04, np.zeros(6), 0.0, np.zeros(6))
-        trend = follow(KalmanCV(), follow(KalmanCV(), None, None, np.eye(6), still), change, np.eye(6), still)
+        trend = follow(KalmanCV(), follow(KalmanCV(), None, None, np.eye(6), still), change, np.eye(6), still, solve)
         np.testing.assert_allclose(trend.way, [1, 1, 1, 1, 1, 0], atol=1e-12)
-        law = IBVS(solve=Solve(cutoff=0.1), feedforward=KalmanCV())
-        seen = self.observation()
-        made = change_of_markers(law.feature, Followed(seen=seen, trend=trend), seen, 3, law.solve)
-        assert made is not None and made.solve == law.solve
+        # A law's own estimate of a target that has moved sideways, of which this cutoff leaves the tilt alone.
+        before = self.observation()
+        moved = replace(before, xy=before.xy + [0.01, 0], motion=still)
+        state = Followed(before, 0.0, np.zeros(4), KalmanCV().update(None, None, 0.04, 6))
+        L = Point().interaction(before.xy, before.depth)
+        for solve in (Solve(), Solve(cutoff=0.5)):
+            law = IBVS(solve=solve, feedforward=KalmanCV())
+            memory, _ = law.step(replace(law.init(self.GOAL), followed=state), moved, self.GOAL, np.eye(6))
+            mean = (L + Point().interaction(moved.xy, moved.depth)) / 2
+            assert memory.followed.trend is not None
+            np.testing.assert_allclose(memory.followed.trend.way, self.solved(solve, mean, np.tile([0.01, 0], 4)), atol=1e-10)
 
     def test_directions_that_are_left_out_are_free_for_a_secondary_task(self):
         for solve, free in ((Solve(), 0), (Solve(cutoff=0.1), 2)):

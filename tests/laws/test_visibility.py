@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features import Point
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
-from vstestbed.laws.base import ConstantGain
+from vstestbed.laws.base import ConstantGain, inputs_of
 from vstestbed.laws.points import Visibility, pixel_interaction
 from vstestbed.targets.points import Square
 from vstestbed.vision.homography import relative_view
@@ -170,5 +170,5 @@ class TestEdge:
 
     @pytest.mark.parametrize("law", [IBVS, Partitioned, Hybrid], ids=lambda law: law.__name__)
     def test_laws_ask_for_the_radius_only_with_a_margin(self, law: type[IBVS | Partitioned | Hybrid]):
-        assert law(visibility=FIELD).inputs == (*law().inputs, "radius_px")
-        assert "radius_px" not in law().inputs
+        assert inputs_of(law(visibility=FIELD)) == (*law().inputs, "radius_px")
+        assert "radius_px" not in inputs_of(law())

@@ -57,7 +57,7 @@ class TestTheLaw:
             assert session.episode.controller.law_memory is memory
             # u - u(0) exp(-t / tau): the first command in memory stays that of the old gain
             frame, other = session.step(), twin.step()
-            fade = memory.shaped.u0 * np.exp(-(frame.t - memory.shaped.t0))
+            fade = memory.u0 * np.exp(-(frame.t - memory.t0))
             np.testing.assert_allclose(frame.command.u, 1.8 * (other.command.u + fade) - fade, rtol=1e-9)
 
     @pytest.mark.parametrize(

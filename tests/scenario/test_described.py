@@ -14,6 +14,7 @@ from vstestbed.core.docstrings import class_text, unit_in
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.spec import spec
+from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.scenario.catalogue import bundled_uses, examples_of, schema_of
 from vstestbed.scenario.load import for_another_folder, load
@@ -120,7 +121,7 @@ def test_the_parts_of_a_docstring() -> None:
     assert words.sources == ("Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.",)
     assert "Errata." in words.text and "Args" not in words.text and "Reference" not in words.text
     assert words.fields["translation"].description == "`cdMc`, `cMcd` or `cMo`."
-    assert list(words.fields) == ["kind", "gain", "translation", "solve", "limits", "feedforward"]
+    assert list(words.fields) == [*class_text(ErrorLaw).fields, "kind", "translation"]
 
 
 def test_a_class_without_a_docstring_has_no_words() -> None:

@@ -16,10 +16,10 @@ from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation, Sight
+from vstestbed.laws import IBVS
+from vstestbed.laws.error_law import Followed
 from vstestbed.laws.feedforward import KalmanCV
-from vstestbed.laws.following import Followed, change_of_markers
 from vstestbed.laws.points import carried_markers
-from vstestbed.laws.solve import PSEUDO_INVERSE
 from vstestbed.loop.controller import detail
 from vstestbed.vision import Keypoints, keypoints
 from vstestbed.vision.keypoints import Klt, Slots
@@ -228,8 +228,8 @@ def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
     other[3] += 0.2  # another point in this row
     now = observed(other, [0, 1, 2, 30, 4, 5, 6, 7])
     memory = Followed(before, 0.0, np.zeros(8), KalmanCV().update(None, None, 0.1, 6))
-    change = change_of_markers(vs.features.Point(), memory, now, 3, PSEUDO_INVERSE)
-    assert change is not None and change.e.shape == (14,) and np.abs(change.e).max() < 1e-12
+    change = IBVS()._change(memory, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6))
+    assert change is not None and change[0].shape == (14,) and np.abs(change[0]).max() < 1e-12
     lost = other.copy()
     lost[[3, 5]] = np.nan
     carried = carried_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))

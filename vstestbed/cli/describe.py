@@ -137,7 +137,8 @@ def _table(*columns: str) -> Table:
 
 def _fields(cls: type, names: dict[type, str]) -> Table:
     table = _field_table("field")
-    for name in class_text(cls).fields:
+    # What makes it this kind comes before what all kinds have.
+    for name in sorted(class_text(cls).fields, key=lambda name: name not in cls.__annotations__):
         if name != "kind":
             table.add_row(Text(name, style="cyan"), *_cells(cls, name, names))
     return table

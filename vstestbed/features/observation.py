@@ -13,6 +13,9 @@ from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array, transform
 from vstestbed.robots.own_model import OwnModel
 
+COLUMNS = ("uv", "depth", "ray", "range")
+"""Fields with a row for each marker, of an observation and of a goal view."""
+
 
 @dataclass(frozen=True, slots=True)
 class Sight:
@@ -100,11 +103,16 @@ class Observation:
             return np.ones(len(self.uv), dtype=bool)
         return np.asarray((self.ids == before.ids) & (self.ids >= 0))
 
+    def of_rows(self, rows: NDArray[np.bool_] | slice) -> Observation:
+        """The same of its markers `rows` (N,) alone."""
+        columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px", "ids")}
+        return replace(self, **{name: a[rows] for name, a in columns.items() if a is not None})
+
     def only(self, counted: NDArray[np.bool_] | None) -> Observation:
         """The same without the markers that do not count, (N,) bool; all count where that is None."""
         if counted is None:
             return self
-        columns = {name: getattr(self, name) for name in ("uv", "xy", "depth", "ray", "range", "radius_px")}
+        columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px")}
         kept = {name: np.where(counted if a.ndim == 1 else counted[:, None], a, np.nan) for name, a in columns.items() if a is not None}
         return replace(self, **kept)
 
@@ -192,6 +200,12 @@ class Goal:
         reach = np.linalg.norm(p, axis=-1)
         return cls(uv, p[:, 2], camera.ray(uv), reach, T_camera_target, camera, _plane(p))
 
+    def of_rows(self, rows: NDArray[np.bool_] | slice) -> Goal:
+        """The same view with its markers `rows` (N,) alone; plane and middle stay those of all."""
+        made = replace(self, **{name: a[rows] for name, a in self._of_points.items()})
+        vars(made)["xy"] = self.xy[rows]  # not computed again
+        return made
+
     def rows(self, index: NDArray[np.intp]) -> Goal:
         """The same view with its points `index` (K,) in this order; -1 for a row without a point, which does not count."""
         there = index >= 0
@@ -204,7 +218,7 @@ class Goal:
 
     @property
     def _of_points(self) -> dict[str, Array]:
-        return {"uv": self.uv, "depth": self.depth, "ray": self.ray, "range": self.range}
+        return {name: getattr(self, name) for name in COLUMNS}
 
     def deepened(self, scale: Array) -> Goal:
         """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""

@@ -18,7 +18,7 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.feedforward import Feedforward, NoFeedforward
+from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import load_lapack
 
@@ -85,7 +85,9 @@ class Law(Protocol[M]):
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that `step` reads; the costly ones are computed only for laws that name them."""
+        """The fields of an Observation that the law reads, without those of its feedforward and visibility field (`inputs_of`); the costly
+        ones are computed only for laws that name them.
+        """
         ...
 
     @property
@@ -300,6 +302,12 @@ class LawBase:
     def prepare(self) -> None:
         """The solver of `least_squares`."""
         load_lapack()
+
+
+def inputs_of(law: Law[Any]) -> tuple[str, ...]:
+    """The fields of an Observation that a law reads, with what its feedforward and its repulsive field need."""
+    motion = ("motion",) if isinstance(law.feedforward, Estimator) else ()
+    return tuple(dict.fromkeys((*law.inputs, *motion, *law.visibility.inputs)))
 
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))

@@ -211,20 +211,18 @@ Feedforward = Annotated[NoFeedforward | Integral | AlphaBeta | KalmanCV | Kalman
 Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Change of the features since the last frame, e (m,), the mean of both interaction matrices, L (m, 6), and how L B is inverted."""
+def follow(
+    kind: Estimator, trend: Trend | None, change: tuple[Array, Array] | None, basis: Array, motion: OwnMotion, solve: Solve = PSEUDO_INVERSE
+) -> Trend:
+    """The target's motion after one more frame, basis (6, n).
 
-    e: Array
-    L: Array
-    solve: Solve = PSEUDO_INVERSE
-
-
-def follow(kind: Estimator, trend: Trend | None, change: Change | None, basis: Array, motion: OwnMotion) -> Trend:
-    """The target's motion after one more frame, basis (6, n); change: None where the two frames have too few markers in common."""
+    change: the error since the last frame e (m,) and its Jacobian J (m, 6); None where the two have too little in common. solve: inversion
+    of J B.
+    """
     step = None
     if trend is not None and change is not None:
-        step = change.solve.least_squares(change.L @ basis, change.e - change.L @ (motion.twist * motion.since_s))
+        e, J = change
+        step = solve.least_squares(J @ basis, e - J @ (motion.twist * motion.since_s))
     return kind.update(trend, step, motion.since_s, basis.shape[1])
 
 

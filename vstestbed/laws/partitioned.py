@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Len
@@ -15,23 +15,11 @@ from vstestbed.core.quantity import Angle, PositiveGain
 from vstestbed.core.spec import spec
 from vstestbed.features import Point, Polygon
 from vstestbed.features.depth import Depth, PnP
-from vstestbed.features.observation import Goal, Observation
+from vstestbed.features.observation import Goal
 from vstestbed.features.polygon import angle_error, segments, size, size_error, spans_area
-from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.feedforward import Feedforward, NoFeedforward
-from vstestbed.laws.following import (
-    NOTHING,
-    Followed,
-    anti_windup,
-    change_of_markers,
-    coasting,
-    feedforward_term,
-    inputs_of,
-    usable_markers,
-)
-from vstestbed.laws.points import NO_AREA, Rows, Visibility, check_goal, moved_markers, points
-from vstestbed.laws.solve import Solve, least_squares
-from vstestbed.laws.views import Views
+from vstestbed.laws.error_law import ErrorLaw
+from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
+from vstestbed.laws.solve import least_squares
 
 COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
 """Column of the twist of each motion that a single feature can command."""
@@ -41,23 +29,17 @@ _POINT, _POLYGON = Point(), Polygon()
 _ROUND = 2 * np.pi * np.array([-1.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True)
-class PartitionedMemory:
-    """The remaining rotation about the optical axis at the last frame [rad], not wrapped, None before the first; and the feedforward's."""
-
-    turn: Array | None = None
-    followed: Followed = NOTHING
-
-
 @spec
-class Partitioned(LawBase):
+class Partitioned(ErrorLaw):
     """Each of the motions `axes` is controlled by one feature of all markers together, the other motions by the points.
 
     v_z = -gain_z e_sigma,  w_z = gain_turn e_angle,  (v_x, v_y) = gain_xy Z e_middle         those of them in `axes`
     v_rest = pinv(L_rest) (-lambda e - L_axes v_axes)                                         the others
 
-    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible:
-    the features are those of the markers where they are predicted, and the estimated motion of the target is added to the twist.
+    With `feedforward` the features are those of the markers where they are predicted.
+
+    `solve` inverts L_rest. Far from the target, with neither x nor y in `axes`, its smallest singular value, of lateral motion together
+    with a tilt, is a hundredth of the largest or less, and the default keeps it: errors there grow, and the camera flies metres sideways.
 
     By default `axes` are z and wz (the XY/Z partition of print): size and angle of the markers' polygon drive the camera along and
     about its axis, the points do the rest.
@@ -78,7 +60,6 @@ class Partitioned(LawBase):
     compensated for the points. A test checks both against finite differences.
 
     Args:
-        gain: lambda, of the points [1/s].
         gain_z: gain of the size [m/s per unit of e_sigma].
         gain_turn: gain of the angle [1/s].
         gain_xy: gain of the markers' mean, where x or y is in `axes` [1/s].
@@ -86,32 +67,21 @@ class Partitioned(LawBase):
         sigma: form of the size error.
         turn_limits_deg: bounds (low, high) [deg] of the camera's rotation about its axis, from its start: the shortest rotation
             within them is chosen, which may be the longer way round. Without bounds, the shortest; e.g. `[-200, 160]`.
-        solve: inversion of L_rest (`Solve`). Far from the target, with neither x nor y in `axes`, its smallest singular value, of
-            lateral motion together with a tilt, is a hundredth of the largest or less, and the default keeps it: errors there grow,
-            and the camera flies metres sideways.
         depth: source of Z in L.
-        limits: largest speed and rate of the commanded twist.
-        visibility: repulsive field at the border of the image.
-        feedforward: the feedforward term for a moving target.
 
     Reference: Corke & Hutchinson 2001, doi:10.1109/70.954764.
     """
 
     kind: Literal["partitioned"] = "partitioned"
     needs_same_markers = True  # their polygon's size and angle
-    gain: Gain = ConstantGain()
     gain_z: PositiveGain = 1.0
     gain_turn: PositiveGain = 0.5
     gain_xy: PositiveGain = 0.5
     axes: Annotated[tuple[Axis, ...], Len(1, 4)] = ("z", "wz")
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
-    solve: Solve = Solve()
     depth: Depth = PnP()
-    limits: TwistLimits = TwistLimits()
-    visibility: Visibility = Visibility()
-    feedforward: Feedforward = NoFeedforward()
-    state_size = 1  # the remaining rotation about the optical axis
+    own_size = 1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
@@ -119,11 +89,6 @@ class Partitioned(LawBase):
             raise ParameterError("axes", "must name each motion once", list(self.axes))
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
             raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """Those of the points, the camera's own motion for feedforward, and the markers' radii for `visibility`."""
-        return (*_POINT.inputs, *inputs_of(self.feedforward), *self.visibility.inputs)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).
@@ -135,10 +100,6 @@ class Partitioned(LawBase):
             raise ParameterError("target", words)
         check_goal(_POLYGON, goal)
 
-    def init(self, goal: Goal) -> PartitionedMemory:
-        """No rotation chosen so far."""
-        return PartitionedMemory()
-
     def markers_needed(self, basis: Array) -> int:
         """Three span an area: enough while others are hidden for some frames, not enough for a target (`check`).
         Raises ParameterError: the robot cannot move its camera in all six directions.
@@ -148,63 +109,39 @@ class Partitioned(LawBase):
             raise ParameterError("law.kind", words)
         return 3
 
-    def step(self, memory: PartitionedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PartitionedMemory, Command]:
-        """One frame with the visible markers; rest when they are too few or span no area."""
-        kind, before, needed = self.feedforward, memory.followed, self.markers_needed(basis)
-        known, rows, why = usable_markers(kind, before, observation, basis, _POINT.inputs, needed)
-        if isinstance(rows, str):
-            return PartitionedMemory(memory.turn), Command.rest(basis, rows)
-        followed, ahead, tau = self._fed_forward(before, known, rows, goal, basis, why)
-        xy, goal_xy = ahead.xy[rows], goal.xy[rows]
-        sigma, d, sigma_star, d_star = size(xy), segments(xy), size(goal_xy), segments(goal_xy)
-        if not (spans_area(sigma, d) and spans_area(sigma_star, d_star)):
-            return PartitionedMemory(memory.turn), Command.rest(basis, NO_AREA)
-        turn = self._turn(memory.turn, angle_error(d, d_star))
-        twist = self._twist(xy, ahead.depth[rows], goal_xy, size_error(sigma, sigma_star, self.sigma), turn) - tau
-        if self.visibility.margin_px > 0:
-            twist = twist + basis @ self.visibility.push(observation, goal, basis)
-        # After the visibility field, whose push counts within the limits, too.
-        twist = twist * (scale := self.limits.scale(twist))
-        command = Command(u=least_squares(basis, twist), twist=twist, scale=scale)
-        return PartitionedMemory(turn, anti_windup(before, followed, command)), coasting(command, why)
+    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+        """Those of all points, which `motion` divides: the error (..., 2N) and L (..., 2N, 6)."""
+        return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(view.xy, view.depth)
 
-    def _fed_forward(
-        self, before: Followed, known: Observation, rows: Rows, goal: Goal, basis: Array, why: str
-    ) -> tuple[Followed, Observation, Array]:
-        """The next state of the feedforward, the observation with its markers where they are predicted, and the feedforward twist (6,).
-        known: the observation with what was carried over. rows: its usable markers. The others as `feedforward_term`.
-        """
-        if isinstance(self.feedforward, NoFeedforward):
-            return before, known, np.zeros(6)
-        e, L = _POINT.error(known.xy[rows].ravel(), goal.xy[rows].ravel()), _POINT.interaction(known.xy[rows], known.depth[rows])
-        solved = self.solve.least_squares(L @ basis, e)  # the remaining motion by all points, of all motions
-        change = change_of_markers(_POINT, before, known, self.markers_needed(basis), self.solve)
-        followed, predicted, tau = feedforward_term(self.feedforward, before, known, solved, change, basis, why)
-        # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
-        p = transform(exp(-basis @ (predicted - solved)), points(known))
-        return followed, moved_markers(known, p, np.ones(len(p), dtype=bool)), basis @ tau
-
-    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `BatchLaw`)."""
-        # Runs without an area are computed with sigma* instead, and set to NaN (rest) at the end: one batch, no branches.
-        sigma, d, sigma_star, d_star = size(views.xy), segments(views.xy), size(goal.xy), segments(goal.xy)
+    def motion(
+        self, own: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
+    ) -> tuple[Array, Array | str, Array | None]:
+        """The rotation that is left (..., 1), and the velocities; rest where the markers span no area."""
+        if basis is not None and shift is not None:
+            # The features are no linear function of that motion, so that it moves the markers: by its difference from the horizon's.
+            p = transform(exp(-basis @ shift), points(view))
+            view = moved_markers(view, p, np.ones(len(p), dtype=bool))
+            e, J = self.equations(view, goal)
+        sigma, d, sigma_star, d_star = size(view.xy), segments(view.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
-        first = np.isnan(memory[:, 0])
-        angle = angle_error(d, d_star)
-        turn = self._turn(None if first.all() else memory[:, 0], angle)
-        too_large = size_error(np.where(flat, sigma_star, sigma), sigma_star, self.sigma)
-        twist = self._twist(views.xy, views.depth, goal.xy, too_large, turn)
-        twist[flat] = np.nan
-        return turn[:, None], self.limits.within(twist)
+        if basis is not None and flat:
+            return own, NO_AREA, None
+        if basis is None:  # of many, those without an area are computed with sigma* instead, and set to NaN at the end: no branches
+            sigma = np.where(flat, sigma_star, sigma)
+        turn = self._turn(own[..., 0], angle_error(d, d_star))
+        twist = self._twist(e, J, view, goal, size_error(sigma, sigma_star, self.sigma), turn)
+        if basis is None:
+            twist[flat] = np.nan
+        return turn[..., None], twist if basis is None else least_squares(basis, twist), None
 
-    def _twist(self, xy: Array, depth: Array, goal_xy: Array, too_large: Array, turn: Array) -> Array:
-        """Camera twists (..., 6) at xy (..., N, 2) and depth (..., N) [m], for given errors of size and angle (...)."""
-        L, e = _POINT.interaction(xy, depth), _POINT.error(_POINT.measure(xy), _POINT.measure(goal_xy))
-        twist = np.empty(e.shape[:-1] + (6,))
+    def _twist(self, e: Array, L: Array, view: Any, goal: Goal, too_large: Array, turn: Array) -> Array:
+        """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (..., 2N, 6) of the points."""
+        twist = np.empty((*e.shape[:-1], 6))
         for axis in self.axes:
-            twist[..., COLUMN[axis]] = self._speed(axis, xy, depth, goal_xy, too_large, turn)
+            twist[..., COLUMN[axis]] = self._speed(axis, view.xy, view.depth, goal.xy, too_large, turn)
         for i, axis in enumerate(("x", "y")):
             if axis in self.axes:  # the equations of this coordinate, from the markers' mean
+                e, L = e.copy(), L.copy()
                 e[..., i::2] -= e[..., i::2].mean(axis=-1, keepdims=True)
                 L[..., i::2, :] -= L[..., i::2, :].mean(axis=-2, keepdims=True)
         given, rest = self._columns
@@ -224,20 +161,21 @@ class Partitioned(LawBase):
         aside = (xy[..., i] - goal_xy[..., i]).mean(axis=-1)
         return np.asarray(self.gain_xy * aside / (1 / depth).mean(axis=-1))
 
-    @property
+    @cached_property
     def _columns(self) -> tuple[list[int], list[int]]:
         given = sorted(COLUMN[axis] for axis in self.axes)
         return given, [i for i in range(6) if i not in given]
 
-    def _turn(self, last: Array | None, angle: Array) -> Array:
-        """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first frame and kept."""
-        ways = np.asarray(angle)[..., None] + _ROUND
-        if last is None:
-            if self.turn_limits_deg is None:
-                return np.asarray(angle)
+    def _turn(self, last: Array, angle: Array) -> Array:
+        """The remaining rotations (...) [rad], not wrapped: the way round is chosen at the first frame, where `last` is NaN, and kept."""
+        ways, first = np.asarray(angle)[..., None] + _ROUND, np.isnan(last)
+        if not first.any():
+            cost = np.abs(ways - last[..., None])  # near a half turn the wrapped angle would change its sign
+        elif self.turn_limits_deg is None:
+            cost = np.abs(ways - np.where(first, angle, last)[..., None])
+        else:
             low, high = (math.radians(limit) for limit in self.turn_limits_deg)
             beyond = np.maximum(np.maximum(low - ways, ways - high), 0.0)
-            cost = np.abs(ways) + 1e3 * beyond  # of those that exceed the bounds the least, the shortest
-        else:
-            cost = np.abs(ways - np.asarray(last)[..., None])  # near a half turn the wrapped angle would change its sign
+            # Of those that exceed the bounds the least, the shortest.
+            cost = np.where(first[..., None], np.abs(ways) + 1e3 * beyond, np.abs(ways - last[..., None]))
         return np.take_along_axis(ways, np.argmin(cost, axis=-1, keepdims=True), axis=-1)[..., 0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -10,19 +10,14 @@ from vstestbed.core.geometry import Array, inverse, log
 from vstestbed.core.spec import spec
 from vstestbed.features import ThetaU, Translation
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
-from vstestbed.laws.feedforward import Change, Feedforward, NoFeedforward
-from vstestbed.laws.following import NOTHING, Followed, anti_windup, coasting, feedforward_term, inputs_of, usable_pose
-from vstestbed.laws.points import NO_POSE, TOO_FEW
-from vstestbed.laws.solve import Solve
-from vstestbed.laws.views import Views
+from vstestbed.laws.error_law import ErrorLaw
 
 _THETA_U = ThetaU()
 _TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}
 
 
 @spec
-class PBVS(LawBase):
+class PBVS(ErrorLaw):
     """u = -lambda pinv(L B) e with e = (t - t*, theta u); the camera twist is v = B u.
 
     The rotation is theta u of R = R_goal_camera; the translation t and its rows of L are one of three:
@@ -32,66 +27,24 @@ class PBVS(LawBase):
     frame to its place at the goal, so that it stays in view.
     The pose comes from the markers' pixels and the known target (perspective-n-point); its errors enter the law.
 
-    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible. Its displacement between two frames
-    is that of the poses, log(T_before T_now^-1), less the camera's own.
+    For `feedforward` the target's displacement between two frames is that of the poses, log(T_before T_now^-1), less the camera's own.
 
     Errata. Corke 2017, section 15.1, moves the camera by a fraction of the pose error at each step (SE(3) interpolation), which is
     `cdMc` in finite steps; here the law gives a velocity, and the robot's dynamics lie in between.
 
     Args:
-        gain: lambda [1/s].
         translation: `cdMc`, `cMcd` or `cMo`.
-        solve: inversion of L B (`Solve`).
-        limits: largest speed and rate of the commanded twist.
-        feedforward: the feedforward term for a moving target.
 
     Reference: Chaumette & Hutchinson 2006, eqs 15-20, doi:10.1109/MRA.2006.250573.
     """
 
     kind: Literal["pbvs"] = "pbvs"
-    gain: Gain = ConstantGain()
     translation: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
-    solve: Solve = Solve()
-    limits: TwistLimits = TwistLimits()
-    feedforward: Feedforward = NoFeedforward()
-    state_size = 0
+    inputs = ("T_camera_target",)
 
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that it looks at."""
-        return ("T_camera_target", *inputs_of(self.feedforward))
-
-    def init(self, goal: Goal) -> Followed:
-        """The target's motion is unknown."""
-        return NOTHING
-
-    def markers_needed(self, basis: Array) -> int:
-        """Three: with as few the pose has up to four solutions, and the observer takes the one next to the last pose."""
-        return 3
-
-    def step(self, memory: Followed, observation: Observation, goal: Goal, basis: Array) -> tuple[Followed, Command]:
-        """One frame; rest where no pose is known."""
-        measured = observation.T_camera_target
-        few = np.count_nonzero(observation.seen) < self.markers_needed(basis)
-        why = NO_POSE if measured is None else TOO_FEW if few else ""
-        known = usable_pose(self.feedforward, memory, observation, goal, basis, why)
-        T = None if known is None else known.T_camera_target
-        if known is None or T is None:
-            return NOTHING, Command.rest(basis, why)
-        e, L = self.equations(T, goal.T_camera_target)
-        solved = self.solve.least_squares(L @ basis, e)
-        followed, solved, tau = feedforward_term(self.feedforward, memory, known, solved, _change(memory.seen, T), basis, why)
-        command = self.limits.command(-self.gain.at(solved) * solved - tau, basis)
-        return anti_windup(memory, followed, command), coasting(command, why)
-
-    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `BatchLaw`)."""
-        e, L = self.equations(views.T_camera_target, goal.T_camera_target)
-        solved = self.solve.least_squares(L, e)
-        return memory, self.limits.within(-self.gain.at(solved) * solved)
-
-    def equations(self, T_camera_target: Array, T_goal_target: Array) -> tuple[Array, Array]:
-        """The error (..., 6) and L (..., 6, 6) for poses of the target in the camera frame (..., 4, 4) and the goal frame (4, 4)."""
+    def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
+        """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and in the goal frame."""
+        T_camera_target, T_goal_target = view.T_camera_target, goal.T_camera_target
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
         t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
         if self.translation == "cMo":
@@ -102,9 +55,7 @@ class PBVS(LawBase):
         e = np.concatenate([t.error(t.measure(pose), s_star), turn], axis=-1)
         return e, np.concatenate([t.interaction(pose), _THETA_U.interaction_at(turn)], axis=-2)
 
-
-def _change(before: Observation | None, T_now: Array) -> Change | None:
-    """Change of the pose (4, 4) since the last frame, as a displacement of the camera relative to the target (6,); here L = I."""
-    if before is None or before.T_camera_target is None:
-        return None
-    return Change(log(before.T_camera_target @ inverse(T_now)), np.eye(6))
+    def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
+        """Change of the pose since the last frame, as a displacement of the camera relative to the target (6,); here L = I."""
+        assert before.T_camera_target is not None and now.T_camera_target is not None
+        return log(before.T_camera_target @ inverse(now.T_camera_target)), np.eye(6)

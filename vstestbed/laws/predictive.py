@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -20,9 +20,9 @@ from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, LawBase, TwistLimits
 from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, shared_limits, twist_limits, velocity_bounds
-from vstestbed.laws.feedforward import Feedforward, NoFeedforward
-from vstestbed.laws.following import inputs_of
-from vstestbed.laws.ibvs import IBVS, IBVSMemory
+from vstestbed.laws.error_law import ErrorState
+from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
+from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.points import Rows, check_margin, pixel_interaction, points, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.robots.own_model import OwnModel
@@ -164,7 +164,7 @@ class Plan:
     """The velocities planned in the last frame (B, n), None before the first, and the state of the target's estimated motion."""
 
     rates: Array | None = None
-    tracked: IBVSMemory = field(default_factory=IBVSMemory)
+    tracked: ErrorState | None = None
 
 
 @spec
@@ -226,7 +226,7 @@ class Predictive(LawBase):
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """The inputs of the feature, the robot, and the markers' radii for the border."""
-        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()), *inputs_of(self.feedforward))
+        return (*self.feature.inputs, "robot", *(("radius_px",) if self.margin_px is not None else ()))
 
     @property
     def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -281,11 +281,11 @@ class Predictive(LawBase):
         u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
         return Plan(plan, tracked), Command(u, twist, scale=scale, rates=rates, mode=mode)
 
-    def _target(self, memory: IBVSMemory, seen: Observation, goal: Goal, basis: Array) -> tuple[IBVSMemory, Array]:
+    def _target(self, memory: ErrorState | None, seen: Observation, goal: Goal, basis: Array) -> tuple[ErrorState | None, Array]:
         """The next state of the estimate, and the camera twist (6,) that would move the markers as the target's own motion does."""
-        if not inputs_of(self.feedforward):
+        if not isinstance(self.feedforward, Estimator):
             return memory, STILL
-        memory, _ = self._ibvs.step(memory, seen, goal, basis)
+        memory, _ = self._ibvs.step(memory or self._ibvs.init(goal), seen, goal, basis)
         trend = memory.followed.trend
         return memory, STILL if trend is None else basis @ trend.rate
 

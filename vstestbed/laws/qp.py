@@ -17,7 +17,7 @@ from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.base import Command, LawBase, TwistLimits, inputs_of
 from vstestbed.laws.constraints import (
     Group,
     Solution,
@@ -255,7 +255,7 @@ class QP(LawBase):
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
         """Those of the law within, the robot, and what the constraints need."""
         seen = ("xy", "depth", "radius_px") if self.margin_px is not None or self.plane_m is not None else ()
-        named = (*self.law.inputs, "robot", *seen, *(name for task in self.secondary for name in task.inputs))
+        named = (*inputs_of(self.law), "robot", *seen, *(name for task in self.secondary for name in task.inputs))
         return tuple(dict.fromkeys(named))
 
     @property
@@ -327,7 +327,7 @@ class QP(LawBase):
         return self.law.state_size
 
     def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of many runs (see `BatchLaw`): where the motion of the law within breaks no constraint, it is the solution.
+        """One frame of many runs (see `ErrorLaw.step_batch`): where the motion of the law within breaks no constraint, it is the solution.
 
         Only the programs of the others are solved, one by one; the ideal cameras of a batch have no joints.
         """
@@ -347,7 +347,7 @@ class QP(LawBase):
         if self.margin_px is None or len(goal.camera.panels) > 1:
             return binds.any(axis=1)
         M, N, _ = views.p.shape
-        distance, inwards = goal.camera.borders(goal.camera.project(views.p.reshape(-1, 3)))
+        distance, inwards = goal.camera.borders(views.uv.reshape(-1, 2))
         h = (distance - views.radius_px.reshape(-1, 1) - self.margin_px).reshape(M, -1)
         L = pixel_interaction(goal.camera, (views.ray * views.range[..., None]).reshape(-1, 3)).reshape(M, N, 2, 6)
         uv_dot = np.einsum("mnki,mi->mnk", L, twist).reshape(-1, 2)

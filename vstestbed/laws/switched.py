@@ -19,7 +19,7 @@ from vstestbed.core.spec import OneOf, Shorthand, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase, TwistLimits
+from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase, TwistLimits, inputs_of
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -273,7 +273,7 @@ class Switched(LawBase):
     @property
     def inputs(self) -> tuple[str, ...]:
         """What any of the laws and of the conditions reads."""
-        read = [name for part in self.laws for name in part.law.inputs]
+        read = [name for part in self.laws for name in inputs_of(part.law)]
         compared = [name for quantity in self._quantities for name in INPUTS.get(quantity, ())]
         return tuple(dict.fromkeys((*read, *compared)))
 

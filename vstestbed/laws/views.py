@@ -1,10 +1,10 @@
-"""Views of a batch of ideal cameras, with the field names of an Observation, and the interface of laws that take them."""
+"""Views of a batch of ideal cameras, with the field names of an Observation."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol, TypeGuard, runtime_checkable
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +30,7 @@ class Views:
     goal: Goal
     depth_from: Depth
     marker_radius_m: float = 0.0
+    relative = None  # exact pixels: what a homography tells, the pose tells as well
 
     @cached_property
     def xy(self) -> Array:
@@ -70,34 +71,21 @@ class Views:
             case _:
                 return true
 
-    def of_run(self, i: int, inputs: tuple[str, ...]) -> Observation:
-        """What the law of run i is shown: of the costly fields those that it names."""
-        rays = (self.ray[i], self.range[i]) if "ray" in inputs else (None, None)
+    @cached_property
+    def uv(self) -> Array:
+        """Pixels (M, N, 2)."""
+        return self.goal.camera.project(self.p)
+
+    def of_run(self, i: int, inputs: tuple[str, ...], moved: Array | None = None) -> Observation:
+        """What the law of run i is shown: of the costly fields those that it names. moved: its last motion (6,); None: none."""
+        rays = (self.ray[i], self.range[i]) if {"ray", "range"} & set(inputs) else (None, None)
         radius = self.radius_px[i] if "radius_px" in inputs else None
-        robot = OwnModel.of_ideal_camera(self.goal.camera.period) if "robot" in inputs else None
-        uv = self.goal.camera.project(self.p[i])
+        robot = OwnModel.of_ideal_camera(self.goal.camera.period, moved) if "robot" in inputs else None
         seen = self.xy[i], self.depth[i], self.T_camera_target[i]
-        return Observation(self.t, uv, *seen, *rays, radius_px=radius, robot=robot)
+        return Observation(self.t, self.uv[i], *seen, *rays, radius_px=radius, robot=robot)
 
 
-@runtime_checkable
-class BatchLaw(Protocol):
-    """A law that can also control a batch, by the equations of its `step` with leading axes."""
-
-    @property
-    def state_size(self) -> int:
-        """The number k of state variables of a run."""
-        ...
-
-    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
-        """One frame of M runs: the next memory (M, k), and the camera twists (M, 6), NaN where the law orders rest.
-        memory: the state (M, k); NaN before the first frame. views: the current views. goal: the goal view of the same markers.
-        """
-        ...
-
-
-def has_batch(law: Any) -> TypeGuard[BatchLaw]:
+def has_batch(law: Any) -> bool:
     """Whether a law controls a batch by the equations of its own `step`: a class that overrides `step` alone inherits another law's."""
-    classes = type(law).__mro__
-    made = [min((i for i, c in enumerate(classes) if name in vars(c)), default=len(classes)) for name in ("step_batch", "step")]
-    return isinstance(law, BatchLaw) and made[0] <= made[1]
+    first = next((vars(c) for c in type(law).__mro__ if {"step", "step_batch"} & vars(c).keys()), {})
+    return "step_batch" in first

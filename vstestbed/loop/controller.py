@@ -21,6 +21,7 @@ from vstestbed.core.named_files import is_file_module
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
+from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import Arrival, CommandHistory, Exposure, OwnRates, mount_at, since_exposure
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.plants import sight_of, with_images
@@ -103,7 +104,7 @@ def observer_of(scenario: Scenario) -> Observer:
         depth=scenario.law.depth,
         pixel_sigma_px=scenario.noise.pixel_sigma_px,
         dropout=scenario.noise.dropout,
-        required_fields=scenario.law.inputs,
+        required_fields=inputs_of(scenario.law),
         grounded=scenario.robot.base == "planar",
         derotation=scenario.derotation,
         trim_s=scenario.level_trim_s,
@@ -197,7 +198,7 @@ class Controller:
         self._start = scenario.robot.start_joints()
         self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(self._start), self._start))
         self._views = with_images(scenario, goal_images)
-        inputs = scenario.law.inputs
+        inputs = inputs_of(scenario.law)
         self._needs_motion, self._needs_sight, self._needs_robot = "motion" in inputs, "image" in inputs, "robot" in inputs
         self._needs_own_state = "proprioception" in inputs and bool(scenario.robot.proprioception_names)
         self._latest_s = scenario.timing.latest_s(scenario.camera)

@@ -15,6 +15,7 @@ from vstestbed.core.spec import kind_of
 from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
+from vstestbed.laws.base import inputs_of
 from vstestbed.laws.points import at_goal
 from vstestbed.robots import VEHICLES, Mount, Robot
 from vstestbed.sim.scene.world import World
@@ -238,7 +239,7 @@ def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law:
         return
     if law.needs_same_markers:
         raise _same_markers_needed(law, detector.kind)
-    if "radius_px" in law.inputs:
+    if "radius_px" in inputs_of(law):
         raise _kept_inside(law, detector.kind)
 
 

@@ -17,15 +17,15 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.depth import Estimate, PnP
-from vstestbed.features.observation import Goal, Observation, Relative
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Law
-from vstestbed.laws.views import BatchLaw, Views, has_batch
+from vstestbed.laws.base import inputs_of
+from vstestbed.laws.views import Views, has_batch
 from vstestbed.loop.controller import GuardedLaw
 from vstestbed.loop.judge import FAR_M
 from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
-from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
@@ -55,7 +55,7 @@ class OneByOne:
     state_size = 1
 
     def __init__(self, law: Law[Any], camera: Camera):
-        self._law, self._camera, self._memories = law, camera, []
+        self._law, self._camera, self._memories, self._inputs = law, camera, [], inputs_of(law)
         self._moved: list[Array] = []
         self._guarded: list[GuardedLaw] = []
 
@@ -66,7 +66,6 @@ class OneByOne:
         law is shown (m, N). goal: the goal view.
         """
         memory, twist = memory.copy(), np.full((len(memory), 6), np.nan)
-        uv = np.where(seen[..., None], self._camera.project(views.p), np.nan)
         for i in range(len(memory)):
             if np.isnan(memory[i, 0]):
                 memory[i, 0] = len(self._memories)
@@ -74,7 +73,7 @@ class OneByOne:
                 self._moved.append(np.zeros(6))
                 self._guarded.append(GuardedLaw(self._law))
             k = int(memory[i, 0])
-            observation = self._observation(views, i, seen[i], uv[i], goal, self._moved[k])
+            observation = self._observation(views, i, seen[i], goal, self._moved[k])
             self._memories[k], command = self._guarded[k].step(self._memories[k], observation, goal, SIX)
             if not command.rest_reason:
                 twist[i] = command.twist
@@ -85,17 +84,13 @@ class OneByOne:
         """In which runs, by the numbers of their memories (m, 1), the law has failed (m,)."""
         return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
 
-    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], uv: Array, goal: Goal, moved: Array) -> Observation:
-        inputs = self._law.inputs
-        shown = views.xy[i], views.depth[i], views.ray[i], views.range[i]
-        xy, depth, ray, reach = (np.where(seen if a.ndim == 1 else seen[:, None], a, np.nan) for a in shown)
-        T = views.T_camera_target[i] if np.count_nonzero(seen) >= LEAST_POSE else None
-        relative: Relative | None = relative_view(goal.xy, xy, goal.normal) if "relative" in inputs else None
-        if self._law.depth.needs_pose and T is None:
-            depth = np.full_like(depth, np.nan)
-        radius = views.radius_px[i] if "radius_px" in inputs else None
-        robot = OwnModel.of_ideal_camera(self._camera.period, moved) if "robot" in inputs else None
-        return Observation(views.t, uv, xy, depth, T, ray, reach, relative, radius_px=radius, robot=robot)
+    def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], goal: Goal, moved: Array) -> Observation:
+        shown = views.of_run(i, self._inputs, moved).only(None if seen.all() else seen)
+        relative = relative_view(goal.xy, shown.xy, goal.normal) if "relative" in self._inputs else None
+        if np.count_nonzero(seen) >= LEAST_POSE:
+            return replace(shown, relative=relative)
+        depth = np.full_like(shown.depth, np.nan) if self._law.depth.needs_pose else shown.depth
+        return replace(shown, T_camera_target=None, relative=relative, depth=depth)
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
@@ -197,8 +192,8 @@ class BatchSetup:
             raise ParameterError("scenario", f"{words}; `basin.setup.ideal` makes it so")
 
     @cached_property
-    def law(self) -> BatchLaw | OneByOne:
-        """The law, by its equations for many runs where it has such."""
+    def law(self) -> Any:
+        """The law, where it takes many runs at once; else `OneByOne`."""
         law = self.scenario.law
         return law if has_batch(law) else OneByOne(law, self.scenario.camera)
 
@@ -223,11 +218,6 @@ class BatchSetup:
         if math.isinf(duration_s):
             return sys.maxsize // 2
         return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
-
-    def goal(self, rows: NDArray[np.bool_] | slice) -> Goal:
-        """The goal view with only some of the markers."""
-        g = self.scenario.goal_view
-        return replace(g, uv=g.uv[rows], depth=g.depth[rows], ray=g.ray[rows], range=g.range[rows])
 
 
 def start_of(scenario: Scenario) -> Array:
@@ -488,7 +478,7 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
-        goal = setup.goal(slice(None) if rows.all() else rows)
+        goal = setup.scenario.goal_view if rows.all() else setup.scenario.goal_view.of_rows(rows)
         views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth, setup.scenario.target.marker.radius)
         memory[which], twist[which] = setup.law.step_batch(runs.memory[which], views, goal)
         if law.inputs == ("relative",):

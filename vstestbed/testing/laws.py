@@ -16,7 +16,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features import FEATURES, Feature
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Law, Policy
-from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS
+from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS, inputs_of
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import load
@@ -160,7 +160,7 @@ def _check_inputs(law: Law[Any], memory: Any, frame: Frame, basis: Array, comman
     """What the law's `inputs` do not name is not read: without it the command is the same."""
     if isinstance(law, Policy):  # whose function may read all that there is without asking
         return
-    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *law.inputs) and getattr(frame.observation, name) is not None]
+    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *inputs_of(law)) and getattr(frame.observation, name) is not None]
     if not _differs(law, memory, frame, basis, command, unnamed):
         return
     read = [name for name in unnamed if _differs(law, memory, frame, basis, command, [name])]
@@ -184,7 +184,7 @@ def _unnamed_in_source(law: Law[Any]) -> str:
         read = re.findall(rf"\b{name}\.(\w+)", inspect.getsource(type(law)))
     except (OSError, TypeError):  # a class that was typed in has no file
         return ""
-    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *law.inputs)]
+    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *inputs_of(law))]
     return f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None then" if unnamed else ""
 
 

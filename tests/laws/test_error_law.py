@@ -10,23 +10,17 @@ import pytest
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose, exp, transform
 from vstestbed.features.observation import Goal, Observation, OwnMotion
-from vstestbed.laws.base import Command
-from vstestbed.laws.feedforward import AlphaBeta, Change, Integral, KalmanCA, KalmanCV, NoFeedforward, Trend, look_ahead
-from vstestbed.laws.following import (
-    CARRY_S,
-    NOTHING,
-    Followed,
-    anti_windup,
-    coasting,
-    feedforward_term,
-    inputs_of,
-    usable_markers,
-    usable_pose,
-)
+from vstestbed.laws import IBVS, PBVS
+from vstestbed.laws.base import TwistLimits, inputs_of
+from vstestbed.laws.error_law import CARRY_S, NOTHING, Followed, integrated, usable_markers, usable_pose
+from vstestbed.laws.feedforward import AlphaBeta, Integral, KalmanCA, KalmanCV, NoFeedforward, Trend, look_ahead
+from vstestbed.laws.points import TOO_FEW
 from vstestbed.targets import Square
 from vstestbed.vision.homography import relative_view
 
 SIX, X = np.eye(6), np.array([1.0, 2, 3, 4, 5, 6])
+CAMERA, POINTS = Perspective(), Square(side=0.5, pose=Pose()).points
+AWAY = Pose(xyz=(0.1, -0.05, 1.2), rpy_deg=(5, -8, 20)).T
 
 
 def seen(t: float, motion: OwnMotion | None = None) -> Observation:
@@ -47,29 +41,42 @@ class TestIntegral:
     KIND = Integral(rate_per_s2=0.5)
 
     def test_it_grows_by_the_time_since_the_last_frame(self):
-        first, solved, term = feedforward_term(self.KIND, NOTHING, seen(2.0), X, None, SIX)
-        assert solved is X and not term.any()
-        second, _, term = feedforward_term(self.KIND, first, seen(2.3), X, None, SIX)
+        first, term = integrated(self.KIND, NOTHING, seen(2.0), X)
+        assert not term.any()
+        second, term = integrated(self.KIND, first, seen(2.3), X)
         np.testing.assert_allclose(term, 0.5 * 0.3 * X)
-        _, _, term = feedforward_term(self.KIND, second, seen(2.4), 2 * X, None, SIX)
+        _, term = integrated(self.KIND, second, seen(2.4), 2 * X)
         np.testing.assert_allclose(term, 0.5 * (0.3 * X + 0.1 * 2 * X))
 
     def test_it_does_not_grow_while_the_limits_scale_the_command(self):
-        before, after = Followed(integral=X), Followed(integral=2 * X, t=1.0)
-        for scale, kept in ((1.0, 2 * X), (0.999, X)):
-            made = anti_windup(before, after, Command(u=X, twist=X, scale=scale))
-            np.testing.assert_array_equal(made.integral, kept)
-            assert made.t == 1.0
+        view, goal = Goal.from_view(CAMERA, POINTS, AWAY), Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
+        frames = [Observation(0.1 * i, view.uv, view.xy, view.depth) for i in range(3)]
+        for speed, grows in ((None, True), (0.01, False)):
+            law = IBVS(feedforward=self.KIND, limits=TwistLimits(speed_mps=speed))
+            states, memory = [], law.init(goal)
+            for frame in frames:
+                memory, command = law.step(memory, frame, goal, SIX)
+                states.append(memory.followed)
+                assert (command.scale < 1) is not grows
+            assert [state.seen for state in states] == frames
+            assert (states[2].integral is not None and bool(states[2].integral.any())) is grows
 
 
 def test_without_feedforward_or_without_the_cameras_motion_nothing_is_added():
+    view, goal = Goal.from_view(CAMERA, POINTS, AWAY), Goal.from_view(CAMERA, POINTS, Pose(xyz=(0, 0, 1)).T)
+    plain = IBVS()
     for kind, motion in ((NoFeedforward(), own()), (KalmanCV(), None)):
-        after, solved, term = feedforward_term(kind, NOTHING, seen(0.0, motion), X, None, SIX)
-        assert after is NOTHING and solved is X and not term.any()
+        law = IBVS(feedforward=kind)
+        memory = law.init(goal)
+        after, command = law.step(memory, Observation(0.0, view.uv, view.xy, view.depth, motion=motion), goal, SIX)
+        assert after is memory
+        expected = plain.step(memory, Observation(0.0, view.uv, view.xy, view.depth), goal, SIX)[1]
+        np.testing.assert_array_equal(command.twist, expected.twist)
 
 
 def test_only_estimators_ask_for_the_cameras_motion():
-    assert [inputs_of(kind) for kind in (NoFeedforward(), Integral(), AlphaBeta(), KalmanCV(), KalmanCA())] == [(), (), *[("motion",)] * 3]
+    kinds = NoFeedforward(), Integral(), AlphaBeta(), KalmanCV(), KalmanCA()
+    assert ["motion" in inputs_of(PBVS(feedforward=kind)) for kind in kinds] == [False, False, True, True, True]
 
 
 class TestCarrying:
@@ -110,7 +117,7 @@ class TestCarrying:
         for name in (*inputs, "xy", "depth"):
             np.testing.assert_allclose(getattr(known, name), getattr(whole, name), atol=1e-12)
         np.testing.assert_array_equal(known.seen, seen.seen)  # what the picture shows stays
-        pose = usable_pose(self.KIND, memory, seen, self.GOAL, SIX, "too few")
+        pose = usable_pose(self.KIND, memory, seen, self.GOAL, SIX)
         assert pose is not None and pose.T_camera_target is not None and pose.relative is not None and whole.relative is not None
         np.testing.assert_allclose(pose.T_camera_target, whole.T_camera_target, atol=1e-12)
         np.testing.assert_allclose(pose.relative.H, whole.relative.H, atol=1e-9)
@@ -134,7 +141,7 @@ class TestCarrying:
             memory, seen, _ = self.frames((1, 2), dt)
             rows = usable_markers(self.KIND, memory, seen, SIX, ("xy", "depth"), 3)[1]
             assert isinstance(rows, str) != goes_on
-            assert (usable_pose(self.KIND, memory, seen, self.GOAL, SIX, "too few") is not None) == goes_on
+            assert (usable_pose(self.KIND, memory, seen, self.GOAL, SIX) is not None) == goes_on
         memory, seen, _ = self.frames((1,), CARRY_S + 0.01)  # enough markers without it
         known, rows, why = usable_markers(self.KIND, memory, seen, SIX, ("xy", "depth"), 3)
         assert not why and np.array_equal(rows, [True, False, True, True]) and np.isnan(known.xy[1]).all()
@@ -149,22 +156,25 @@ class TestCarrying:
         )
         for kind, state, observation in lacking:
             assert isinstance(usable_markers(kind, state, observation, SIX, ("xy", "depth"), 3)[1], str)
-            assert usable_pose(kind, state, observation, self.GOAL, SIX, "too few") is None
-        assert usable_pose(Integral(), NOTHING, whole, self.GOAL, SIX, "") is whole
+            assert usable_pose(kind, state, observation, self.GOAL, SIX) is None
         assert usable_markers(self.KIND, memory, whole, SIX, ("xy", "depth"), 3)[0] is whole
 
     def test_the_estimate_learns_nothing_from_a_frame_without_enough(self):
-        memory, seen, _ = self.frames((1, 2))
-        change = Change(np.ones(6), SIX)
-        after = feedforward_term(self.KIND, memory, seen, X, change, SIX, "too few")[0]
+        memory, seen, whole = self.frames((1, 2))
+        law = IBVS(feedforward=self.KIND)
+        after = law.step(replace(law.init(self.GOAL), followed=memory), seen, self.GOAL, SIX)[0].followed
         assert after.trend is not None and after.t == self.LONG
         np.testing.assert_allclose(after.trend.rate, self.RATE)
         np.testing.assert_array_equal(after.marker_t, [seen.t, self.LONG, self.LONG, seen.t])
-        assert feedforward_term(self.KIND, memory, seen, X, change, SIX)[0].t == seen.t
+        assert law.step(replace(law.init(self.GOAL), followed=memory), whole, self.GOAL, SIX)[0].followed.t == seen.t
 
     def test_a_command_says_what_is_lacking(self):
-        command = Command(u=X, twist=X)
-        assert coasting(command, "") is command and coasting(command, "too few").rest_reason == "too few"
+        memory, seen, whole = self.frames((1, 2))
+        for law, why in ((IBVS(feedforward=self.KIND), TOO_FEW), (PBVS(feedforward=self.KIND), TOO_FEW)):
+            state = replace(law.init(self.GOAL), followed=memory)
+            command = law.step(state, seen, self.GOAL, SIX)[1]
+            assert command.rest_reason == why and command.twist.any()
+            assert not law.step(state, whole, self.GOAL, SIX)[1].rest_reason
 
 
 class TestHorizon:
