@@ -139,21 +139,25 @@ class OneOf(Room):
     ):
         super().__init__(what, number, default, fields)
         self.contract = contract
-        for member in members:
-            self._add(member)
+        for member in members:  # a test checks them against the contract, which takes too long for each start
+            self._check(member)
+            self.members[kind_of(member)] = member
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
         Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
-        self._add(member)
+        self._check(member)
+        if self.contract is not None:
+            self.contract.check(member)
+        self.members[kind_of(member)] = member
         return member
 
     def without(self, kind: str) -> OneOf:
         """The same room for a field in the block of one of its kinds, which may not hold another of that kind."""
         return _Without(self, kind)
 
-    def _add(self, member: type) -> None:
+    def _check(self, member: type) -> None:
         # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
         if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
@@ -164,9 +168,6 @@ class OneOf(Room):
             place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
-        if self.contract is not None:
-            self.contract.check(member)
-        self.members[kind] = member
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
