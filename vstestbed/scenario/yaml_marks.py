@@ -106,7 +106,7 @@ def _node_of(events: Iterable[Any], file: str) -> _Node | None:
                 raise ScenarioError([Mistake(place, "", f"is not YAML: found undefined alias {event.anchor!r}")])
             open_nodes[-1].parts.append(anchors[event.anchor])
             continue
-        node = _Node("scalar", place, event.start_mark.index, event.end_mark.index, event.tag or "")
+        node = _Node("scalar", place, event.start_mark.index, event.end_mark.index, getattr(event, "tag", "") or "")
         if isinstance(event, yaml.ScalarEvent):
             node.text, node.quoted = event.value, not event.implicit[0]
         else:
