@@ -141,7 +141,6 @@ def one_figure(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
     from vstestbed.core.registry import SPECS
-    from vstestbed.core.spec import needs_rebuild
     from vstestbed.scenario.validation import KINDS
 
     before, modules = {room: dict(kinds.members) for room, kinds in KINDS.items()}, set(sys.modules)
@@ -154,10 +153,8 @@ def own_kinds() -> Iterator[None]:
         del sys.modules[name]
     SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
     for room, members in before.items():
-        if KINDS[room].members != members:
-            KINDS[room].members.clear()
-            KINDS[room].members.update(members)
-            needs_rebuild(KINDS[room].what)
+        KINDS[room].members.clear()
+        KINDS[room].members.update(members)
 
 
 QUICK = """\

@@ -52,10 +52,22 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
 @pytest.mark.parametrize("module", ["vstestbed", "vstestbed.cli.app"])
 def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """`--help` has to come at once, so nothing that takes more than some milliseconds may be imported for it."""
-    heavy = ["numpy", "mujoco", "dm_control", "cv2", "polars", "matplotlib", "spatialmath", "pydantic", "ruamel", "av", "scipy", "rich"]
+    heavy = ["numpy", "mujoco", "dm_control", "cv2", "polars", "matplotlib", "spatialmath", "pydantic", "yaml", "av", "scipy", "rich"]
     code = f"import sys, {module}; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_loading_a_scenario_builds_few_validators_and_reads_no_docstring(vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
+    """Of some 220 spec classes those alone that the scenario holds; griffe reads docstrings, for `describe` and messages."""
+    code = """if True:
+        import sys, vstestbed as vs
+        from vstestbed.core.spec import validator_of
+        vs.load("arm_ibvs")
+        print("griffe" in sys.modules, validator_of.cache_info().currsize)"""
+    done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
+    griffe, built = done.stdout.split()
+    assert griffe == "False" and 5 < int(built) < 40
 
 
 def test_a_run_imports_nothing_before_it_needs_it(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import re
-import typing
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
+from vstestbed.core import fields as tree
+from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
 from vstestbed.core.named_files import model_path
-from vstestbed.core.registry import blocks_in
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
 from vstestbed.effects.battery import Battery
 from vstestbed.effects.floor import UnevenFloor
@@ -33,7 +32,6 @@ from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import QuadrotorParameters
 from vstestbed.robots.vehicle import WornVehicle
-from vstestbed.scenario.catalogue import default_of
 from vstestbed.scenario.dump import flow_text
 
 CLASSES: dict[str, type] = {
@@ -56,13 +54,10 @@ def fields(name: str, only: Sequence[str] = ()) -> Iterable[tuple[str, str, str,
         name: of the class. only: the fields that are wanted; none: all but blocks.
     """
     cls = CLASSES[name]
-    own = {field.name: field for field in dataclasses.fields(cls)}
-    hints = typing.get_type_hints(cls, include_extras=True)
     for field, text in class_text(cls).fields.items():
-        value = default_of(own[field])
-        if field == "kind" or (only and field not in only) or (not only and list(blocks_in(hints[field]))):
+        value, unit = tree.fields(cls)[field].default, text.unit
+        if field == "kind" or (only and field not in only) or (not only and list(tree.fields(cls)[field].node.blocks())):
             continue
-        unit = text.unit or unit_in(text.description)
         shown = plain(value) if isinstance(value, float) else "none" if value is None else flow_text(value)
         yield field, shown, "" if unit == DIMENSIONLESS else unit, with_zero(without_unit(text.description)).replace("|", "\\|")
 

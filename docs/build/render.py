@@ -14,7 +14,7 @@ from typing import Any
 
 import jinja2
 import polars as pl
-from ruamel.yaml import YAML
+import yaml
 
 import vstestbed as vs
 from docs.build import parameters
@@ -80,7 +80,7 @@ def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
 
 def comparisons() -> list[tuple[str, str]]:
     """Name and description of the bundled comparisons."""
-    return [(name, YAML(typ="safe").load(file).get("description", "")) for name, file in bundled_comparisons().items()]
+    return [(name, yaml.safe_load(file.read_text(encoding="utf-8")).get("description", "")) for name, file in bundled_comparisons().items()]
 
 
 def judged(summary: Row) -> str:

@@ -54,7 +54,7 @@ class TestBadInput:
             (["quick.yaml", "--set", "law"], "--set needs the form a.b=value, got 'law'"),
             (["quick.yaml", "--set", "=1"], "--set needs the form a.b=value, got '=1'"),
             (["quick.yaml", "--set", "law.=1"], "--set needs the form a.b=value, got 'law.=1'"),
-            (["quick.yaml", "--set", "law.gain=[1"], "--set value is not YAML: expected ',' or ']'"),
+            (["quick.yaml", "--set", "law.gain=[1"], "--set value is not YAML: did not find expected ',' or ']'"),
             (["quick.yaml", "--set", "target.side.x=1"], "--set: target.side.x: target.side is a value, not a block, got 0.4"),
             (["quick.yaml", "--set", "robot.start.nominal.xyz.3=1"], "there is no item 3 in a list of 3 (the first is item 0)"),
             (["quick.yaml", "--set", "law=nbvs"], f"--set: law: is no law; valid kinds: {LAW_WORDS}, got 'nbvs'"),

@@ -10,6 +10,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features import FEATURES
+from vstestbed.scenario.validation import KINDS
 from vstestbed.vision import DETECTORS
 
 
@@ -149,6 +150,13 @@ def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str
     for member in (Plain, Computed):
         with pytest.raises(ParameterError, match=rf"^{member.__name__}\.colours {sentence}"):
             shapes().add(member)
+
+
+@pytest.mark.parametrize("room", [room for room in KINDS.values() if room.contract is not None], ids=lambda room: room.what)
+def test_every_bundled_kind_keeps_the_contract_of_its_room(room: OneOf) -> None:
+    assert room.contract is not None
+    for member in room.members.values():
+        room.contract.check(member)
 
 
 def test_features_and_detectors_have_contracts() -> None:

@@ -12,7 +12,7 @@ from annotated_types import Gt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.registry import to_mapping
-from vstestbed.core.spec import OneOf, kind_of, spec
+from vstestbed.core.spec import OneOf, kind_of, spec, whole_adapter
 
 
 @spec
@@ -134,7 +134,8 @@ def test_a_mapping_has_every_default_and_the_kind_first() -> None:
 
 
 def test_the_schema_offers_blocks_words_that_need_no_more_and_numbers() -> None:
-    choices = room(number=("disc", "radius"))[1].json_schema()["anyOf"]
+    shapes, _ = room(number=("disc", "radius"))
+    choices = whole_adapter(Annotated[Disc | Ring, shapes]).json_schema()["anyOf"]
     assert [c["$ref"] for c in choices if "$ref" in c] == ["#/$defs/Disc", "#/$defs/Ring"]
     assert {"enum": ["disc"]} in choices  # a bare `ring` would lack its inner radius
     assert {"type": "number", "exclusiveMinimum": 0} in choices  # the radius, with its bounds

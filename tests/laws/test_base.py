@@ -11,7 +11,7 @@ import pytest
 
 from vstestbed import load, run
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.spec import rebuild_specs, spec
+from vstestbed.core.spec import spec
 from vstestbed.features import Point
 from vstestbed.features.depth import PnP
 from vstestbed.laws import IBVS, LAWS, Command, LawBase
@@ -36,7 +36,6 @@ def bare() -> type:
             u = -self.gain * least_squares(point.interaction(observation.xy, observation.depth) @ basis, e)
             return memory, self.limits.command(u, basis)
 
-    rebuild_specs()
     return Bare
 
 

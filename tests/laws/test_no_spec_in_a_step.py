@@ -34,13 +34,13 @@ def built(monkeypatch: pytest.MonkeyPatch) -> Built:
     """Runs a scenario for some frames; the specs that were built in the steps of its law, each with where."""
     found: set[str] = set()
     within: list[object] = []
-    refresh, step = spec.refresh_specs, GuardedLaw.step
+    construct, step = spec.construct, GuardedLaw.step
 
-    def refreshed() -> bool:  # each constructor of a spec calls it first
+    def constructed(made: object, *given: Any) -> None:
         if within:
-            init, caller = sys._getframe(1), sys._getframe(2)
-            found.add(f"{type(init.f_locals['self']).__name__} in {caller.f_code.co_filename}:{caller.f_lineno}")
-        return refresh()
+            caller = sys._getframe(2)
+            found.add(f"{type(made).__name__} in {caller.f_code.co_filename}:{caller.f_lineno}")
+        construct(made, *given)
 
     def stepped(self: GuardedLaw, *given: Any) -> Any:
         within.append(self)
@@ -49,7 +49,7 @@ def built(monkeypatch: pytest.MonkeyPatch) -> Built:
         finally:
             within.pop()
 
-    monkeypatch.setattr(spec, "refresh_specs", refreshed)
+    monkeypatch.setattr(spec, "construct", constructed)
     monkeypatch.setattr(GuardedLaw, "step", stepped)
 
     def run(scenario: vs.Scenario, frames: int) -> set[str]:

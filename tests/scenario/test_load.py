@@ -134,16 +134,16 @@ class TestOneMistake:
             ("# nothing\n", "s.yaml:1:1: is empty; a scenario needs robot, target, law and goal"),
             ("- a\n- b\n", "s.yaml:1:1: must be a mapping (name: value); a scenario needs robot, target, law and goal"),
             ("just words\n", "s.yaml:1:1: must be a mapping (name: value); a scenario needs robot, target, law and goal"),
-            ("robot: [1, 2\nlaw: }\n", "s.yaml:2:4: is not YAML: expected ',' or ']', but got ':'"),
-            ("\tlaw: 1\n", "s.yaml:1:1: is not YAML: found character '\\t' that cannot start any token"),
+            ("robot: [1, 2\nlaw: }\n", "s.yaml:2:4: is not YAML: did not find expected ',' or ']', got ':'"),
+            ("\tlaw: 1\n", "s.yaml:1:1: is not YAML: found character that cannot start any token, got '\\t'"),
             ("a: 1\n---\nb: 2\n", "s.yaml:2:1: is not YAML: but found another document"),
             ("law: \x01\n", "s.yaml:1:6: is not YAML: unacceptable character #x0001; delete it"),
             ("seed: " + "9" * 5000 + "\n", "s.yaml:1:7: is not YAML: Exceeds the limit"),
-            ("law: {{a: [1]}: 2}\n", "s.yaml:1:17: holds YAML beyond plain mappings, lists and values"),
-            ("law: !!omap x\n", "s.yaml:1:6: holds YAML beyond plain mappings, lists and values"),
+            ("law: {{a: [1]}: 2}\n", "s.yaml:1:7: holds YAML beyond plain mappings, lists and values"),
+            ("law: !!omap x\n", "s.yaml:1:1: law: has the tag tag:yaml.org,2002:omap; a scenario holds plain values only"),
             (GOOD + "law: ibvs\n", "s.yaml:11:1: law: stands here for the second time in its block; keep one of the two"),
             ("law: !!python/object:os.system x\n", "s.yaml:1:1: law: has the tag tag:yaml.org,2002:python/object:os.system"),
-            ("law: " + "[" * 40 + "]" * 40, "s.yaml:1:38: law.0.0: is nested more than 32 deep; a scenario needs far less"),
+            ("law: " + "[" * 40 + "]" * 40, "s.yaml:1:37: is nested more than 32 deep; a scenario needs far less"),
         ],
     )
     def test_in_the_whole_file(self, text: str, line: str) -> None:
@@ -167,9 +167,8 @@ class TestOneMistake:
         assert told.startswith("s.yaml:3:") and line in told
 
     def test_nesting_too_deep_for_the_parser(self) -> None:
-        """Where the parser gives up depends on Python's stack."""
-        (told,) = mistakes("seed: 1\nlaw: " + "[" * 600 + "]" * 600)
-        assert re.fullmatch(r"s\.yaml:2:[1-9]\d+: is nested too deeply for a scenario", told)
+        """A hundred thousand brackets would overflow the stack of libyaml's composer."""
+        assert mistakes("seed: 1\nlaw: " + "[" * 100_000) == ["s.yaml:2:37: is nested more than 32 deep; a scenario needs far less"]
 
     def test_aliases_of_aliases_do_not_fill_the_memory(self) -> None:
         """Nine lists of nine of the one before would be 9^9 = 387 million values."""
@@ -178,7 +177,8 @@ class TestOneMistake:
         assert "brings the file to more than 20000 values" in mistakes("\n".join(lines))[0]
 
     def test_a_block_inside_itself_ends(self) -> None:
-        assert any("robot.start: must be a block" in line for line in mistakes("robot: &r {kind: free, start: *r}\n"))
+        (told,) = mistakes("robot: &r {kind: free, start: *r}\n")
+        assert "is nested more than 32 deep" in told
 
 
 def test_all_mistakes_are_told_at_once_in_the_order_of_the_file() -> None:
@@ -332,7 +332,7 @@ class TestSet:
         assert read_value(text) == value
 
     def test_a_value_that_is_not_yaml_is_told_in_one_line(self) -> None:
-        with pytest.raises(ParameterError, match=r"--set value is not YAML: expected ',' or '\]', but got '<stream end>', got '\[1'$"):
+        with pytest.raises(ParameterError, match=r"--set value is not YAML: did not find expected ',' or '\]', got '\[1'$"):
             read_value("[1")
 
 

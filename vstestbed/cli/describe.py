@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import shlex
 import textwrap
 import typing
 from collections.abc import Iterator
-from typing import Any, Literal
 
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from vstestbed.core.docstrings import DIMENSIONLESS, class_text, unit_in, without_unit
-from vstestbed.core.registry import Room, blocks_in
-from vstestbed.core.spec import needed_fields
-from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, default_of, example_block, examples_of, hint_of
+from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
+from vstestbed.core.fields import SchemaField, fields
+from vstestbed.core.registry import Room
+from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
 
 SET_LINE = 100
@@ -67,7 +65,7 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
         text = flow_text(example)
         shown = f"--set {shlex.quote(f'{field.path}={text}')}" if field.settable else f"{field.name}: {text}"
         _wrapped(f"Example: {shown}", console)
-    held = list(dict.fromkeys(_inner(hint_of(cls, field.name), names) for cls in field.owners.values()))
+    held = list(dict.fromkeys(_inner(fields(cls)[field.name], names) for cls in field.owners.values()))
     if len(held) == 1 and held[0]:
         console.print()
         describe_entry(entries[held[0]], entries, console)
@@ -152,39 +150,32 @@ def _field_table(first: str) -> Table:
 
 
 def _cells(cls: type, name: str, names: dict[type, str]) -> tuple[Text, Text, Text]:
-    field, hint = class_text(cls).fields[name], hint_of(cls, name)
-    default = Text("required", style="yellow") if name in needed_fields(cls) else Text(_default(cls, name, hint))
-    unit = field.unit or unit_in(field.description)  # of a block that a number may stand for, its sentence has the unit
-    words = Text(without_unit(field.description))
-    choices = [str(word) for word in _words(hint)]
-    if not all(word in field.description for word in choices):
+    text, field = class_text(cls).fields[name], fields(cls)[name]
+    default = Text("required", style="yellow") if field.needed else Text(_default(field))
+    words = Text(without_unit(text.description))
+    choices = [str(word) for word in field.node.words]
+    if not all(word in text.description for word in choices):
         words.append(f" One of {', '.join(choices)}.")
-    if inner := _inner(hint, names):
+    if inner := _inner(field, names):
         words.append(f" See {inner}.", style="dim")
-    return default, Text(unit if unit != DIMENSIONLESS else ""), words
+    return default, Text(text.unit if text.unit != DIMENSIONLESS else ""), words
 
 
-def _default(cls: type, name: str, hint: Any) -> str:
+def _default(field: SchemaField) -> str:
     """A default in few characters: of a block its kind, or the number that is a shorthand for it."""
-    value = default_of(next(f for f in dataclasses.fields(cls) if f.name == name))
+    value = field.default
     if not isinstance(value, dict):
         return "none" if value is None else flow_text(value)
-    for room, _ in blocks_in(hint):
+    for room, _ in field.node.blocks():
         if room is not None:
-            kind, field = room.number or ("", "")
-            return flow_text(value[field]) if value["kind"] == kind else value["kind"]
+            kind, inner = room.number or ("", "")
+            return flow_text(value[inner]) if value["kind"] == kind else value["kind"]
     return ""
 
 
-def _words(hint: Any) -> Iterator[Any]:
-    if hasattr(hint, "__metadata__"):
-        yield from _words(hint.__origin__)
-    elif typing.get_origin(hint) is Literal:
-        yield from typing.get_args(hint)
-
-
-def _inner(hint: Any, names: dict[type, str]) -> str:
-    for room, inner in blocks_in(hint):
+def _inner(field: SchemaField, names: dict[type, str]) -> str:
+    """The name of the block, or of the list of kinds, that a field holds; "" where it holds none."""
+    for room, inner in field.node.blocks():
         return room.what if room is not None else names[inner]
     return ""
 

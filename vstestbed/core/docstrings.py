@@ -12,13 +12,10 @@ import dataclasses
 import functools
 import inspect
 import re
-import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import UnionType
-from typing import Any, Literal
 
-from vstestbed.core.quantity import Within
+from vstestbed.core.fields import Node, fields
 
 DIMENSIONLESS = "1"
 _UNIT = re.compile(r" \[([^\[\]]{1,40})\]")
@@ -57,12 +54,11 @@ def class_text(cls: type) -> ClassText:
 
 
 def _field_texts(cls: type) -> dict[str, FieldText]:
-    hints = typing.get_type_hints(cls, include_extras=True)
     words: dict[str, FieldText] = {}
     for base in reversed(cls.__mro__):
         words |= dict(_field_lines(_sections(base)[1]))
-    own = {f.name: words.get(f.name, FieldText("", "")) for f in dataclasses.fields(cls) if f.init}
-    return {name: dataclasses.replace(text, unit=_unit_of(hints[name], text.unit)) for name, text in own.items()}
+    own = {name: (field.node, words.get(name, FieldText("", ""))) for name, field in fields(cls).items()}
+    return {name: dataclasses.replace(text, unit=_unit_of(node, text)) for name, (node, text) in own.items()}
 
 
 @functools.cache
@@ -103,36 +99,12 @@ def without_unit(words: str) -> str:
     return words.replace(f" [{unit_in(words)}]", "")
 
 
-def _unit_of(hint: Any, written: str) -> str:
+def _unit_of(node: Node, text: FieldText) -> str:
     """The unit of a field: as written, which can be the finer (px^2 in a type of px), else of its type."""
-    numbers = list(_numbers(hint))
+    # a number may stand for a block of a room
+    numbers = [leaf for leaf in node.leaves() if leaf.number or (leaf.room is not None and leaf.room.number)]
     if not numbers:
         return ""
-    typed = next((within.unit for within in numbers if within is not None and within.unit), "")
+    typed = next((leaf.within.unit for leaf in numbers if leaf.within is not None and leaf.within.unit), "")
     # A whole number counts something, unless its sentence has a unit.
-    whole = all(base is int or isinstance(base, int) for base in _bases(hint))
-    return written or typed or (DIMENSIONLESS if whole else "")
-
-
-def _bases(hint: Any) -> Iterator[Any]:
-    if hasattr(hint, "__metadata__"):
-        yield from _bases(hint.__origin__)
-    elif typing.get_origin(hint) is Literal:
-        yield from (word for word in typing.get_args(hint) if isinstance(word, int | float) and not isinstance(word, bool))
-    elif typing.get_origin(hint) in (typing.Union, UnionType, tuple):
-        for inner in typing.get_args(hint):
-            yield from _bases(inner)
-    elif hint in (int, float):
-        yield hint
-
-
-def _numbers(hint: Any, within: Within | None = None) -> Iterator[Within | None]:
-    """Of each number in a hint the quantity that it is; None where it is none."""
-    if hasattr(hint, "__metadata__"):
-        own = next((m for m in hint.__metadata__ if isinstance(m, Within)), within)
-        yield from _numbers(hint.__origin__, own)
-    elif typing.get_origin(hint) in (typing.Union, UnionType, tuple):
-        for inner in typing.get_args(hint):
-            yield from _numbers(inner, within)
-    else:
-        yield from (within for _ in _bases(hint))
+    return text.unit or typed or (DIMENSIONLESS if all(leaf.type is int or leaf.words for leaf in numbers) else "")

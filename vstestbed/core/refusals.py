@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-import typing
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Union
 
 import pydantic
-from annotated_types import Len
 
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
-from vstestbed.core.registry import ROOMS, Room, blocks_in, fields_of, rooms_of, spec_named, to_mapping
+from vstestbed.core.fields import Node, fields, needed
+from vstestbed.core.registry import Room, rooms_of, to_mapping
 
 Key = tuple[str | int, ...]
 
@@ -76,50 +75,66 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
     return [d for d in error.errors() if not (d["type"] == "too_short" and len(d["input"]) >= d.get("ctx", {})["min_length"])]
 
 
-def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
-    loc, inner = detail["loc"], detail.get("ctx", {}).get("error")
-    # what is missing is a field, also where a kind has the same name
-    key = (*_key_of(loc[:-1], plain), loc[-1]) if detail["type"] == "missing" else _key_of(loc, plain)
-    if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
-        got = "" if inner.found is None else f", got {short(inner.found)}"
-        own = inner.field.split(".") if inner.field else []  # without a field it is about the block as a whole
-        return (*key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
-    # The error belongs to the block; the mistake stands at its `kind`.
-    if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
-        return (*key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, cls)
-    return key, _sentence(detail, cls)
+@dataclass(frozen=True)
+class _Place:
+    """Where a mistake is. key: in YAML. block: the innermost block there. room: of whose kinds the block is one. name, field: of the last
+    field on the way. node: what may stand there; None for an unknown field.
+    """
+
+    key: Key
+    block: type
+    room: Room | None
+    name: str = ""
+    field: Node | None = None
+    node: Node | None = None
 
 
-def _key_of(loc: Sequence[int | str], plain: Any) -> Key:
-    """The key in YAML for a pydantic location, which has kind tags between blocks and their fields."""
-    key: list[int | str] = []
-    here, tagged = plain, True  # the outermost block has no tag, for its class is known
+def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
+    """The place of a pydantic location in the values that should become a `cls`."""
+    here, place = plain, _Place((), cls, next(iter(rooms_of(cls)), None))
     for part in loc:
-        if spec_named(part) or _is_tag(part, here, tagged):
-            tagged = True
+        node = place.node
+        if node is not None and node.type is Union:  # the part says which of the alternatives is meant
+            place = replace(place, node=next((one for one in node.parts if getattr(one.type, "__name__", "") == part), node.parts[0]))
             continue
-        tagged = False
-        key.append(part)
-        here = _child(here, part)
-    return tuple(key)
-
-
-def _is_tag(part: int | str, here: Any, tagged: bool) -> bool:
-    """Whether a part of a location is the kind of the value `here`, and not one of its fields."""
-    if isinstance(here, dict):
-        if part not in here and here.get("kind") == part:
-            return True
-        # A block has one tag: after it (`tagged`), the part may be a field that is named like a kind.
-        return "kind" not in here and not tagged and any(part == room.default or part in room.fields.values() for room in ROOMS)
-    if isinstance(here, str):
-        return here == part
-    return isinstance(here, int | float) and not isinstance(here, bool)  # a bare number, a shorthand for a block
+        # A number, a word or a text may stand for a block or a list: its place is then that of the whole.
+        named = isinstance(here, dict if isinstance(part, str) else list | tuple)
+        key = (*place.key, part) if named else place.key
+        if isinstance(part, str):
+            block, room = _block_in(node, here) if node else (place.block, place.room)
+            field = fields(block).get(part)
+            place = _Place(key, block, room, part, field and field.node, field and field.node)
+        else:
+            place = replace(place, key=key, node=node.parts[0] if node and node.is_list else node)
+        here = _child(here, part) if named else here
+    return place
 
 
 def _child(here: Any, part: int | str) -> Any:
     if isinstance(here, dict):
         return here.get(part)
-    return here[part] if isinstance(here, list | tuple) and isinstance(part, int) and part < len(here) else None
+    return here[part] if isinstance(part, int) and part < len(here) else None
+
+
+def _block_in(node: Node, value: Any) -> tuple[type, Room | None]:
+    """The class that a valid kind makes of a value, and its room."""
+    if node.room is not None:
+        return node.room.members[node.room.expanded(value)["kind"]], node.room
+    return node.type, None
+
+
+def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
+    place, inner = _place(detail["loc"], plain, cls), detail.get("ctx", {}).get("error")
+    if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
+        got = "" if inner.found is None else f", got {short(inner.found)}"
+        own = inner.field.split(".") if inner.field else []  # without a field it is about the block as a whole
+        return (*place.key, *(int(p) if p.isdecimal() else p for p in own)), f"{inner.problem}{got}"
+    if detail["type"] == "missing" and place.key[-1:] != (place.name,):  # what is missing is a field, also of a block that is a bare word
+        place = replace(place, key=(*place.key, place.name))
+    # The error belongs to the block; the mistake stands at its `kind`.
+    if detail["type"] == "unknown_kind" and isinstance(detail["input"], dict) and "kind" in detail["input"]:
+        return (*place.key, "kind"), _sentence(detail | {"input": detail["input"]["kind"]}, place)
+    return place.key, _sentence(detail, place)
 
 
 _WORDS = {
@@ -145,64 +160,44 @@ _WORDS = {
 }
 
 
-def _sentence(detail: Any, cls: type) -> str:
-    kind, found, loc = detail["type"], detail["input"], detail["loc"]
+def _sentence(detail: Any, place: _Place) -> str:
+    kind, found, node = detail["type"], detail["input"], place.node
     if kind == "unexpected_keyword_argument":
-        return _unknown(str(loc[-1]), *_block_at(loc[:-1], cls))
+        return _unknown(place)
     if kind == "dataclass_type":
-        return _block_needed(spec_named(detail["ctx"]["class_name"]), found)
-    room = _room_of_field(loc, cls)
+        return _block_needed(place.block if node is None else node.type, found)
     if kind == "missing":
-        return "is missing" + _meaning(str(loc[-1]), _block_at(loc[:-1], cls)[0], room)
-    if kind in ("block", "unknown_kind") and room and room.number:
-        return f"must be a number, or a block of one of the kinds {', '.join(sorted(room.members))}, got {short(found)}"
+        return "is missing" + _meaning(place)
+    if kind in ("block", "unknown_kind") and node and node.room and node.room.number:
+        return f"must be a number, or a block of one of the kinds {', '.join(sorted(node.room.members))}, got {short(found)}"
     words = _WORDS[kind].format(**_shown(detail.get("ctx", {}))) if kind in _WORDS else str(detail["msg"])
-    if kind in ("tuple_type", "too_short", "too_long"):
-        words = _list_needed(kind, words, loc, cls)
+    if kind == "tuple_type":
+        words += _such_as(place)
+    elif kind in ("too_short", "too_long") and node and node.length is not None:
+        words = f"must be a list of {node.length} items"
     return f"{words}, got {short(found)}"
 
 
-def _list_needed(kind: str, words: str, loc: Sequence[int | str], cls: type) -> str:
-    """The sentence for what is no list, or for a list whose length is another than the only valid one."""
-    at = max(i for i, part in enumerate(loc) if isinstance(part, str))
-    name, block = str(loc[at]), _block_at(loc[:at], cls)[0]
-    if kind != "tuple_type":
-        length = _only_length(block, name) if loc[-1] == name else None
-        return words if length is None else f"must be a list of {length} items"
-    if loc[-1] != name:  # a list in a list
-        example = _list_like(block, name)
-        return f"{words}, as in {name}: {example}" if example else words
-    return _such_as(words, block, name)
+def _such_as(place: _Place) -> str:
+    """How a sentence goes on for what is no list: with what its blocks are, or an example."""
+    if place.node is None or place.field is None:
+        return ""
+    for room, block in place.node.blocks():
+        return f" of blocks, each {_a(room.what) if room else f'of {_listed(block)}'}"
+    example = _list_like(place.block, place.name)
+    if not example:
+        return ""
+    return f", such as {example}" if place.node is place.field else f", as in {place.name}: {example}"
 
 
 def _a(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
 
 
-def _such_as(words: str, block: type, name: str) -> str:
-    if blocks := _choices(block, name):
-        room, inner = blocks[0]
-        return f"must be a list of blocks, each {_a(room.what) if room else f'of {_listed(inner)}'}"
-    example = _list_like(block, name)
-    return f"{words}, such as {example}" if example else words
-
-
 def _list_like(block: type, name: str) -> str:
     """A valid list: the example of a field's docstring, or its default; "" where it has neither."""
-    text = class_text(block).fields.get(name)
-    if text and text.example:
-        return text.example
-    default = next((field.default for field in dataclasses.fields(block) if field.name == name), None)
-    return short(to_mapping(default)) if isinstance(default, tuple) and default else ""
-
-
-def _only_length(block: type, name: str) -> int | None:
-    hint = _hint(block, name)
-    for part in (hint, *typing.get_args(hint)):  # a list that may be None is one of two
-        for bound in getattr(part, "__metadata__", ()):
-            if isinstance(bound, Len) and bound.min_length == bound.max_length:
-                return bound.min_length
-    return None
+    default = fields(block)[name].default
+    return class_text(block).fields[name].example or (short(default) if isinstance(default, list) and default else "")
 
 
 def _shown(context: dict[str, Any]) -> dict[str, Any]:
@@ -210,37 +205,37 @@ def _shown(context: dict[str, Any]) -> dict[str, Any]:
     return {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
 
 
-def _meaning(name: str, block: type, room: Room | None) -> str:
+def _meaning(place: _Place) -> str:
     """The rest of the sentence for a missing field: the kinds that it may be, or what its docstring says of it."""
-    if room:
-        return f"; valid kinds: {', '.join(sorted(room.members))}"
-    text = class_text(block).fields.get(name)
-    words = f": {text.description.rstrip('.')}" if text and text.description else ""
-    words += f", e.g. {text.example}" if text and text.example else ""
-    inner = [cls for _, cls in _choices(block, name)]
-    return f"{words}; a block of {_listed(inner[0])}" if len(inner) == 1 else words
+    node, text = place.node, class_text(place.block).fields.get(place.name)
+    if node is None or text is None:
+        return ""
+    if node.room is not None:
+        return f"; valid kinds: {', '.join(sorted(node.room.members))}"
+    words = f": {text.description.rstrip('.')}" if text.description else ""
+    words += f", e.g. {text.example}" if text.example else ""
+    blocks = [block for _, block in node.blocks()]
+    return f"{words}; a block of {_listed(blocks[0])}" if len(blocks) == 1 else words
 
 
-def _block_needed(block: type | None, found: Any) -> str:
+def _block_needed(block: type, found: Any) -> str:
     """The sentence for a value where a block belongs: its fields, and the block of the one that takes the value."""
-    words = f"must be a block (a mapping){f' of {_listed(block)}' if block else ''}, got {short(found)}"
-    fitting = next((name for name in _meant(block, found) if _takes(block, name, found)), None) if block else None
-    return (
-        words if fitting is None else f"{words}; did you mean {{{fitting}: {short(list(found) if isinstance(found, tuple) else found)}}}?"
-    )
+    words = f"must be a block (a mapping) of {_listed(block)}, got {short(found)}"
+    fitting = next((name for name in _meant(block, found) if _takes(block, name, found)), None)
+    if fitting is None:
+        return words
+    return f"{words}; did you mean {{{fitting}: {short(list(found) if isinstance(found, tuple) else found)}}}?"
 
 
 def _listed(block: type) -> str:
-    return ", ".join(fields_of(block))
+    return ", ".join(fields(block))
 
 
 def _meant(block: type, value: Any) -> list[str]:
     """The fields of a block that a list may be meant for; of a number its only field, or the only one that it needs."""
-    names = fields_of(block)
     if isinstance(value, list | tuple):
-        return names if value else []
-    needed = [f.name for f in dataclasses.fields(block) if f.init and f.default is f.default_factory is dataclasses.MISSING]
-    only = needed or names
+        return list(fields(block)) if value else []
+    only = needed(block) or list(fields(block))
     return only if isinstance(value, int | float) and not isinstance(value, bool) and len(only) == 1 else []
 
 
@@ -252,44 +247,10 @@ def _takes(block: type, name: str, value: Any) -> bool:
     return True
 
 
-def _unknown(name: str, block: type, room: Room | None) -> str:
-    able = [kind for kind, member in room.members.items() if name in fields_of(member)] if room else []
-    if able and room:
-        kind = next(kind for kind, member in room.members.items() if member is block)
+def _unknown(place: _Place) -> str:
+    able = [kind for kind, member in place.room.members.items() if place.name in fields(member)] if place.room else []
+    if able and place.room:
+        kind = next(kind for kind, member in place.room.members.items() if member is place.block)
         words = f"{', '.join(able[:-1])} and {able[-1]} have" if able[1:] else f"{able[0]} has"
         return f"{UNKNOWN} of {kind}; {words} it"
-    return f"{UNKNOWN}; {nearest(name, fields_of(block))}"
-
-
-def _block_at(loc: Sequence[int | str], cls: type) -> tuple[type, Room | None]:
-    """The spec class at a pydantic location in `cls`, and its room; None for a block that has no kinds."""
-    room = next(iter(rooms_of(cls)), None)
-    choices: list[tuple[Room | None, type]] = []
-    for part in loc:
-        tagged = [(r, c) for r, c in choices if r is not None and r.members.get(str(part)) is c]
-        if named := spec_named(part):
-            cls, room, choices = named, None, []
-        elif tagged:
-            (room, cls), choices = tagged[0], []
-        elif not isinstance(part, int):  # an index: all items of a list are of one class
-            choices = _choices(cls, part)
-            if len(choices) == 1 and choices[0][0] is None:
-                cls, room, choices = choices[0][1], None, []
-    return cls, room
-
-
-def _room_of_field(loc: Sequence[int | str], cls: type) -> Room | None:
-    if not loc or isinstance(loc[-1], int):
-        return None
-    return next((room for room, _ in _choices(_block_at(loc[:-1], cls)[0], loc[-1])), None)
-
-
-def _choices(cls: type, name: str) -> list[tuple[Room | None, type]]:
-    return list(blocks_in(_hint(cls, name)))
-
-
-def _hint(cls: type, name: str) -> Any:
-    try:
-        return typing.get_type_hints(cls, include_extras=True).get(name)
-    except NameError:  # of a class defined in a function, where pydantic alone knows the names
-        return None
+    return f"{UNKNOWN}; {nearest(place.name, fields(place.block))}"

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-import typing
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from vstestbed.core.errors import ParameterError, nearest
 
 SPECS: list[type] = []
-"""Every spec in the order of definition, so that `rebuild_specs` builds parts before what holds them."""
+"""Every spec in the order of definition."""
 ROOMS: list[Room] = []  # every list of kinds
 
 
@@ -42,40 +41,19 @@ class Room:
         """The kind of a block without `kind`, by one of its fields; None where none tells it."""
         return next((kind for field, kind in self.fields.items() if field in block), None)
 
-
-def spec_named(word: object) -> type | None:
-    """The spec class of a name: pydantic has it in the location of an error where a field may be one of two blocks; None for others."""
-    return next((cls for cls in SPECS if cls.__name__ == word), None)
+    def expanded(self, value: Any) -> Any:
+        """A word, a number or a block as a block with its `kind`, None where it has none; any other value as it is."""
+        if isinstance(value, str):
+            return {"kind": value}
+        # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
+        if self.number and isinstance(value, int | float) and not isinstance(value, bool):
+            return {"kind": self.number[0], self.number[1]: value}
+        return {**value, "kind": value.get("kind", self.implied(value) or self.default)} if isinstance(value, dict) else value
 
 
 def rooms_of(cls: type) -> list[Room]:
     """The lists of kinds that a spec class is a member of."""
     return [room for room in ROOMS if cls in room.members.values()]
-
-
-def fields_of(cls: type) -> list[str]:
-    """The names of the fields of a spec class that its constructor takes."""
-    return [field.name for field in dataclasses.fields(cls) if field.init]
-
-
-def blocks_in(hint: Any) -> Iterator[tuple[Room | None, type]]:
-    """The spec classes that a field of this type may hold, each with the room in which it is a kind; None where it is the only one."""
-    metadata = getattr(hint, "__metadata__", ())
-    rooms = [m for m in metadata if isinstance(m, Room)]
-    if rooms:
-        yield from ((rooms[0], member) for member in rooms[0].members.values())
-    elif metadata:
-        yield from blocks_in(hint.__origin__)
-    elif dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        yield None, hint
-    else:
-        for inner in typing.get_args(hint):
-            yield from blocks_in(inner)
-
-
-def is_list(hint: Any) -> bool:
-    """Whether a field of this type, which holds blocks, holds a list of them."""
-    return "tuple[" in str(hint)
 
 
 def to_mapping(value: Any) -> Any:

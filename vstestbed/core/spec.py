@@ -16,64 +16,26 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import sys
 import typing
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoints
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
 from pydantic import ConfigDict, GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic.dataclasses import dataclass as _pydantic_dataclass
-from pydantic.dataclasses import rebuild_dataclass
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import ArgsKwargs, CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.fields import fields, needed
 from vstestbed.core.refusals import refusal, refuse_conversions
-from vstestbed.core.registry import ROOMS, SPECS, Contract, Room, blocks_in, fields_of
-
-# Which spec classes hold a block of a room, at any depth: those whose validators a new kind of it makes stale.
-
-
-def holders(rooms: Collection[str]) -> list[type]:
-    """The spec classes, in the order of definition, in which a block of one of these rooms (`Room.what`) may stand. A class that holds one
-    that does is one of them, too: pydantic compiles the validators of the parts into that of the whole.
-    """
-    direct, inner = _blocks()
-    found = {cls for cls, whats in direct.items() if not whats.isdisjoint(rooms)} | {cls for cls in SPECS if not _types(cls)}
-    while more := {cls for cls, held in inner.items() if held & found} - found:
-        found |= more
-    return [cls for cls in SPECS if cls in found]
-
-
-def _blocks() -> tuple[dict[type, set[str]], dict[type, set[type]]]:
-    direct: dict[type, set[str]] = {}
-    inner: dict[type, set[type]] = {}
-    ahead = list(SPECS)
-    while ahead:
-        cls = ahead.pop()
-        if cls not in inner:
-            blocks = [block for hint in _types(cls) for block in blocks_in(hint)]
-            direct[cls] = {room.what for room, _ in blocks if room is not None}
-            inner[cls] = {held for _, held in blocks}
-            ahead += inner[cls]
-    return direct, inner
-
-
-@functools.cache
-def _types(cls: type) -> tuple[Any, ...]:
-    """The types of a class's fields; none where a name in them cannot be found, as in a class within a function."""
-    try:
-        return tuple(typing.get_type_hints(cls, include_extras=True).values())
-    except NameError:
-        return ()
-
+from vstestbed.core.registry import ROOMS, SPECS, Contract, Room
 
 T = TypeVar("T")
 # Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
-_GROWN: list[str] = []  # rooms that have got a kind since the validators were built
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True)
@@ -81,53 +43,97 @@ def spec(cls: type[T]) -> type[T]:
     """Make `cls` a frozen keyword-only dataclass whose constructor refuses unknown, mistyped and out-of-range values. Raises (from the
     constructor): ParameterError with the field, what is valid, and the value given.
     """
-    made: Any = _pydantic_dataclass(cls, frozen=True, kw_only=True, config=_CONFIG)
-    _with_our_errors(made)
+    # The methods are the same for all specs: dataclass would compile five for each class, which takes half of the time of a start.
+    made: Any = dataclasses.dataclass(cls, init=False, repr=False, eq=False, kw_only=True)  # pyright: ignore[reportCallIssue, reportArgumentType] - of any class
+    made.__pydantic_config__ = _CONFIG
+    if "<locals>" in made.__qualname__:  # the names in its annotations may be those of a function, which later nobody finds
+        types = typing.get_type_hints(made, localns=dict(sys._getframe(1).f_locals), include_extras=True)
+        for field in dataclasses.fields(made):
+            field.type = types[field.name]
+    has_more = _needs_values(made)
+
+    def init(self: Any, *nameless: Any, **values: Any) -> None:
+        construct(self, made, has_more, nameless, values)
+
+    made.__init__, made.__signature__ = init, _Signature()
+    made.__setattr__ = made.__delattr__ = _frozen
+    for name, method in (("__eq__", _equal), ("__hash__", _hashed), ("__repr__", _shown)):
+        if name not in vars(cls) or vars(cls)[name] is None:  # a class with __eq__ alone has None for the other
+            setattr(made, name, method)
     SPECS.append(made)
     return made
 
 
-def _with_our_errors(cls: Any) -> None:
-    """Let pydantic's constructor of a spec class raise ParameterError, in the words of a scenario's file."""
-    checked_init = cls.__init__
-
-    def init(self: Any, *nameless: Any, **values: Any) -> None:
-        if refresh_specs():
-            type(self).__init__(self, *nameless, **values)
-            return
-        if nameless:
-            first = next((name for name in fields_of(cls) if name != "kind"), "kind")
-            raise ParameterError(cls.__name__, f"takes its fields by their names, such as {cls.__name__}({first}=...)", nameless)
-        try:
-            checked_init(self, **values)
-        except pydantic.ValidationError as error:
-            raise refusal(error, cls, values) from None
-        refuse_conversions(self, values)
-
-    cls.__init__ = init
+def _frozen(self: Any, name: str, *_: Any) -> None:
+    raise dataclasses.FrozenInstanceError(f"cannot assign to field {name!r}")
 
 
-def refresh_specs() -> bool:
-    """Rebuild the validators where a room has grown since the last time; whether that was so."""
-    if not _GROWN:
-        return False
-    rebuild_specs(holders(_GROWN))
-    return True
+@functools.cache
+def _compared(cls: type) -> tuple[str, ...]:
+    return tuple(field.name for field in dataclasses.fields(cls) if field.compare)
 
 
-def needs_rebuild(room: str) -> None:
-    """Let the next constructor rebuild the validators that hold blocks of this room (`OneOf.what`): it has got other kinds."""
-    _GROWN.append(room)
+def _equal(self: Any, other: object) -> Any:
+    if other.__class__ is not self.__class__:
+        return NotImplemented
+    mine, others = self.__dict__, other.__dict__
+    return [mine[name] for name in _compared(type(self))] == [others[name] for name in _compared(type(self))]
 
 
-def rebuild_specs(classes: Sequence[type] = SPECS) -> None:
-    """Rebuild the validators of specs in the order of definition; the next constructor does it after a `OneOf` has grown. Pydantic compiles
-    a validator when the class is defined, with the kinds known then; without this a plugin's kind is refused.
+def _hashed(self: Any) -> int:
+    values = self.__dict__
+    return hash(tuple([values[name] for name in _compared(type(self))]))
+
+
+def _shown(self: Any) -> str:
+    values = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in dataclasses.fields(self) if field.repr)
+    return f"{type(self).__qualname__}({values})"
+
+
+class _Signature:
+    """The signature of a spec's constructor for `help` and notebooks, made when somebody asks."""
+
+    def __get__(self, made: object, cls: type) -> inspect.Signature:
+        given = [field for field in dataclasses.fields(cls) if field.init]
+        own = [inspect.Parameter(f.name, inspect.Parameter.KEYWORD_ONLY, default=_default(f), annotation=f.type) for f in given]
+        return inspect.Signature(own)
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
+
+
+def _needs_values(cls: type) -> bool:
+    """Whether the defaults alone make no object: a field has none, or a validator of pydantic's may put values where none are given."""
+    lacks = any(field.init and field.default is field.default_factory is dataclasses.MISSING for field in dataclasses.fields(cls))
+    return lacks or any(hasattr(member, "decorator_info") for base in cls.__mro__ for member in vars(base).values())
+
+
+def construct(made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], values: dict[str, Any]) -> None:
+    """Fill an object of a spec class with checked values. has_more: its defaults alone do not make one."""
+    if nameless:
+        first = next((name for name in fields(cls) if name != "kind"), "kind")
+        raise ParameterError(cls.__name__, f"takes its fields by their names, such as {cls.__name__}({first}=...)", nameless)
+    if not (values or has_more):  # defaults need no check
+        made.__dict__.update((field.name, _default(field)) for field in dataclasses.fields(cls))
+        if hasattr(made, "__post_init__"):
+            made.__post_init__()
+        return
+    try:
+        validator_of(cls).validate_python(ArgsKwargs((), values), self_instance=made)
+    except pydantic.ValidationError as error:
+        raise refusal(error, cls, values) from None
+    refuse_conversions(made, values)
+
+
+@functools.cache
+def validator_of(cls: type) -> Any:
+    """Pydantic's validator of a spec class, built when it is first used. The kinds of a room are looked up when a block is validated, so
+    that a validator stays valid when a plugin adds one.
     """
-    _GROWN.clear()
-    for cls in classes:
-        rebuild_dataclass(cls, force=True)
-        _with_our_errors(cls)  # pydantic has put its own constructor back
+    return pydantic.TypeAdapter(cls).validator
 
 
 @contextmanager
@@ -139,11 +145,21 @@ def undone_on_error() -> Iterator[None]:
     except BaseException:
         del SPECS[specs:]
         for room, before in members:
-            if room.members != before:
-                room.members.clear()
-                room.members.update(before)
-                needs_rebuild(room.what)
+            room.members.clear()
+            room.members.update(before)
         raise
+
+
+_WHOLE: list[bool] = []  # not empty while a schema is built with the blocks of all kinds in it
+
+
+def whole_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
+    """Pydantic's adapter of a type with the blocks of all kinds in it, from which it makes a JSON Schema."""
+    _WHOLE.append(True)
+    try:
+        return pydantic.TypeAdapter(hint)
+    finally:
+        _WHOLE.pop()
 
 
 class OneOf(Room):
@@ -169,23 +185,22 @@ class OneOf(Room):
     ):
         super().__init__(what, number, default, fields)
         self.contract = contract
-        self._left_out: set[str] = set()  # of each validator that was built from this room, the kind that it leaves out; "" for none
         for member in members:
-            self._add(member)
+            self.add(member)
 
     def add(self, member: type[T]) -> type[T]:
         """Register one more kind (usable as a decorator by a plugin).
         Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of the room.
         """
-        if self._add(member) and self._left_out - {kind_of(member)}:
-            needs_rebuild(self.what)
+        self._check(member)
+        self.members[kind_of(member)] = member
         return member
 
     def without(self, kind: str) -> OneOf:
         """The same room for a field in the block of one of its kinds, which may not hold another of that kind."""
         return _Without(self, kind)
 
-    def _add(self, member: type) -> bool:
+    def _check(self, member: type) -> None:
         # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
         if not any(member is known for known in SPECS):
             name = getattr(member, "__name__", repr(member))
@@ -196,11 +211,8 @@ class OneOf(Room):
             place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
-        if self.contract is not None:
+        if self.contract is not None and not member.__module__.startswith("vstestbed."):  # of those a test checks it once for all starts
             self.contract.check(member)
-        new = self.members.get(kind) is not member
-        self.members[kind] = member
-        return new
 
     def load_entry_points(self, installed: EntryPoints) -> bool:
         """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
@@ -209,48 +221,29 @@ class OneOf(Room):
             self.add(entry.load())
         return len(self.members) > before
 
-    def _block(self, value: Any) -> Any:
-        """A value as a block with a valid kind, for pydantic; objects that are members already pass unchanged."""
+    def _made(self, value: Any) -> Any:
+        """A value as an object of the class of its kind; objects that are members already pass unchanged."""
         if isinstance(value, tuple(self.members.values())):
             return value
-        block, words = self._expanded(value), ", ".join(sorted(self.members))
+        if not self.members:
+            words = f"must not be given: there is no kind of {self.what}; a plugin may add one (`--plugin FILE.py`)"
+            raise PydanticCustomError("block", "{words}", {"words": words})
+        block, words = self.expanded(value), ", ".join(sorted(self.members))
         if not isinstance(block, dict):
             raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
-        kind = block.get("kind", self.implied(block) or self.default)
+        kind = block["kind"]
         if kind is None:
-            raise PydanticCustomError("no_kind", "needs {words}", {"words": self._needs})
+            needs = f"one of the fields {', '.join(self.fields)}, or a kind" if self.fields else "a kind"
+            raise PydanticCustomError("no_kind", "needs {words}", {"words": f"{needs}; valid kinds: {words}"})
         if not isinstance(kind, str) or kind not in self.members:
             raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
-        return {**block, "kind": kind}
-
-    def _expanded(self, value: Any) -> Any:
-        if isinstance(value, str):
-            return {"kind": value}
-        # Python's bool is an int: without the exception `gain: true` would be a gain of 1.
-        if self.number and isinstance(value, int | float) and not isinstance(value, bool):
-            return {"kind": self.number[0], self.number[1]: value}
-        return value
-
-    @property
-    def _needs(self) -> str:
-        words = f"a kind; valid kinds: {', '.join(sorted(self.members))}"
-        return f"one of the fields {', '.join(self.fields)}, or {words}" if self.fields else words
+        return validator_of(self.members[kind]).validate_python(block)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        self._is_built()
-        if not self.members:  # until a plugin adds one
-            return core_schema.no_info_plain_validator_function(self._none)
-        # Discriminated by `kind`: an error is then one of the block that was meant, not one of each kind.
+        if not (_WHOLE and self.members):
+            return core_schema.no_info_plain_validator_function(self._made)
         choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
-        union = core_schema.tagged_union_schema(choices, lambda v: v["kind"] if isinstance(v, dict) else v.kind)
-        return core_schema.no_info_before_validator_function(self._block, union)
-
-    def _is_built(self) -> None:
-        self._left_out.add("")
-
-    def _none(self, value: Any) -> Any:
-        words = f"must not be given: there is no kind of {self.what}; a plugin may add one (`--plugin FILE.py`)"
-        raise PydanticCustomError("block", "{words}", {"words": words})
+        return core_schema.tagged_union_schema(choices, "kind")
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         if not self.members:
@@ -260,13 +253,13 @@ class OneOf(Room):
         needs = {} if self.default or self.fields else {"required": ["kind"]}
         choices: list[dict[str, Any]] = [block | needs for block in blocks]
         # A bare word is a block of defaults only, so it needs a kind without required fields.
-        words = sorted(kind for kind, member in self.members.items() if not needed_fields(member))
+        words = sorted(kind for kind, member in self.members.items() if not needed(member))
         if words:
             choices.append({"enum": words})
         if self.number:
             kind, field = self.number
-            block = handler.resolve_ref_schema(blocks[list(self.members).index(kind)])
-            choices.append({key: value for key, value in block["properties"][field].items() if key not in ("default", "title")})
+            hint = typing.get_type_hints(self.members[kind], include_extras=True)[field]
+            choices.append(pydantic.TypeAdapter(hint).json_schema())
         return {"anyOf": choices}
 
 
@@ -281,9 +274,6 @@ class _Without(OneOf):
     @property
     def members(self) -> dict[str, type]:  # pyright: ignore[reportIncompatibleVariableOverride] - of the room as it is now
         return {kind: member for kind, member in self._room.members.items() if kind != self._kind}
-
-    def _is_built(self) -> None:
-        self._room._left_out.add(self._kind)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -302,13 +292,6 @@ class Shorthand:
 def _same_cell(before: type, after: type) -> bool:
     """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
     return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
-
-
-def needed_fields(cls: type) -> list[str]:
-    """The fields of a spec class that have no default."""
-    missing = dataclasses.MISSING
-    fields = dataclasses.fields(cls)
-    return [f.name for f in fields if f.init and f.default is missing and f.default_factory is missing]
 
 
 def kind_of(cls: type) -> str:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import typing
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import UnionType
 from typing import Any, Literal
 
 import numpy as np
 import viser
-from annotated_types import Ge, Gt, Le, Lt
 
-from vstestbed.core.quantity import GainOrZero, Narrower, PositiveGain, SignedGain, Within
-from vstestbed.core.spec import OneOf, kind_of
+from vstestbed.core.fields import Node, fields
+from vstestbed.core.quantity import GainOrZero, PositiveGain, SignedGain
+from vstestbed.core.spec import kind_of
 from vstestbed.live.run import Inbox, LiveRun, Sample, Transport
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import read_value
@@ -85,9 +83,8 @@ def fields_of(scenario: Scenario) -> list[Field]:
     """The controls of a scenario as it is now: those that come first, then block by block."""
     found = [Field("seed", "number", scenario.seed, whole=True)]
     for block in BLOCKS:
-        hint = typing.get_type_hints(Scenario, include_extras=True)[block]
         value = getattr(scenario, block)
-        found += [] if block in ("robot", "camera") else _kinds(block, hint, value)
+        found += [] if block in ("robot", "camera") else _kinds(block, fields(Scenario)[block].node, value)
         found += _inside(block, value)
     if hasattr(scenario.camera, "distortion"):
         now = getattr(scenario.camera, "distortion", None) or (0.0,) * 5
@@ -97,82 +94,49 @@ def fields_of(scenario: Scenario) -> list[Field]:
     return sorted(found, key=lambda f: rank.get(f.path, -1) if f.comes_first else len(FIRST))
 
 
-def _kinds(path: str, hint: Any, value: Any) -> list[Field]:
-    rooms = [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, OneOf)]
-    if not rooms or len(rooms[0].members) < 2:
+def _kinds(path: str, node: Node, value: Any) -> list[Field]:
+    if node.room is None or len(node.room.members) < 2:
         return []
-    return [Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(rooms[0].members)))]
+    return [Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.room.members)))]
 
 
 def _inside(path: str, value: Any) -> Iterator[Field]:
-    hints = typing.get_type_hints(type(value), include_extras=True)
-    for field in dataclasses.fields(value):
-        inner = f"{path}.{field.name}"
-        if field.init and field.name != "kind" and inner not in LEFT_OUT:
-            yield from _of(inner, hints[field.name], getattr(value, field.name))
+    for name, field in fields(type(value)).items():
+        inner = f"{path}.{name}"
+        if name != "kind" and inner not in LEFT_OUT:
+            yield from _of(inner, field.node, getattr(value, name))
 
 
-def _of(path: str, hint: Any, value: Any) -> Iterator[Field]:
-    base, metadata = _opened(hint)
-    if typing.get_origin(base) is Literal:
-        yield Field(path, "choice", str(value), choices=tuple(str(word) for word in typing.get_args(base)))
+def _of(path: str, node: Node, value: Any) -> Iterator[Field]:
+    if node.words:
+        yield Field(path, "choice", str(value), choices=tuple(map(str, node.words)))
     elif isinstance(value, bool):
         yield Field(path, "switch", value)
     elif isinstance(value, int | float):
-        yield _number(path, value, metadata, whole=base is int)
+        yield _number(path, value, node)
     elif dataclasses.is_dataclass(value):
-        yield from _kinds(path, hint, value)
-        shorthand = next((m.number for m in metadata if isinstance(m, OneOf)), None)
-        if shorthand is not None and shorthand[0] == kind_of(type(value)):
-            inner = typing.get_type_hints(type(value), include_extras=True)[shorthand[1]]
-            yield _number(path, getattr(value, shorthand[1]), _opened(inner)[1], whole=False)
+        yield from _kinds(path, node, value)
+        kind, shorthand = (node.room and node.room.number) or ("", "")
+        if getattr(value, "kind", None) == kind:
+            yield _number(path, getattr(value, shorthand), fields(type(value))[shorthand].node)
         else:
             yield from _inside(path, value)
 
 
-def _opened(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    metadata: tuple[Any, ...] = ()
-    while True:
-        if typing.get_origin(hint) in (typing.Union, UnionType):
-            others = [t for t in typing.get_args(hint) if t is not type(None)]
-            if len(others) != 1:
-                return hint, metadata
-            hint = others[0]
-        elif hasattr(hint, "__metadata__"):
-            metadata += hint.__metadata__
-            hint = hint.__origin__
-        else:
-            return hint, metadata
+GAINS = [bound for quantity in (PositiveGain, GainOrZero, SignedGain) for bound in quantity.__metadata__]  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
 
 
-def _bounds(metadata: tuple[Any, ...]) -> tuple[float, float]:
-    lows, highs = [float("-inf")], [float("inf")]
-    for m in metadata:
-        if isinstance(m, Within):
-            lows, highs = [*lows, m.low], [*highs, m.high]
-        elif isinstance(m, Narrower):
-            lows += [b for b in (m.gt, m.ge) if b is not None]
-            highs += [b for b in (m.lt, m.le) if b is not None]
-        elif isinstance(m, Ge | Gt):
-            lows.append(float(getattr(m, "ge", getattr(m, "gt", lows[0]))))
-        elif isinstance(m, Le | Lt):
-            highs.append(float(getattr(m, "le", getattr(m, "lt", highs[0]))))
-    return max(lows), min(highs)
-
-
-def _number(path: str, value: float, metadata: tuple[Any, ...], whole: bool) -> Field:
+def _number(path: str, value: float, node: Node) -> Field:
     """A slider where its useful range is known, else a number to type."""
-    gains = (*PositiveGain.__metadata__, *GainOrZero.__metadata__, *SignedGain.__metadata__)  # pyright: ignore[reportAttributeAccessIssue] - of Annotated
-    is_gain = any(m in gains for m in metadata if isinstance(m, Within))
+    is_gain, whole = node.within in GAINS, node.type is int
     high = HIGH.get(path, max(GAIN_HIGH, GAIN_TIMES * abs(value)) if is_gain else 0.0)
     if not high or whole:
         return Field(path, "number", value, whole=whole)
-    low, top = _bounds(metadata)
+    low, top = node.limits
     high = min(max(high, value), top)
     power = 10.0 ** int(f"{high / STEPS:e}".partition("e")[2])
     step = next(m * power for m in (5, 2, 1) if m * power <= high / STEPS * (1 + 1e-9))
-    positive = any(isinstance(m, Gt) and float(m.gt) == 0 for m in metadata)  # pyright: ignore[reportArgumentType] - bounds of numbers
-    left = -high if low < 0 else min(step, value) if positive else 0.0
+    left = -high if low < 0 else min(step, value) if node.positive else 0.0
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 

@@ -9,24 +9,23 @@ import itertools
 import math
 import threading
 import time
-import typing
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.fields import fields
 from vstestbed.core.files import file_word, numbered, write_whole
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.named_files import FILE_FIELDS
 from vstestbed.core.outcome import Verdict
-from vstestbed.core.registry import ROOMS, SPECS, fields_of, to_mapping
+from vstestbed.core.registry import ROOMS, SPECS, to_mapping
 from vstestbed.loop.session import Session
 from vstestbed.report.video.overlay import FilmFrame
-from vstestbed.scenario.catalogue import hint_of
 from vstestbed.scenario.dump import given_text
 from vstestbed.scenario.load import GIVEN, load
 from vstestbed.scenario.plugins import absolute_files
@@ -125,16 +124,9 @@ def _texts(value: object, key: str) -> Iterator[tuple[str, str]]:
 @functools.lru_cache(maxsize=1)
 def _words(kinds: int, specs: int) -> frozenset[str]:
     """The kinds, and the words between which a field has the choice, of so many kinds and specs: a plugin adds some."""
-    choices = {word for cls in SPECS for field in fields_of(cls) for word in _choices(hint_of(cls, field))}
+    leaves = (leaf for cls in SPECS for field in fields(cls).values() for leaf in field.node.leaves())
+    choices = {word for leaf in leaves for word in leaf.words if isinstance(word, str)}
     return frozenset(choices | {kind for room in ROOMS for kind in room.members})
-
-
-def _choices(hint: Any) -> Iterator[str]:
-    if typing.get_origin(hint) is Literal:
-        yield from filter(lambda word: isinstance(word, str), typing.get_args(hint))
-    else:
-        for inner in typing.get_args(hint):
-            yield from _choices(inner)
 
 
 # What pages ask for, handed to the thread that runs the simulation; nothing else passes between the two.

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import typing
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pydantic
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import DataclassSchema
 
 from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
 from vstestbed.core.errors import ParameterError, ScenarioError, nearest
+from vstestbed.core.fields import fields, needed
 from vstestbed.core.named_files import PACKAGE, bundled_comparisons, bundled_scenarios
-from vstestbed.core.registry import Room, blocks_in, fields_of, is_list, to_mapping
-from vstestbed.core.spec import kind_of, needed_fields, refresh_specs
+from vstestbed.core.registry import Room
+from vstestbed.core.spec import kind_of, whole_adapter
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.load import load, text_of
 from vstestbed.scenario.validation import KINDS
@@ -60,15 +59,13 @@ def catalogue(**roots: type) -> dict[str, Entry]:
 
 def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
     """Field, whether it is a list, room and class of each block that a block may hold."""
-    for each in dataclasses.fields(cls):
-        if each.init:
-            hint = hint_of(cls, each.name)
-            yield from ((each.name, is_list(hint), room, inner) for room, inner in blocks_in(hint))
+    for each in fields(cls).values():
+        yield from ((each.name, each.node.is_list, room, inner) for room, inner in each.node.blocks())
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
     """Whether a field holds the same blocks in all classes that have it; `start` is another one in each robot."""
-    held = [tuple(blocks_in(hint_of(cls, field))) for cls in classes if field in fields_of(cls)]
+    held = [_blocks_at(cls, field) for cls in classes if field in fields(cls)]
     return all(blocks == held[0] for blocks in held)
 
 
@@ -106,12 +103,9 @@ def named(entry: Entry) -> str:
     return entry.name.rpartition(".")[2]
 
 
-def hint_of(cls: type, field: str) -> Any:
-    """The type of a field, with its bounds and its list of kinds."""
-    return _hints(cls)[field]
-
-
-_hints = functools.cache(functools.partial(typing.get_type_hints, include_extras=True))
+def _blocks_at(cls: type, field: str) -> list[tuple[Room | None, type]]:
+    """Room and class of the blocks that a field may hold; none of a class without it."""
+    return list(fields(cls)[field].node.blocks()) if field in fields(cls) else []
 
 
 def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
@@ -122,7 +116,7 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     holders = _kinds_of(entries[owner]) if owner in entries else []
     if not _alike(holders, field):
         return []
-    rooms = {room.what for cls in holders if field in fields_of(cls) for room, _ in blocks_in(hint_of(cls, field)) if room is not None}
+    rooms = {room.what for cls in holders for room, _ in _blocks_at(cls, field) if room is not None}
     return [entry for entry in entries.values() if entry.cls is None and entry.name in rooms]
 
 
@@ -159,7 +153,7 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     if not before:
         return _top_or_only(name, entries)
     holders = {next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in _holders(path, before, entries)}
-    if owners := {named_so: cls for named_so, cls in holders.items() if name in fields_of(cls)}:
+    if owners := {named_so: cls for named_so, cls in holders.items() if name in fields(cls)}:
         return FieldPlace(path, name, owners, _settable(before, entries))
     for named_so, cls in holders.items():
         if _kind(cls) == name:
@@ -181,10 +175,10 @@ def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> 
 def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
     """A field of the scenario itself, else the one of this name in all of it."""
     scenario, held = _scenario(entries), dict[str, dict[str, type]]()
-    if name in fields_of(scenario):
+    if name in fields(scenario):
         return FieldPlace(name, name, {"scenario": scenario}, True)
     for entry in entries.values():
-        if entry.cls is not None and name in fields_of(entry.cls):
+        if entry.cls is not None and name in fields(entry.cls):
             place = entry.name if entry.room is None else entry.room.what
             held.setdefault(f"{place}.{name}", {})[entry.name] = entry.cls
     if len(held) == 1:
@@ -205,7 +199,7 @@ def _scenario(entries: Mapping[str, Entry]) -> type:
 def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
     """The classes that the first word of a path may mean: a field of the scenario, a list of kinds, a kind or a block by its name."""
     scenario = _scenario(entries)
-    if word in fields_of(scenario):
+    if word in fields(scenario):
         return list(_within([scenario], word))
     found = [e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.room is not None and e.room.what == word))]
     if not found:
@@ -215,28 +209,27 @@ def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
 
 def _within(holders: Sequence[type], part: str) -> Iterator[type]:
     """The classes of the blocks to which a part of a path leads: those that a field of this name holds, and the kind of this name."""
-    inner = [inner for cls in holders if part in fields_of(cls) for _, inner in blocks_in(hint_of(cls, part))]
+    inner = [inner for cls in holders for _, inner in _blocks_at(cls, part)]
     yield from dict.fromkeys([*inner, *(cls for cls in holders if _kind(cls) == part)])
 
 
-@functools.cache
 def _kind(cls: type) -> str:
-    return next((str(f.default) for f in dataclasses.fields(cls) if f.name == "kind"), "")
+    return str(fields(cls)["kind"].default) if "kind" in fields(cls) else ""
 
 
 def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
     """Whether the blocks on the way to a field are fields of fields of a scenario, and no lists."""
     holders = [_scenario(entries)]
     for part in before:
-        hints = [hint_of(cls, part) for cls in holders if part in fields_of(cls)]
-        if not hints or any(map(is_list, hints)):
+        nodes = [fields(cls)[part].node for cls in holders if part in fields(cls)]
+        if not nodes or any(node.is_list for node in nodes):
             return False
         holders = list(_within(holders, part))
     return True
 
 
 def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
-    inside = {inner for cls in holders for inner in fields_of(cls) if inner != "kind"}
+    inside = {inner for cls in holders for inner in fields(cls) if inner != "kind"}
     if name in inside:
         return ParameterError(path, f"is no field of a scenario: {'.'.join((*before, name))} is no block, and has no fields")
     return ParameterError(path, f"is no field of a scenario: {'.'.join(before)} has no {name}; {nearest(name, inside)}")
@@ -244,9 +237,9 @@ def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type
 
 def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:
     """The nearest name, or where to begin: a list of all names would fill a screen."""
-    fields = {name for entry in entries.values() if entry.cls is not None for name in fields_of(entry.cls)}
-    hint = nearest(word, {named(entry) for entry in entries.values()} | set(entries) | fields)
-    return hint if hint.startswith("did you mean") else f"a scenario has {', '.join(fields_of(_scenario(entries)))}"
+    inside = {name for entry in entries.values() if entry.cls is not None for name in fields(entry.cls)}
+    hint = nearest(word, {named(entry) for entry in entries.values()} | set(entries) | inside)
+    return hint if hint.startswith("did you mean") else f"a scenario has {', '.join(fields(_scenario(entries)))}"
 
 
 @dataclass
@@ -337,9 +330,9 @@ _NOTHING = ({}, [], "", None)
 
 def schema_of(cls: type) -> dict[str, Any]:
     """JSON Schema of a spec class, Scenario or Comparison, with the kinds that plugins have added until now."""
-    refresh_specs()
     draft = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return draft | pydantic.TypeAdapter(cls).json_schema(schema_generator=_Described)
+    whole = whole_adapter(cls).json_schema(schema_generator=_Described)
+    return draft | whole | {"$defs": dict(sorted(whole["$defs"].items()))}
 
 
 class _Described(GenerateJsonSchema):
@@ -381,7 +374,7 @@ def with_unit(field: FieldText) -> str:
 
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
     """One example of a field, if there is any: one in a bundled file that is not its default; the docstring's; the default."""
-    default = next(default_of(f) for f in dataclasses.fields(cls) if f.name == name)
+    default = fields(cls)[name].default
     written = [v for v in uses.values.get((cls.__name__, name), []) if v != default and v not in _NOTHING]
     if written:
         yield min(written, key=lambda v: max(len(flow_text(v)), LONGEST_EXAMPLE))  # the first that is short enough, else the shortest
@@ -389,25 +382,18 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
         yield read_value(example)
     elif (filled := _filled(default)) not in _NOTHING:
         yield filled
-    elif inner := next(blocks_in(hint_of(cls, name)), None):
-        block = example_block(inner[1], uses)
-        yield [block] if is_list(hint_of(cls, name)) else block
+    elif inner := _blocks_at(cls, name):
+        block = example_block(inner[0][1], uses)
+        yield [block] if fields(cls)[name].node.is_list else block
 
 
 def example_block(cls: type, uses: Uses) -> dict[str, Any]:
     """A block of a class, which need not be used anywhere: its kind and the fields that it needs, else its first field."""
-    names = [f.name for f in dataclasses.fields(cls) if f.init and f.name != "kind"]
-    kind = {"kind": kind_of(cls)} if "kind" in class_text(cls).fields else {}
-    return kind | {name: next(examples_of(cls, name, uses), None) for name in needed_fields(cls) or ([] if kind else names[:1])}
+    names = [name for name in fields(cls) if name != "kind"]
+    kind = {"kind": kind_of(cls)} if "kind" in fields(cls) else {}
+    return kind | {name: next(examples_of(cls, name, uses), None) for name in needed(cls) or ([] if kind else names[:1])}
 
 
 def _filled(value: Any) -> Any:
     """Plain values without the fields that are None, which say nothing in an example."""
     return {name: _filled(inner) for name, inner in value.items() if inner is not None} if isinstance(value, dict) else value
-
-
-def default_of(field: dataclasses.Field[Any]) -> Any:
-    """A field's default as plain values; None where it has none."""
-    if field.default_factory is not dataclasses.MISSING:
-        return to_mapping(field.default_factory())
-    return None if field.default is dataclasses.MISSING else to_mapping(field.default)

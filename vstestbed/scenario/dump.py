@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole
 from vstestbed.core.named_files import absolute_file, bundled_scenarios, kept_at, module_of
@@ -123,8 +125,6 @@ def _without_former(value: Any) -> Any:
 
 def as_yaml(plain: Any, brief: bool = False) -> str:
     """Plain mappings, lists and scalars as YAML. brief: each block that fits on one line stands on one; else the innermost alone do."""
-    import yaml  # here: only runs with a folder write YAML, which libyaml does in a twentieth of ruamel's time
-
     libyaml: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
     class Dumper(libyaml):
@@ -157,8 +157,6 @@ def block_text(value: object, width: int) -> str:
 
 
 def _yaml_text(value: object, **style: Any) -> str:
-    import yaml
-
     libyaml, out = getattr(yaml, "CSafeDumper", yaml.SafeDumper), io.StringIO()
     yaml.dump(value, out, Dumper=libyaml, sort_keys=False, allow_unicode=True, **style)
     return out.getvalue()

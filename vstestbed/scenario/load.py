@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from ruamel.yaml import YAML
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
 from vstestbed.core.named_files import bundled_scenarios
@@ -18,12 +14,11 @@ from vstestbed.core.refusals import UNKNOWN
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build, put_over
-from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping, respelled
 
 MOST_BYTES = 100_000
 """Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
 
-NAMED_FILES = ("law", "file"), ("robot", "file"), ("target", "file"), ("world", "scenery"), ("world", "floor", "texture")
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
 SCHEMA_LINE = re.compile(r"\A# yaml-language-server: \$schema=.*\n")
@@ -221,22 +216,4 @@ def for_another_folder(path: Path) -> str:
         moved["plugins"] = [absolute(str(name), folder) for name in named]
     if moved == plain:
         return text
-    yaml, out = YAML(), io.StringIO()  # keeps the comments
-    yaml.width = 120
-    tree = yaml.load(text)
-    if isinstance(named, list):
-        tree["plugins"] = moved["plugins"]
-    for named in NAMED_FILES:
-        _take(tree, moved, named)
-    yaml.dump(tree, out)
-    return out.getvalue()
-
-
-def _take(tree: Any, moved: Any, path: tuple[str, ...]) -> None:
-    """Give a field of a tree, by the keys on the way to it, the value that it has in `moved`; nothing where that has none."""
-    for key in path[:-1]:
-        if not isinstance(moved, dict) or key not in moved:
-            return
-        tree, moved = tree[key], moved[key]
-    if isinstance(moved, dict) and path[-1] in moved:
-        tree[path[-1]] = moved[path[-1]]
+    return respelled(text, str(path), moved)

@@ -17,7 +17,7 @@ from typing import Any
 from vstestbed.core.errors import PluginError
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there, line_of, load_file, module_of
 from vstestbed.core.registry import ROOMS
-from vstestbed.core.spec import refresh_specs, undone_on_error
+from vstestbed.core.spec import undone_on_error
 from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import FROM_OPTION, FROM_PYTHON, Marks, place_of
 
@@ -25,7 +25,7 @@ _installed: list[str] = []  # rooms whose entry points are loaded
 
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
-    """Load plugins, which register their kinds, and the entry points of installed packages; then rebuild the validators.
+    """Load plugins, which register their kinds, and the entry points of installed packages.
     names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
     Returns the names under which they are found again from any folder: absolute files, and modules.
     Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
@@ -105,7 +105,6 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
     known, before = module_of(path), _members()
     with _loading(str(path), path), undone_on_error():
         module = load_file(path)
-        refresh_specs()
     if known is None and _members() == before:
         del sys.modules[module.__name__]  # to be read again when it is corrected
         own = [cls.__name__ for cls in vars(module).values() if isinstance(cls, type) and cls.__module__ == module.__name__]
@@ -132,7 +131,6 @@ def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> st
     if origin is None or module_of(origin) is None:
         with _loading(name, origin), undone_on_error():
             importlib.import_module(name)
-            refresh_specs()
     return name
 
 
@@ -158,7 +156,6 @@ def _load_installed() -> None:
     for room, kinds in KINDS.items():
         with _loading(f"an installed plugin of vstestbed.{room}", None), undone_on_error():
             kinds.load_entry_points(offered)
-            refresh_specs()
     _installed[:] = KINDS
 
 

@@ -11,7 +11,7 @@ from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.refusals import converted, findings
 from vstestbed.core.registry import ROOMS, to_mapping
-from vstestbed.core.spec import OneOf, refresh_specs
+from vstestbed.core.spec import OneOf, validator_of
 from vstestbed.effects import EFFECTS
 from vstestbed.features import FEATURES
 from vstestbed.features.depth import DEPTHS
@@ -62,9 +62,8 @@ def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
     """An object of the spec class `cls` from the YAML as plain values, with the positions of its keys and the file's name for messages.
     Raises ScenarioError: all mistakes at once, each with its position in the file.
     """
-    refresh_specs()  # kinds may have been registered since the last scenario was built
     try:
-        made = pydantic.TypeAdapter(cls).validate_python(plain)
+        made = validator_of(cls).validate_python(plain)
         found = list(converted(plain, to_mapping(made), ()))
         if not found:
             return made

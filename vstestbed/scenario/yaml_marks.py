@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq, TaggedScalar
-from ruamel.yaml.composer import Composer
-from ruamel.yaml.constructor import DuplicateKeyError, RoundTripConstructor
-from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
-from ruamel.yaml.reader import ReaderError
+import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
 
@@ -42,93 +39,162 @@ def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Mar
 
 @lru_cache(maxsize=256)
 def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None:
-    # Kept: a comparison reads one file for each of its controllers, and `describe` all bundled files.
+    # Kept: a comparison reads one file for each of its controllers.
     tree = _tree(text, file)
-    if not isinstance(tree, CommentedMap):
-        return None if tree is None else (None, {})
+    if tree is None or tree.kind != "mapping":
+        return None if tree is None or (tree.kind == "scalar" and _scalar(tree, file) is None) else (None, {})
     marks: Marks = {}
     return _plain(tree, (), marks, file), marks
 
 
-class _Composer(Composer):
-    """Ruamel's, which also remembers where the node stands that it reads: text that is nested too deeply ends it without a position."""
+@dataclass
+class _Node:
+    """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start, end: in the text, in characters."""
 
-    at: StreamMark | None = None
+    kind: Literal["scalar", "list", "mapping"]
+    place: str
+    start: int
+    end: int
+    tag: str = ""
+    text: str = ""
+    quoted: bool = False
+    parts: list[_Node] = field(default_factory=list)
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        """Ruamel's hook for each node."""
-        self.at = self.parser.peek_event().start_mark
-        return super().compose_node(parent, index)
-
-
-class _Constructor(RoundTripConstructor):
-    """Ruamel's, which also remembers where the node stands that it constructs: its errors of Python's own kinds have no position."""
-
-    at: StreamMark | None = None
-
-    def construct_object(self, node: Any, deep: bool = False) -> Any:
-        """Ruamel's hook for each node."""
-        self.at = node.start_mark
-        return super().construct_object(node, deep)
+    def pairs(self) -> Iterator[tuple[_Node, _Node]]:
+        """Key and value of each field of a mapping."""
+        return zip(self.parts[::2], self.parts[1::2], strict=True)
 
 
-def _tree(text: str, file: str) -> Any:
-    # Round-trip mode keeps lines and columns, and leaves tagged values as they are, which `_plain` refuses.
-    yaml = YAML(typ="rt")
-    yaml.Composer, yaml.Constructor = _Composer, _Constructor
-    yaml.composer.warn_double_anchors = False  # a name that is given again is plain YAML
+def _tree(text: str, file: str) -> _Node | None:
+    """The node of a document; None for one that is empty. From the parser's events, since libyaml's own tree of a deep document overflows
+    the stack.
+    """
     try:
-        return yaml.load(text)
-    except RecursionError:  # raised inside ruamel, before `_check_size` can see the tree
-        raise ScenarioError([Mistake(_place(yaml, file), "", "is nested too deeply for a scenario")]) from None
-    except DuplicateKeyError as error:
-        key = re.search(r'duplicate key "(.*?)"', error.problem or "")
-        words = "stands here for the second time in its block; keep one of the two"
-        raise ScenarioError([Mistake(_position(error, file), key[1] if key else "", words)]) from None
-    except MarkedYAMLError as error:
-        words = " ".join((error.problem or error.context or "").split())
-        raise ScenarioError([Mistake(_position(error, file), "", f"is not YAML: {words}")]) from None
-    except ReaderError as error:
+        return _node_of(yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)), file)
+    except yaml.MarkedYAMLError as error:
+        mark, words = error.problem_mark, error.problem or error.context or ""
+        got = f", got {text[mark.index]!r}" if mark and mark.index < len(text) else ""
+        raise ScenarioError([Mistake(_place(mark, file), "", f"is not YAML: {words}{got}")]) from None
+    except yaml.reader.ReaderError as error:
         before = text[: error.position]
         where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
         words = f"is not YAML: unacceptable character #x{error.character:04x}; delete it"
         raise ScenarioError([Mistake(where, "", words)]) from None
-    except (YAMLError, ValueError) as error:
-        raise ScenarioError([Mistake(_place(yaml, file), "", f"is not YAML: {' '.join(str(error).split())}")]) from None
-    except (TypeError, AttributeError, LookupError) as error:  # a list as a key, a tag on the wrong kind of node
-        words = f"holds YAML beyond plain mappings, lists and values ({' '.join(str(error).split())})"
-        raise ScenarioError([Mistake(_place(yaml, file), "", words)]) from None
+    except UnicodeEncodeError as error:
+        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is not YAML: {error.reason}")]) from None
 
 
-def _place(yaml: YAML, file: str) -> str:
-    """The position of the node that is being constructed; before the first one, of the one that is being read."""
-    at = yaml.constructor.at or yaml.composer.at
-    return f"{file}:{at.line + 1}:{at.column + 1}" if at else f"{file}:1:1"
-
-
-def _position(error: MarkedYAMLError, file: str) -> str:
-    mark = error.problem_mark
+def _place(mark: Any, file: str) -> str:
     return f"{file}:{mark.line + 1}:{mark.column + 1}" if mark else f"{file}:1:1"
 
 
-def _plain(node: Any, key: Key, marks: Marks, file: str) -> Any:
-    """A ruamel tree as plain dicts, lists and scalars; the position of each is added to `marks`."""
+def _node_of(events: Iterable[Any], file: str) -> _Node | None:
+    whole = _Node("list", "", 0, 0)
+    open_nodes, anchors = [whole], dict[str, _Node]()
+    for event in events:
+        place = _place(event.start_mark, file)
+        if isinstance(event, yaml.DocumentStartEvent) and whole.parts:
+            raise ScenarioError([Mistake(place, "", "is not YAML: but found another document")])
+        if isinstance(event, yaml.CollectionEndEvent):
+            open_nodes.pop()
+        if not isinstance(event, yaml.NodeEvent):
+            continue
+        if len(open_nodes) > DEEPEST:
+            raise ScenarioError([Mistake(place, "", f"is nested more than {DEEPEST} deep; a scenario needs far less")])
+        if isinstance(event, yaml.AliasEvent):
+            if event.anchor not in anchors:
+                raise ScenarioError([Mistake(place, "", f"is not YAML: found undefined alias {event.anchor!r}")])
+            open_nodes[-1].parts.append(anchors[event.anchor])
+            continue
+        node = _Node("scalar", place, event.start_mark.index, event.end_mark.index, getattr(event, "tag", "") or "")
+        if isinstance(event, yaml.ScalarEvent):
+            node.text, node.quoted = event.value, not event.implicit[0]
+        else:
+            node.kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
+        open_nodes[-1].parts.append(node)
+        if event.anchor:
+            anchors[event.anchor] = node
+        if node.kind != "scalar":
+            open_nodes.append(node)
+    return whole.parts[0] if whole.parts else None
+
+
+def _scalar(node: _Node, file: str) -> Any:
+    """The value of a scalar by YAML 1.2; PyYAML's own are those of 1.1, where `on` is a truth value and `1e3` a text."""
+    text = node.text
+    if (node.quoted and not node.tag) or node.tag == f"{_CORE}str":
+        return text
+    if text in _WORDS:
+        return _WORDS[text]
+    try:
+        if found := re.fullmatch(r"[-+]?[0-9][0-9_]*|0o[0-7]+|0x[0-9a-fA-F]+", text):
+            return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+        found = re.fullmatch(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?", text)
+        return float(text) if found else text
+    except ValueError as error:
+        raise ScenarioError([Mistake(node.place, "", f"is not YAML: {' '.join(str(error).split())}")]) from None
+
+
+_CORE = "tag:yaml.org,2002:"
+_WORDS = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
+_WORDS |= {word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")}
+_WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")}
+_WORDS |= dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan"))
+
+
+def _plain(node: _Node, key: Key, marks: Marks, file: str) -> Any:
+    """A tree as plain dicts, lists and scalars; the position of each is added to `marks`."""
     _check_size(key, marks, file)
-    if isinstance(node, CommentedMap):
-        marks.setdefault(key, f"{file}:{node.lc.line + 1}:{node.lc.col + 1}")
-        for k in node:
-            marks[*key, str(k)] = _position_of_item(node.lc.key, k, file) or marks[key]
-        # Keys as text: `1: x` would be an integer key, and no field has one.
-        return {str(k): _plain(v, (*key, str(k)), marks, file) for k, v in node.items()}
-    if isinstance(node, CommentedSeq):
-        for i in range(len(node)):
-            marks[*key, i] = _position_of_item(node.lc.item, i, file) or place_of(key, marks, file)
-        return [_plain(v, (*key, i), marks, file) for i, v in enumerate(node)]
-    if isinstance(node, TaggedScalar):
+    if node.tag and node.tag not in (_CORE + kind for kind in ("str", "int", "float", "bool", "null", "seq", "map")):
         words = f"has the tag {node.tag}; a scenario holds plain values only"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
-    # A scalar without ruamel's wrapper, which keeps how a number was written; bool before int: a bool is one.
-    return next((scalar(node) for scalar in (bool, int, float, str) if isinstance(node, scalar)), node)
+    if node.kind == "scalar":
+        return _scalar(node, file)
+    marks.setdefault(key, node.place)
+    if node.kind == "list":
+        marks.update({(*key, i): item.place for i, item in enumerate(node.parts)})
+        return [_plain(item, (*key, i), marks, file) for i, item in enumerate(node.parts)]
+    found = _fields(node, file)
+    marks.update({(*key, name): place or marks[key] for name, (place, _) in found.items()})
+    return {name: _plain(value, (*key, name), marks, file) for name, (_, value) in found.items()}
+
+
+def _fields(node: _Node, file: str) -> dict[str, tuple[str, _Node]]:
+    """The fields of a mapping, each with its place and node; those from a merge key (`<<`), which stand elsewhere, have none."""
+    merged, own = dict[str, tuple[str, _Node]](), dict[str, tuple[str, _Node]]()
+    for name, value in node.pairs():
+        sources = value.parts if value.kind == "list" else [value]
+        if name.kind != "scalar" or (name.text == "<<" and any(source.kind != "mapping" for source in sources)):
+            raise ScenarioError([Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")])
+        if name.text == "<<":
+            for source in sources:
+                merged = {inner: ("", held) for inner, (_, held) in _fields(source, file).items()} | merged
+        elif name.text in own:
+            raise ScenarioError([Mistake(name.place, name.text, "stands here for the second time in its block; keep one of the two")])
+        else:
+            own[name.text] = name.place, value
+    return own | {name: field for name, field in merged.items() if name not in own}
+
+
+def respelled(text: str, file: str, values: Any) -> str:
+    """YAML text with other values in place of its words, by the plain values that it should have; comments and layout stay."""
+    tree = _tree(text, file)
+    changed = {} if tree is None else dict(_changed(tree, values, file))
+    for (start, end), value in sorted(changed.items(), reverse=True):
+        plain = re.fullmatch(r"[A-Za-z_./\\][\w./\\+-]*", value)
+        text = text[:start] + (value if plain else json.dumps(value, ensure_ascii=False)) + text[end:]
+    return text
+
+
+def _changed(node: _Node, value: Any, file: str) -> Iterator[tuple[tuple[int, int], str]]:
+    if node.kind == "mapping" and isinstance(value, dict):
+        for name, (_, inner) in _fields(node, file).items():
+            yield from _changed(inner, value.get(name), file)
+    elif node.kind == "list" and isinstance(value, list):
+        for inner, one in zip(node.parts, value, strict=False):
+            yield from _changed(inner, one, file)
+    elif isinstance(value, str) and value != node.text:
+        yield (node.start, node.end), value
 
 
 def _check_size(key: Key, marks: Marks, file: str) -> None:
@@ -137,19 +203,11 @@ def _check_size(key: Key, marks: Marks, file: str) -> None:
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
 
 
-def _position_of_item(position: Callable[[Any], tuple[int, int]], item: object, file: str) -> str | None:
-    """The position of an item of a block; None for one from a merge key (`<<`), which stands elsewhere."""
-    try:
-        line, col = position(item)
-    except (KeyError, IndexError, TypeError):
-        return None
-    return f"{file}:{line + 1}:{col + 1}"
-
-
 def read_value(text: str) -> object:
     """The value of YAML text (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
     try:
-        return _plain(_tree(text, ""), (), {}, "")
+        tree = _tree(text, "")
+        return None if tree is None else _plain(tree, (), {}, "")
     except ScenarioError as error:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 
