@@ -23,9 +23,9 @@ class Node:
     """What a field, an item of its list, or one of its alternatives may hold.
 
     Attributes:
-        type: float, int, bool, str, a spec class; tuple for a list; Literal for words; Union for alternatives.
+        type: float, int, bool, str, a spec class; tuple for a list, dict for a mapping by name; Literal for words; Union for alternatives.
         bounds: what `Annotated` says of it.
-        parts: the items of a list (one node), or the alternatives.
+        parts: the items of a list or the values of a mapping (one node), or the alternatives.
         words: the words between which there is the choice.
         room: the list of kinds of which it is one; None else.
     """
@@ -100,8 +100,8 @@ def _node(hint: Any, bounds: tuple[Any, ...] = ()) -> Node:
         return Node(Literal, bounds, words=typing.get_args(hint))
     if origin in (typing.Union, UnionType):
         return _node(inner[0], bounds) if len(inner) == 1 else Node(typing.Union, parts=tuple(_node(part, bounds) for part in inner))
-    if origin is tuple:
-        return Node(tuple, bounds, parts=(_node(inner[0]),))
+    if origin in (tuple, dict):  # a mapping by name: the values
+        return Node(origin, bounds, parts=(_node(inner[-1] if origin is dict else inner[0]),))
     return Node(hint, bounds)
 
 

@@ -100,12 +100,12 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
         # A number, a word or a text may stand for a block or a list: its place is then that of the whole.
         named = isinstance(here, dict if isinstance(part, str) else list | tuple)
         key = (*place.key, part) if named else place.key
-        if isinstance(part, str):
+        if isinstance(part, str) and (node is None or node.type is not dict):
             block, room = _block_in(node, here) if node else (place.block, place.room)
             field = fields(block).get(part)
             place = _Place(key, block, room, part, field and field.node, field and field.node)
         else:
-            place = replace(place, key=key, node=node.parts[0] if node and node.is_list else node)
+            place = replace(place, key=key, node=node.parts[0] if node and node.type in (tuple, dict) else node)
         here = _child(here, part) if named else here
     return place
 
