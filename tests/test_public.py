@@ -49,6 +49,7 @@ def test_an_unknown_name_is_refused_with_the_list() -> None:
         _ = vs.lod
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("module", ["vstestbed", "vstestbed.cli.app"])
 def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """`--help` has to come at once, so nothing that takes more than some milliseconds may be imported for it."""
@@ -58,6 +59,7 @@ def test_importing_costs_no_heavy_package(module: str, vstestbed_process: tuple[
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.process
 def test_loading_a_scenario_builds_few_validators_and_reads_no_docstring(vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """Of some 220 spec classes those alone that the scenario holds; griffe reads docstrings, for `describe` and messages."""
     code = """if True:
@@ -70,6 +72,7 @@ def test_loading_a_scenario_builds_few_validators_and_reads_no_docstring(vstestb
     assert griffe == "False" and 5 < int(built) < 40
 
 
+@pytest.mark.process
 def test_a_run_imports_nothing_before_it_needs_it(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """Until its first frame; each of these takes .1 to .5 s to import."""
     late = ["polars", "matplotlib", "spatialmath", "scipy.interpolate", "scipy.stats", "OpenGL.GL", "av"]

@@ -274,6 +274,7 @@ class TestNoOpenGL:
         ended = command("run", "quick.yaml", "--set", "detector=blobs", "--set", "stop.duration_s=0.2", *NO_FILM, "--quiet")
         assert (ended.code, ended.out, ended.err) == (3, "", "")
 
+    @pytest.mark.process
     @pytest.mark.parametrize(
         ("hide", "line"),
         [
@@ -322,6 +323,7 @@ class TestListAndSchema:
             assert ended.out.startswith(f"Usage: vstestbed {name}")
         assert command("--version").out.startswith("vstestbed ")
 
+    @pytest.mark.process
     def test_a_reader_that_goes_away_is_no_error(self, tmp_path: Path, vstestbed_process) -> None:
         words, environment = vstestbed_process
         with subprocess.Popen([*words, "list"], cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

@@ -21,11 +21,13 @@ def offered(process: tuple[list[str], dict[str, str]], *words: str) -> list[str]
     return ended.stdout.split()
 
 
+@pytest.mark.process
 def test_a_shell_is_offered_names(vstestbed_process) -> None:
     assert offered(vstestbed_process, "run", "arm_pb") == ["arm_pbvs"]
     assert offered(vstestbed_process, "run", "arm_ibvs", "--set", "stop.dur") == ["stop.duration_s"]
 
 
+@pytest.mark.process
 def test_a_shell_gets_its_script(vstestbed_process) -> None:
     command, environment = vstestbed_process
     ended = subprocess.run([*command, "--show-completion", "bash"], env=environment, capture_output=True, text=True, timeout=60, check=True)

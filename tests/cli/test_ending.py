@@ -39,6 +39,7 @@ def shell(
     return subprocess.run(["bash", "-c", script], cwd=folder, env=process[1], capture_output=True, text=True, check=False)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("words", "streams", "code"),
     [
@@ -116,6 +117,7 @@ def test_an_interrupt_before_the_first_frame_is_said(command, quick: Path, monke
     assert (ended.code, ended.err) == (130, "interrupted\n")
 
 
+@pytest.mark.process
 def test_an_interrupt_that_a_finaliser_swallows_comes_again(tmp_path: Path):
     code = (
         "import signal, time\nfrom vstestbed.cli.ending import exit_code\n"
@@ -136,6 +138,7 @@ def test_a_plugin_that_leaves_while_it_is_imported_is_bad_input(command, quick: 
     )
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(("error", "code", "ignored"), [("MemoryError('x')", 4, 0), ("ValueError('x')", 1, 1)])
 def test_finalisers_of_what_is_half_made_are_silent_for_want_of_memory_alone(tmp_path: Path, error: str, code: int, ignored: int):
     script = (

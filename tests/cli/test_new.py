@@ -30,6 +30,7 @@ def own_run(text: str) -> list[str]:
     return shlex.split(run)[1:]
 
 
+@pytest.mark.process
 def test_all_pass_their_own_tests(command, tmp_path: Path, vstestbed_process):
     for kind in KINDS:
         ended = command("new", kind, f"own_{kind}")
@@ -82,6 +83,7 @@ def vs_plain(scenario: vs.Scenario):
     return {name: value for name, value in plain.items() if name != "plugins"}
 
 
+@pytest.mark.process
 @pytest.mark.study
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_runs_by_its_own_command(command, tmp_path: Path, vstestbed_process, kind: str):
@@ -165,6 +167,7 @@ recording = vs.run(vs.load("ibvs_book", {"law": "mine", "detector": "oracle", "c
 print(recording.outcome.name, recording.scenario.law.gain)
 """
 
+    @pytest.mark.process
     def test_a_cell_that_is_run_again_replaces_its_class_and_another_class_of_that_word_is_refused(self, vstestbed_process):
         code = self.CELL.replace("GAIN", "1.0") + self.CELL.replace("GAIN", "2.0")
         code += self.CELL.replace("GAIN", "3.0").replace("class Mine", "class Other")

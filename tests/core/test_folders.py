@@ -32,6 +32,7 @@ def other(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
+@pytest.mark.process
 def test_the_second_process_is_refused_with_the_name_of_the_first(other: subprocess.Popen[str], tmp_path: Path):
     words = rf"is in use by process {other.pid} \(.*python.*\); wait until it ends"
     with pytest.raises(OutputError, match=words) as refused, only_writer(tmp_path):
@@ -42,6 +43,7 @@ def test_the_second_process_is_refused_with_the_name_of_the_first(other: subproc
         must_be_new(tmp_path, "give a new one")
 
 
+@pytest.mark.process
 def test_a_killed_process_holds_nothing_and_leaves_no_file(other: subprocess.Popen[str], tmp_path: Path):
     other.kill()
     other.wait()
@@ -49,6 +51,7 @@ def test_a_killed_process_holds_nothing_and_leaves_no_file(other: subprocess.Pop
         assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.process
 def test_holds_of_one_process_may_be_nested(tmp_path: Path):
     with only_writer(tmp_path):
         with only_writer(tmp_path):

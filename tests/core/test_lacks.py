@@ -33,6 +33,7 @@ def told(ended: subprocess.CompletedProcess[str]) -> str:
     return [line for line in ended.stderr.strip().splitlines() if not line.startswith("<jemalloc>")][-1]  # printed from C
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     "megabytes", [200, *(pytest.param(n, marks=pytest.mark.study) for n in (400, 600, 800, 1300, 1350, 1400, 1600, 1800))]
 )
@@ -41,6 +42,7 @@ def test_want_of_memory(tmp_path: Path, vstestbed_process: Any, megabytes: int) 
     assert told(ended).startswith("not enough memory")
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("files", [5, pytest.param(7, marks=pytest.mark.study), pytest.param(9, marks=pytest.mark.study)])
 def test_want_of_open_files(tmp_path: Path, vstestbed_process: Any, files: int) -> None:
     ended = limited(vstestbed_process, tmp_path, "RLIMIT_NOFILE", files, "run", "arm_ibvs", "--set", "stop.duration_s=0.1")

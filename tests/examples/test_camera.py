@@ -36,6 +36,7 @@ def film(tmp_path: Path) -> tuple[Path, list[vs.Frame]]:
     return tmp_path / "seen.avi", frames
 
 
+@pytest.mark.process
 def test_it_prints_the_twists_of_the_run(film: tuple[Path, list[vs.Frame]]) -> None:
     path, frames = film
     ran = subprocess.run([sys.executable, CAMERA, path.with_name("small.yaml"), path], capture_output=True, text=True)

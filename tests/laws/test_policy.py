@@ -236,6 +236,7 @@ class TestOnnx:
         with pytest.raises(ParameterError, match=r"agent_pos needs law.agent_pos: true"):
             Policy(file=str(tmp_path / "joints.onnx"))
 
+    @pytest.mark.process
     @pytest.mark.parametrize("policy", ["net.onnx", "own.py:act"])
     def test_a_run_writes_nothing_outside_its_folder(
         self, policy: str, tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]

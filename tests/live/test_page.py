@@ -27,6 +27,7 @@ from vstestbed.studies.run_folder import new_folder, run_into
 
 pytestmark = [
     pytest.mark.study,
+    pytest.mark.process,
     pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine (apt-get install chromium)"),
 ]
 OPENS_S = 5.0

@@ -362,6 +362,7 @@ class TestTheCommand:
         assert ended.code == 2 and "--set: law.gain: must be > 0, got -1" in ended.err
 
     @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGINT for another process")
+    @pytest.mark.process
     def test_ctrl_c_ends_it(self, tmp_path: Path):
         words = [sys.executable, "-m", "vstestbed", "live", "ibvs_book", "--no-open"]
         with subprocess.Popen(words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:

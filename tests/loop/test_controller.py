@@ -68,6 +68,7 @@ RUNS = {
 }
 
 
+@pytest.mark.process
 def test_the_pictures_and_readings_of_runs_give_their_orders_without_mujoco(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Of all runs in one process: to start it takes longer than its orders."""
     import pickle
@@ -109,6 +110,7 @@ ARMS = (
 OTHERS = (*ARMS, "ibvs_book", "car_pbvs", "car_pursuit", "car_line", "omni_ibvs", "quadrotor_hover")
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("name", "changes"),
     [

@@ -58,6 +58,7 @@ def plugin(path: Path, kind: str = "mine", more: str = "") -> Path:
     return path
 
 
+@pytest.mark.process
 def test_the_folder_of_a_run_remembers_its_plugin(command, quick: Path, tmp_path: Path, vstestbed_process) -> None:
     """By its absolute file: reported and run again by another process, from another folder."""
     shutil.copy(EXAMPLES / "broyden.py", tmp_path / "broyden.py")
@@ -151,6 +152,7 @@ def test_a_plugin_that_adds_no_kind_is_told_until_it_adds_one(tmp_path: Path) ->
     assert load_plugins([str(path)]) == (str(path),)
 
 
+@pytest.mark.process
 def test_a_plugin_that_is_gone_and_its_new_place(command, quick: Path, tmp_path: Path, vstestbed_process) -> None:
     law = plugin(tmp_path / "old/mine.py")
     assert command("run", "quick.yaml", "--plugin", law, "--set", "law.kind=mine", "--out", "run", *NO_FILM).code == 0
@@ -167,6 +169,7 @@ def test_a_plugin_that_is_gone_and_its_new_place(command, quick: Path, tmp_path:
     assert f"plugins: [{tmp_path / 'new/mine.py'}]" in (tmp_path / "again/scenario.yaml").read_text()
 
 
+@pytest.mark.process
 def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Path, tmp_path: Path, here: None, vstestbed_process) -> None:
     """One in the scenario, one beside it; the resumed comparison has a worker and writes its report."""
     plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")

@@ -60,6 +60,7 @@ print(child(refused), log() == log())
 REFUSED = "no OpenGL: this process is a fork of one that has drawn with it; start processes with multiprocessing's method spawn"
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("code", "said"),
     [

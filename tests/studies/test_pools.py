@@ -17,6 +17,7 @@ import pytest
 
 from vstestbed.studies.pools import LocalPool, WorkerLostError
 
+pytestmark = pytest.mark.process
 ENDS_S = 10.0
 """A study ends this soon after Ctrl-C, also on a machine with much else to do; alone it takes a second."""
 AXES = ("--vary", "law.gain=3,6", "--vary", "camera.rate_hz=20,25")

@@ -352,6 +352,7 @@ def start(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -
         process.communicate()
 
 
+@pytest.mark.process
 class TestCutOff:
     @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.study)])
     @pytest.mark.opengl
@@ -397,6 +398,7 @@ class TestCutOff:
         assert seconds_of(folder / "overview.mp4") == pytest.approx(log["t"][2], abs=PICTURE_S)
 
 
+@pytest.mark.process
 class TestFullDisk:
     """One message, exit 4, and what was logged until then."""
 

@@ -216,6 +216,7 @@ def test_without_optuna_the_extra_is_named(quick: Path, tmp_path: Path, monkeypa
     assert not (tmp_path / "t").exists()
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_killed_and_resumed_and_with_other_jobs_it_is_the_same(quick: Path, tmp_path: Path, vstestbed_process) -> None:
     words, environment = vstestbed_process

@@ -190,6 +190,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_lerobot_itself_reads_it(dataset: Path, folders: list[Path], tmp_path: Path) -> None:
     python = os.environ.get("LEROBOT_PYTHON") or shutil.which("lerobot-python")

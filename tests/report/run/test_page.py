@@ -221,6 +221,7 @@ def test_any_length_and_number_of_markers(frames: int, markers: int) -> None:
     assert "Features in the image" in reader.figures
 
 
+@pytest.mark.process
 def test_the_page_of_a_run_needs_no_matplotlib() -> None:
     """In a process of its own (a second), since other tests import it: its import alone would take longer than the page."""
     code = "import sys; sys.modules['matplotlib'] = None; import polars as pl; from vstestbed.report import render_page"

@@ -136,6 +136,7 @@ except EnvironmentLackError as error:
 """
 
 
+@pytest.mark.process
 def test_a_full_disk_is_told_with_the_path_and_leaves_nothing(tmp_path: Path) -> None:
     """The limit on a file's size gives EFBIG where a full disk gives ENOSPC; in a process of its own, as it cannot be lifted."""
     path = tmp_path / "a.mp4"

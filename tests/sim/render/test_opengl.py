@@ -164,6 +164,7 @@ print(hashlib.sha256(r.table.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("numbers", [("2",), pytest.param(("0", "1", "2", "3"), marks=pytest.mark.study)], ids="-".join)
 @pytest.mark.opengl
 def test_any_number_of_raster_threads_draws_the_same_bytes(numbers: tuple[str, ...], capsys: pytest.CaptureFixture[str]):

@@ -299,6 +299,7 @@ def test_nothing_is_lost_for_looking_in_windows(latency_s: float):
     assert all(np.isfinite(recording[f"u_{i}"]).all() for i in range(4))
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_a_machine_without_opengl_runs_films_and_all(tmp_path: Path, vstestbed_process):
     """The loader finds empty files in place of libEGL and libGL. A smaller picture and a higher gain, for time's sake."""

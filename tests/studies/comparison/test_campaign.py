@@ -106,6 +106,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, own_kinds: None) -> 
     sys.modules.pop("broken_laws", None)
 
 
+@pytest.mark.process
 def test_this_process_two_jobs_and_dask_give_the_same(quick: Path, tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch):
     tables = [
         compare([quick], GAINS, seeds=3, jobs=jobs, executor=executor, out=tmp_path / name, film=False, report=False)
@@ -173,6 +174,7 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
         assert words in page
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
     campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
@@ -195,6 +197,7 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
     assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
 
 
+@pytest.mark.process
 @pytest.mark.study
 @pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
 def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
@@ -208,6 +211,7 @@ def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, t
     assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(quick: Path, tmp_path: Path):
     with closing(LocalPool(2, tmp_path)) as pool:
@@ -221,6 +225,7 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
     gone(second)
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_a_dask_worker_that_is_a_process_gives_the_same(
     quick: Path, tmp_path: Path, cluster_of_processes: str, monkeypatch: pytest.MonkeyPatch
@@ -231,12 +236,14 @@ def test_a_dask_worker_that_is_a_process_gives_the_same(
     assert logs(tmp_path / "one") == logs(tmp_path / "dask")
 
 
+@pytest.mark.process
 def test_dask_counts_the_tries_of_one_comparison_alone(quick: Path, tmp_path: Path, cluster: str):
     for name in ("first", "second"):
         table = compare([quick], seeds=2, executor=cluster, out=tmp_path / name, film=False, report=False)
         assert table["attempts"].to_list() == [1, 1]
 
 
+@pytest.mark.process
 @pytest.mark.study
 def test_a_script_without_a_main_guard_is_told_so(quick: Path, tmp_path: Path, vstestbed_process: Any):
     script = tmp_path / "script.py"
@@ -284,6 +291,7 @@ class TestResume:
         with pytest.raises(ParameterError, match="--resume goes on with what the folder compares"):
             compare([quick], {"law.gain": (1.0, 2.0)}, seeds=1, out=out, resume=True)
 
+    @pytest.mark.process
     @pytest.mark.study
     @pytest.mark.parametrize("moments", [tuple(0.07 * i for i in range(10))])
     def test_killed_again_and_again(self, quick: Path, tmp_path: Path, vstestbed_process: Any, moments: tuple[float, ...]):
@@ -326,6 +334,7 @@ def wait_for(true: Callable[[], bool], seconds: float = 60) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.process
 def test_ctrl_c_keeps_what_is_done_and_says_how_to_go_on(quick: Path, tmp_path: Path, vstestbed_process: Any):
     words, environment = vstestbed_process
     out = tmp_path / "c"
@@ -449,6 +458,7 @@ def cluster_of_processes() -> Iterator[str]:
         yield made.scheduler_address.replace("tcp://", "dask://")
 
 
+@pytest.mark.process
 def test_nobody_at_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     distributed = pytest.importorskip("distributed")
     client = distributed.Client  # which waits for 5 s: here for less
