@@ -1,4 +1,4 @@
-"""What takes seconds and is not what a test is about: worker processes, figures of a comparison. The kinematics of the Puma."""
+"""One case of many; worker processes and figures, which take seconds and are not what a test is about; the kinematics of the Puma."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ import pytest
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
 from vstestbed.robots.puma560 import kinematics
+
+
+def one_quick(*cases: Any) -> list[Any]:
+    """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a case of several arguments."""
+    first, *others = cases
+    return [first, *(pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.study) for case in others)]
 
 
 class Here:

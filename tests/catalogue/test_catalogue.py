@@ -91,7 +91,7 @@ def test_the_catalogue_is_whole():
     assert set(TARGET_EXAMPLES) == set(TARGETS.members)
 
 
-@pytest.mark.parametrize("kind", LAWS.members)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.study] if k == "pursuit" else []) for k in LAWS.members])
 def test_every_law(kind):
     loop = vs.load("camera_photometric", SMALL_PICTURES) if kind == "photometric" else None  # which needs a picture with structure
     suites.check_law(loop.law if loop else LAWS.members[kind](**LAW_PARAMETERS.get(kind, {})), loop)
@@ -112,7 +112,11 @@ def test_every_detector(kind):
     suites.check_detector(DETECTORS.members[kind]())
 
 
-@pytest.mark.parametrize("kind", GOALS.members)
+LONG = ("views", "gap", "path", "landing")
+"""Tasks whose closed loop takes seconds; tests/loop has quick ones of them."""
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.study] if k in LONG else []) for k in GOALS.members])
 def test_every_task(kind):
     suites.check_task(TASKS[kind]())
 

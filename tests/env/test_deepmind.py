@@ -30,6 +30,7 @@ class TestArm(Conformance, absltest.TestCase):
     settings = {"scenario": "arm_ibvs", "observation": "both", "overrides": {"stop.duration_s": 0.4}}  # noqa: RUF012 - a test's
 
 
+@pytest.mark.study
 class TestCar(Conformance, absltest.TestCase):
     settings = {"scenario": "car_pbvs", "overrides": {"stop.duration_s": 0.4}, "reward": "negative_error"}  # noqa: RUF012 - a test's
 

@@ -16,6 +16,7 @@ from gymnasium.utils.env_checker import check_env
 import vstestbed as vs
 import vstestbed.env
 from tests.robots.arms import where_installed
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.env.gym_env import GymServo
@@ -44,7 +45,7 @@ def test_there_is_an_id_for_every_bundled_scenario() -> None:
     assert ids == {f"vstestbed/{name}-v0" for name in (*bundled_scenarios(), "scenario")}
 
 
-@pytest.mark.parametrize(("name", "mode"), [("arm_ibvs", "both"), ("car_pbvs", "markers")])
+@pytest.mark.parametrize(("name", "mode"), one_quick(("arm_ibvs", "both"), ("car_pbvs", "markers")))
 def test_gymnasiums_checker_has_nothing_to_say(name: str, mode: str) -> None:
     checked_without_a_warning(name, mode)
 

@@ -42,6 +42,7 @@ def test_it_drives_the_arm(command):
     assert summary["outcome"] == "converged" and summary["time_to_converge_s"] < 15
 
 
+@pytest.mark.study
 def test_it_is_compared_with_the_classic(command, quick: Path, here: None, one_figure: None):
     both = ("--vary", "law.kind=ibvs,broyden", "--set", "law.gain=3")
     ended = command("compare", "quick.yaml", *both, "--plugin", "broyden", "--seeds", 2, "--set", "camera.rate_hz=10", *QUIET)
@@ -60,6 +61,7 @@ def test_its_basin_ends_as_in_the_time_loop(command, quick: Path):
     assert basin["shares"]["converged"] > 0.4
 
 
+@pytest.mark.study
 def test_it_has_a_gain_limit(command, quick: Path):
     ended = command(
         "gain-limit", "quick.yaml", "--plugin", "broyden", "--set", "law={kind: broyden, update: 1e-6}", "--frames", "1", *QUIET

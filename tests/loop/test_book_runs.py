@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
 
 
@@ -85,7 +86,7 @@ class TestArmAsPrinted:
         assert off_path(way(printed), way(own)).max() == pytest.approx(1.9e-3, abs=1e-4)
 
     @pytest.mark.parametrize(
-        ("depth_m", "outcome", "retreat_m"), [(0.5, "converged", 0.005), (2, "converged", 0.095), (4, "joint_limit", 0.150)]
+        ("depth_m", "outcome", "retreat_m"), one_quick((0.5, "converged", 0.005), (2, "converged", 0.095), (4, "joint_limit", 0.150))
     )
     def test_a_depth_far_off_changes_the_run(self, printed: vs.Recording, depth_m: float, outcome: str, retreat_m: float):
         found = vs.run(vs.load("arm_book", {"law.depth": {"kind": "constant", "depth_m": depth_m}})).summary()
@@ -130,6 +131,7 @@ def test_a_camera_beside_the_wrist():
 class TestRow:
     """Twelve balls, three views of four each, with exact pixels."""
 
+    @pytest.mark.study
     def test_it_follows_the_row_by_four_balls_at_a_time(self):
         scenario = vs.load("quadrotor_row", {"detector": "oracle"})
         r = vs.run(scenario)

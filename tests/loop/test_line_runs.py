@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.outcome import Outcome
 
@@ -19,7 +20,7 @@ def run(name, **settings):
     return vs.run(vs.load(name, QUICK | {k.replace("__", "."): v for k, v in settings.items()}))
 
 
-@pytest.mark.parametrize(("name", "settled_s"), [("car_line", 2.5), ("omni_line", 2.0)])
+@pytest.mark.parametrize(("name", "settled_s"), one_quick(("car_line", 2.5), ("omni_line", 2.0)))
 def test_it_recovers_from_30_cm_and_20_degrees(name, settled_s):
     recording = run(name, robot__wheels="planar", stop__duration_s=4.5) if name == "omni_line" else run(name, stop__duration_s=4.5)
     assert recording.outcome is Outcome.completed
@@ -28,7 +29,7 @@ def test_it_recovers_from_30_cm_and_20_degrees(name, settled_s):
     assert np.abs(recording["task_error_m"][recording["t"] > settled_s]).max() < 0.05
 
 
-@pytest.mark.parametrize(("name", "bound"), [("car_line", 0.03), ("omni_line", 0.02)])
+@pytest.mark.parametrize(("name", "bound"), one_quick(("omni_line", 0.02), ("car_line", 0.03)))
 def test_a_bend_of_2_m_and_another_the_other_way(name, bound):
     # The car cuts where one bend meets the other, 2 k m^2 / 9 = 18 mm; its steering takes .5 s from stop to stop.
     start = {"nominal": {"x": 0, "y": 0, "heading_deg": 0}}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
 from vstestbed.robots.puma560 import SPEED_LIMITS, Puma560
 from vstestbed.sim.base import Plant
@@ -169,7 +170,7 @@ def test_the_arm_stops_within_its_limits_and_not_at_once(monkeypatch: pytest.Mon
     np.testing.assert_allclose(ctrl[13] / np.linalg.norm(ctrl[13]), ctrl[10] / np.linalg.norm(ctrl[10]), atol=1e-12)  # as a whole
 
 
-@pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book", "omni_ibvs", "car_pbvs"])
+@pytest.mark.parametrize("name", one_quick("arm_ibvs", "ibvs_book", "omni_ibvs", "car_pbvs"))
 def test_a_dead_camera_stops_the_robot_and_ends_the_run(name: str, monkeypatch: pytest.MonkeyPatch, way: Way):
     scenario = vs.load(name, TIMING | {"stop.lost_after_s": 1.0})
     never = 10**9
@@ -192,6 +193,7 @@ def test_a_camera_that_never_delivers_ends_the_run_too(monkeypatch: pytest.Monke
     assert r.outcome is vs.Outcome.timed_out
 
 
+@pytest.mark.study
 def test_a_craft_whose_camera_is_dead_sets_down(monkeypatch: pytest.MonkeyPatch):
     never = 10**9
     shutter_that(monkeypatch, lambda p: p if p.frame < BLACK_FRAME else replace(p, opens=(never,), middle=never, arrives=never))
@@ -218,10 +220,15 @@ def test_dropped_pictures_within_the_timeout_change_nothing(monkeypatch: pytest.
 
 
 class TestLawThatFails:
+    STUDIES = tuple(
+        pytest.param(name, fails, marks=pytest.mark.study)
+        for fails, names in (("raises", ("ibvs_book", "omni_ibvs", "car_pbvs", "quadrotor_hover")), ("nan", ("arm_ibvs",)))
+        for name in names
+    )
+
     @pytest.mark.parametrize(
         ("name", "fails"),
-        [(name, "raises") for name in ("arm_ibvs", "ibvs_book", "omni_ibvs", "car_pbvs", "quadrotor_hover")]
-        + [(name, "nan") for name in ("arm_ibvs", "ibvs_book")],  # it ends a run at the same place
+        [("arm_ibvs", "raises"), ("ibvs_book", "nan"), *STUDIES],  # it ends a run at the same place
     )
     def test_the_robot_stops_and_the_outcome_names_the_law(self, name: str, fails: str, monkeypatch: pytest.MonkeyPatch, way: Way):
         scenario = vs.load(name, TIMING | ({"robot.start.nominal": {"xyz": [0.2, 0, 1.2]}} if name == "quadrotor_hover" else {}))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
 
 GAIN, LATENCY_S, PERIOD_S = 0.5, 0.04, 0.04
@@ -49,12 +50,12 @@ def test_a_held_command_is_half_a_period_old_on_top_of_the_latency(plain: tuple[
 
 @pytest.mark.parametrize(
     ("change", "older_s", "within_s"),
-    [
+    one_quick(
         ({"camera.latency_s": LATENCY_S + 0.02}, 0.02, 0.001),
         ({"timing.exposure_s": 0.02}, 0.01, 0.001),
         ({"camera.readout_s": 0.03}, 0.015, 0.003),  # of markers at half the height; they are where they are
         ({"timing.interpolation": "ramp", "timing.command_hz": 500}, PERIOD_S / 2, 0.001),
-    ],
+    ),
     ids=["latency", "exposure", "readout", "ramps"],
 )
 def test_half_of_exposure_readout_and_ramp_are_latency(

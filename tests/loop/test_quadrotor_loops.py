@@ -32,6 +32,7 @@ def test_a_step_by_rendered_pictures():
     assert r.summary()["final_position_error_m"] < 0.08  # a gyro bias of 3e-3 rad/s is on its way out: .35 deg at 2.5 m, and 2 px
 
 
+@pytest.mark.study
 def test_without_derotation_the_lean_is_taken_for_an_error():
     """The first second of a large step: the craft leans forward, and its points seem to run ahead."""
     level, raw = (run("quadrotor_aggressive", derotation=how, stop__duration_s=8.0) for how in ("exact", "none"))
@@ -39,6 +40,7 @@ def test_without_derotation_the_lean_is_taken_for_an_error():
     assert over[1] > 1.5 * over[0]  # measured 2.5 to 6 over 20 starts
 
 
+@pytest.mark.study
 def test_feedforward_takes_no_lean_for_a_target_that_moves():
     """What the craft rolls and pitches does not show in a view that is turned level; its rates must not be taken out of it."""
     quick = {"kind": "kalman_cv", "bandwidth_hz": 5.0}  # the estimate of a standing target's speed is fed back at once
@@ -67,6 +69,7 @@ def test_feet_on_the_ground_without_a_landing_are_a_collision():
     assert r.outcome is Outcome.collided
 
 
+@pytest.mark.study
 def test_without_a_word_it_holds():
     """Pictures lost for seconds on end: an order is flown for half a second, then the craft holds."""
     far = {"robot.start.nominal.xyz": [6, 0, 3], "law.gain": 0.6, "detector.field_of_view": "unlimited", "seed": 2}
@@ -104,6 +107,7 @@ def test_one_seed_one_flight():
 HIGH = {"detector.field_of_view": "unlimited", "robot.start.nominal.yaw_deg": 90, "stop.lost_after_s": 2.0}
 
 
+@pytest.mark.study
 def test_a_blow_that_overturns_it_ends_the_task_and_it_sets_down(monkeypatch):
     """At 1 s something hits a leg: the craft rolls over; it levels, sinks and stands before the run ends."""
     blows = []

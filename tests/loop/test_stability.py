@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.stability import FEWEST, LastPart, closed_form, grows, period, reversal, swing, swing_frames, swings, to_and_fro
 from vstestbed.report.run.numbers import headline
@@ -37,7 +38,7 @@ def part(x: np.ndarray, error: float | np.ndarray = 5.0, limited: bool = False, 
     )
 
 
-@pytest.mark.parametrize("d", range(4))
+@pytest.mark.parametrize("d", one_quick(1, 0, 2, 3))
 def test_the_ideal_camera_is_unstable_where_theory_says(d: int):
     under, over = flown(0.95, d), flown(1.01, d, **{"stop.duration_s": 20})
     assert under.outcome is Outcome.converged
@@ -56,7 +57,7 @@ def test_a_run_that_converged_says_for_how_long_its_command_swung():
     assert "swung_s" not in calm and "reversed" not in headline(calm)
 
 
-@pytest.mark.parametrize("limit", [None, 0.3])
+@pytest.mark.parametrize("limit", one_quick(None, 0.3))
 @pytest.mark.parametrize("share", [0.9, 1.02])
 def test_a_batch_ends_as_a_run(share: float, limit: float | None):
     recording = flown(share, 0, **{"law.limits.speed_mps": limit, "stop.duration_s": 10})
@@ -73,6 +74,7 @@ class TestRobots:
         assert swung.outcome is Outcome.unstable and "we do not know what makes the difference" in swung.reason
         assert vs.run(vs.load("arm_ibvs", late | {"law.gain": 3})).outcome is Outcome.converged
 
+    @pytest.mark.study
     def test_friction_at_the_goal_is_no_instability(self):
         sticks = vs.run(vs.load("arm_ibvs", ALL_SEEN | {"stop.converged.error_px": 0.02, "stop.duration_s": 20}))
         assert sticks.outcome is Outcome.timed_out and sticks.reason == "20 s were not enough"
@@ -102,11 +104,11 @@ class TestRobots:
 
     @pytest.mark.parametrize(
         ("name", "gain", "detector"),
-        [
+        one_quick(
             ("arm_ibvs", 30, "oracle"),
             ("arm_pbvs", 40, "oracle"),
-            pytest.param("arm_ibvs", 40, "blobs", marks=pytest.mark.study),
-        ],
+            ("arm_ibvs", 40, "blobs"),
+        ),
     )
     def test_a_gain_far_too_high_that_loses_markers_every_few_frames(self, name: str, gain: float, detector: str):
         run = vs.run(vs.load(name, {"detector": detector, "law.gain": gain, "stop.duration_s": 12}))

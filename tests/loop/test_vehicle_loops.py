@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.quantity import GRAVITY
 from vstestbed.robots.base import Reading
 from vstestbed.robots.car import Car
@@ -63,13 +64,13 @@ def measured(**changes: object) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     ("changes", "gain", "earlier_s", "lags_s"),
-    [
-        ({}, 1.0, 0.0, ()),
+    one_quick(
         ({"robot__drive_lag_s": 0.1}, 1.0, 0.0, (0.1,)),
+        ({}, 1.0, 0.0, ()),
         ({"timing__interpolation": "ramp", "timing__command_hz": 500}, 1.0, -FRAME_S / 2, ()),
         ({"robot__wheel_radius_error": 0.02}, 1 / 1.02, 0.0, ()),
-    ],
-    ids=["as it is", "drive lag", "ramps", "radius"],
+    ),
+    ids=["drive lag", "as it is", "ramps", "radius"],
 )
 def test_the_base_comes_as_fast_as_its_lags_let_it(
     changes: dict[str, object], gain: float, earlier_s: float, lags_s: tuple[float, ...]
@@ -124,14 +125,14 @@ def test_a_lag_of_its_drive_makes_the_car_later() -> None:
     assert arrival(robot__drive_lag_s=0.2) - arrival() == pytest.approx(straight(0.2) - straight(0.0), abs=0.015)
 
 
-@pytest.mark.parametrize("field", ["robot__wheel_radius_error", "robot__wheel_spread__errors"])
+@pytest.mark.parametrize("field", one_quick("robot__wheel_radius_error", "robot__wheel_spread__errors"))
 def test_a_radius_that_is_wrong_stretches_the_time(field: str) -> None:
     """All speeds, their limit too, are smaller by the share by which the rear wheels are smaller than believed; the gains with them."""
     value = 0.02 if field.endswith("error") else (0.0, 0.0, -0.02, -0.02)
     assert arrival(**{field: value}) - arrival() == pytest.approx(0.02 * arrival(), abs=0.02)
 
 
-@pytest.mark.parametrize(("alpha", "beta"), [(4.0, -2.5), (5.0, -2.0)])
+@pytest.mark.parametrize(("alpha", "beta"), one_quick((4.0, -2.5), (5.0, -2.0)))
 def test_a_compass_that_points_wrongly_turns_the_car_by_more_than_its_bias(alpha: float, beta: float) -> None:
     """Its true heading ends at e + (delta + e) k_alpha / |k_beta| off the goal's, with e = k_rho tau delta.
 

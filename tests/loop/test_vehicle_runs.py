@@ -37,6 +37,7 @@ class TestCar:
         heading = np.degrees(np.angle(np.exp(1j * (parked["est_heading"] - parked["base_heading"]))))
         assert 0.02 < np.abs(heading).mean() < 1.0  # a compass of .5 deg, smoothed: neither perfect nor worse
 
+    @pytest.mark.study
     def test_landmarks_leave_the_view_and_it_goes_on(self):
         narrow = run("car_pbvs", camera__fovy_deg=100.4, detector="oracle")
         seen = np.isfinite(np.stack([narrow[f"u_{i}"] for i in range(5)])).sum(axis=0)
@@ -57,6 +58,7 @@ class TestCar:
             r"true pose of the vehicle: \d+\.\d\d mm and \d\.\d+ deg from the goal", summary_text(parked, tmp_path, filmed=False)
         )
 
+    @pytest.mark.study
     def test_rest_beside_the_goal_is_told_in_metres_and_degrees(self):
         """A compass that is 10 degrees off: the car arrives turned, and knows it."""
         turned = run("car_pbvs", robot__compass={"bias_deg": 10, "sigma_deg": 0}, detector="oracle")
@@ -101,6 +103,7 @@ class TestCar:
         assert off[dark].max() < 0.05
         assert hidden["act_vz"][dark].min() > 0.3  # it does not stop
 
+    @pytest.mark.study
     def test_reverse_parking(self):
         backwards = run("car_parking", detector="oracle")
         assert backwards.outcome is Outcome.converged
@@ -149,6 +152,7 @@ class TestPursuit:
         true = np.hypot(recording["tgt_x"] - recording["base_x"], recording["tgt_y"] - recording["base_y"]) - 2.5
         np.testing.assert_allclose(recording["task_error_m"], true, atol=1e-9)
 
+    @pytest.mark.study
     def test_of_a_single_point_its_own_place_is_pursued_whichever_way_the_leader_heads(self):
         route = {"kind": "circle", "radius_m": 3}
         settings = {"target__at": [[0, 0, 0.5]], "target__motion__route": route, "camera__fovy_deg": 100, "stop__duration_s": 20}

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed import Timing
 from vstestbed.cli import app as cli
 from vstestbed.cli.studies import _summary_line
@@ -59,7 +60,7 @@ def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
     assert growth(start, 0.98 * g / PERIOD, d) < 1 < growth(start, 1.02 * g / PERIOD, d)
 
 
-@pytest.mark.parametrize("between", ["ramp", "smooth"])
+@pytest.mark.parametrize("between", one_quick("ramp", "smooth"))
 @pytest.mark.parametrize("d", [0, 2])
 def test_commands_that_are_led_to_cost_half_a_period_of_the_delay_margin(free, d, between):
     """At the limit of held commands the loop grows, and it is stable up to its own, 2 tan(pi / (4 (d + 1))): 0.536 instead of 0.618."""
@@ -84,7 +85,7 @@ def test_bisection_lands_on_the_limit(free):
     assert limit.gain == pytest.approx(25.0, rel=0.003) and limit.g_lag is None and limit.runs == 11
 
 
-@pytest.mark.parametrize(("d", "timing"), [(0.6, Timing()), (1.5, Timing()), (1, Timing(command_latency_s=0.02))])
+@pytest.mark.parametrize(("d", "timing"), one_quick((0.6, Timing()), (1.5, Timing()), (1, Timing(command_latency_s=0.02))))
 def test_a_delay_of_part_of_a_frame_and_of_commands_goes_unstable_where_theory_says(free, d, timing):
     at_goal = replace(free, timing=timing)
     limit = find_limit(at_goal, d)
@@ -116,6 +117,7 @@ def test_an_arm_with_industrial_servos_goes_unstable_where_their_lag_says(arm):
     assert growth(start, 0.95 * g / PERIOD, 2) < 1 < growth(start, 1.05 * g / PERIOD, 2)
 
 
+@pytest.mark.study
 def test_servos_that_move_against_a_fast_swing_are_measured_at_a_slower_one():
     """Without delay the first guess is a swing of two frames; these servos lag by nearly one: b_0 + b_1 is below 0 there."""
     lags = measure_lags(prepared(vs.load("arm_docking")), 0, OFF_WITH_FRICTION)

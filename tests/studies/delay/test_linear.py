@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.effects.joints import Gears
 from vstestbed.loop.stability import closed_form, gain_limit
 from vstestbed.scenario.scenario import Scenario
@@ -28,7 +29,7 @@ def soft(scenario: Scenario, k: float, damping_s: float) -> Scenario:
     return replace(scenario, robot=replace(scenario.robot, gears=gears))
 
 
-@pytest.mark.parametrize(("k", "damping_s", "d"), [(25_000.0, 0.0005, 0), (5_000.0, 0.002, 1)])
+@pytest.mark.parametrize(("k", "damping_s", "d"), one_quick((25_000.0, 0.0005, 0), (5_000.0, 0.002, 1)))
 def test_an_elastic_arm_goes_unstable_where_two_masses_say(at_goal: Scenario, k: float, damping_s: float, d: int) -> None:
     scenario = soft(at_goal, k, damping_s)
     g = linear_gain_limit(linear_arm(scenario.robot), d, PERIOD)
