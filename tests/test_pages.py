@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,17 +65,15 @@ def sentences(text: str) -> Iterator[str]:
         yield from (one for one in re.split(r"(?<=[.:;])\s+", " ".join(paragraph.split())) if len(one) >= 60)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
-def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides(page: Path) -> None:
-    found = list(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
-    assert not {one for one in found if found.count(one) > 1}
+def test_no_sentence_stands_twice_as_after_a_merge_that_kept_both_sides() -> None:
+    for page in PAGES:
+        found = Counter(sentences((REPOSITORY / page).read_text(encoding="utf-8")))
+        assert not {one for one, times in found.items() if times > 1}, page
 
 
-@pytest.mark.parametrize("page", pages(), ids=str)
-def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given(page: Path) -> None:
+def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given() -> None:
     """Above a table with literal decimals its source has `{# given ... #}`: inputs, not results; or `{# held by tests ... #}`."""
-    text = (SOURCES / page).read_text(encoding="utf-8")
-    for paragraph in text.split("\n\n"):
+    for paragraph in (paragraph for page in pages() for paragraph in (SOURCES / page).read_text(encoding="utf-8").split("\n\n")):
         rows = [line for line in paragraph.splitlines() if line.startswith("|")]
         literal = [row for row in rows if re.search(r"(?<![\w.])\d*\.\d", NOT_LITERAL.sub("", row))]
         assert not literal or "{# given" in paragraph or "{# held by tests" in paragraph, literal
@@ -83,10 +82,8 @@ def test_decimals_in_a_table_are_made_by_a_command_or_said_to_be_given(page: Pat
             assert files and all((REPOSITORY / "tests" / file).is_file() for file in files), row
 
 
-@pytest.mark.parametrize("page", READ, ids=str)
-def test_commands_of_a_page_parse_and_their_scenarios_exist(page: Path) -> None:
-    for words in commands((REPOSITORY / page).read_text(encoding="utf-8")):
-        name, *rest = words
+def test_commands_of_the_pages_parse_and_their_scenarios_exist() -> None:
+    for name, *rest in {tuple(words) for page in READ for words in commands((REPOSITORY / page).read_text(encoding="utf-8"))}:
         if name.startswith("-"):
             continue
         assert name in COMMANDS.commands, f"no command {name}"
@@ -108,17 +105,16 @@ def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatc
         assert done.exit_code == 0, (words, done.output)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=str)
-def test_links_of_a_page_lead_somewhere(page: Path) -> None:
-    text = re.sub(r"```.*?```", "", (REPOSITORY / page).read_text(encoding="utf-8"), flags=re.DOTALL)
-    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+def test_links_of_the_pages_lead_somewhere() -> None:
+    texts = {page: re.sub(r"```.*?```", "", (REPOSITORY / page).read_text(encoding="utf-8"), flags=re.DOTALL) for page in PAGES}
+    for page, link in ((page, link) for page, text in texts.items() for link in re.findall(r"\]\(([^)\s]+)\)", text)):
         file, _, place = link.partition("#")
         if not link.startswith(("http://", "https://")):
             there = (REPOSITORY / page).parent / file if file else REPOSITORY / page
-            assert there.exists(), link
+            assert there.exists(), (page, link)
             aim = there.read_text(encoding="utf-8") if place else ""
             headings = {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in re.findall(r"^#+ (.*)$", aim, re.MULTILINE)}
-            assert not place or place in headings | set(re.findall(r'<a id="([^"]+)">', aim)), link
+            assert not place or place in headings | set(re.findall(r'<a id="([^"]+)">', aim)), (page, link)
 
 
 def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
@@ -130,6 +126,6 @@ def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
             assert f"({Path(os.path.relpath(page, 'docs')).as_posix()})" in index, page
 
 
-@pytest.mark.parametrize(("page", "lines"), [("README.md", 160), ("scenarios/README.md", 150), ("docs/README.md", 100)])
-def test_the_first_pages_are_short(page: str, lines: int) -> None:
-    assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines
+def test_the_first_pages_are_short() -> None:
+    for page, lines in (("README.md", 160), ("scenarios/README.md", 150), ("docs/README.md", 100)):
+        assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ FINE = 16
 Floats = np.ndarray
 
 
+@functools.cache
 def disc(u: float, v: float, radius: float, colour: tuple[float, float, float], ground: float = 90.0) -> Floats:
     """A disc on grey (48, 64, 3) [0 to 255]; each pixel has the mean over its area."""
     y, x = (np.mgrid[0 : 48 * FINE, 0 : 64 * FINE] + 0.5) / FINE - 0.5

@@ -7,6 +7,7 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import fly
+from tests.shortcuts import one_quick
 from vstestbed.features import Polar, Spherical
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS
@@ -18,7 +19,9 @@ SQUARE_AND_CENTRE = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0),
 @pytest.mark.parametrize("feature", [Polar(), Spherical()], ids=lambda f: f.kind)
 class TestIdealCamera:
     @pytest.mark.parametrize(
-        ("xyz", "rpy_deg"), [((0.3, 0.3, -2), (0, 0, 23)), ((0, 0, -1), (0, 0, 180)), ((-0.3, 0.5, -1.5), (-20, 15, -120))], ids=str
+        ("xyz", "rpy_deg"),
+        one_quick(((0.3, 0.3, -2), (0, 0, 23)), ((0, 0, -1), (0, 0, 180)), ((-0.3, 0.5, -1.5), (-20, 15, -120))),
+        ids=str,
     )
     def test_arrives(self, feature, interaction, xyz, rpy_deg):
         r = fly(IBVS(feature=feature, interaction=interaction, depth=OracleDepth()), xyz, rpy_deg=rpy_deg, at=SQUARE_AND_CENTRE)
@@ -32,7 +35,7 @@ class TestIdealCamera:
         assert max(np.abs(r[f"cmd_v{axis}"]).max() for axis in "xyz") < 1e-4
 
 
-@pytest.mark.parametrize("feature", ["polar", "spherical"])
+@pytest.mark.parametrize("feature", one_quick("polar", "spherical"))
 def test_the_arm_arrives(feature):
     target = {"kind": "points", "at": [list(p) for p in SQUARE_AND_CENTRE], "pose": {"xyz": [1.5, 0, 0.7], "rpy_deg": [0, 90, 0]}}
     r = vs.run(vs.load("arm_polar", {"target": target, "law.feature.kind": feature, "detector": "oracle"}))

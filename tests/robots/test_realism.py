@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
@@ -80,38 +81,34 @@ def test_a_copy_is_the_same() -> None:
     assert replace(cart, name="b").play is cart.play
 
 
-GIVEN: dict[str, dict[str, Any]] = {
-    "nothing": {},
-    "a field": {"play": {"stiffness_npm": 7.0}},
-    "off": {"lag_of_drive_s": 0.3, "name": "b"},
-    "a block": {"play": {"width_m": 0.5, "stiffness_npm": 5.0}},
-}
+LEVELS: tuple[Level, ...] = ("none", "lab", "field")
+GIVEN: list[dict[str, Any]] = [
+    {},
+    {"play": {"stiffness_npm": 7.0}},
+    {"lag_of_drive_s": 0.3, "name": "b"},
+    {"play": {"width_m": 0.5, "stiffness_npm": 5.0}},
+]
 
 
-@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
-@pytest.mark.parametrize("former", ["none", "lab", "field"])
-@pytest.mark.parametrize("now", ["none", "lab", "field"])
-def test_another_level_replaces_what_the_former_has_filled_alone(former: Level, now: Level, given: dict[str, Any]) -> None:
-    before, wanted = made(realism=former, **given), made(realism=now, **given)
-    assert before.at_level(now) == wanted
-    if now != former and not given:
-        with pytest.raises(ParameterError, match=f"realism fills nothing here, where every effect is given as at {former}"):
-            replace(before, realism=now)
+def test_another_level_replaces_what_the_former_has_filled_alone() -> None:
+    for former, now, given in itertools.product(LEVELS, LEVELS, GIVEN):
+        before = made(realism=former, **given)
+        assert before.at_level(now) == made(realism=now, **given)
+        if now != former and not given:
+            with pytest.raises(ParameterError, match=f"realism fills nothing here, where every effect is given as at {former}"):
+                replace(before, realism=now)
 
 
-@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
-def test_off_stays_off_at_another_level(given: dict[str, Any]) -> None:
-    off = made(realism="field", **given | {"play": None})
-    assert off.at_level("lab").play is None
+def test_off_stays_off_at_another_level() -> None:
+    assert all(made(realism="field", **given | {"play": None}).at_level("lab").play is None for given in GIVEN)
 
 
-@pytest.mark.parametrize("given", GIVEN.values(), ids=GIVEN)
-@pytest.mark.parametrize("level", ["none", "lab", "field"])
-def test_its_short_text_has_what_the_preset_has_not(level: Level, given: dict[str, Any]) -> None:
-    cart = made(realism=level, **given)
-    brief = brief_mapping(cart)
-    assert made(**brief) == cart
-    assert brief == {"kind": "cart"} | ({} if level == "none" else {"realism": level}) | given
+def test_its_short_text_has_what_the_preset_has_not() -> None:
+    for level, given in itertools.product(LEVELS, GIVEN):
+        cart = made(realism=level, **given)
+        brief = brief_mapping(cart)
+        assert made(**brief) == cart
+        assert brief == {"kind": "cart"} | ({} if level == "none" else {"realism": level}) | given
     assert brief_mapping(Cart(realism="field", play=None)) == {"kind": "cart", "realism": "field", "play": None}
 
 
