@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -75,7 +76,13 @@ def rendered(page: Path, kept: Kept) -> str:
 
 def scenarios(robots: Iterable[str]) -> list[tuple[str, str]]:
     """Name and description of the bundled scenarios with one of these robots."""
-    return [(s.name, s.description.strip()) for s in map(vs.load, bundled_scenarios()) if s.robot.kind in robots]
+    return [(s.name, s.description.strip()) for s in _bundled() if s.robot.kind in robots]
+
+
+@functools.cache
+def _bundled() -> list[vs.Scenario]:
+    """All bundled scenarios, loaded once for all pages."""
+    return [vs.load(name) for name in bundled_scenarios()]
 
 
 def comparisons() -> list[tuple[str, str]]:

@@ -13,6 +13,7 @@ from typing import get_args
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.cli.tools import ROOM_OF, NewKind, commands_of, settings_of, text_of
 from vstestbed.core.docstrings import class_text
 from vstestbed.scenario.validation import KINDS as ROOMS
@@ -47,7 +48,7 @@ def read(folder: Path, kind: str) -> str:
 
 
 @pytest.mark.usefixtures("own_kinds")
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", one_quick(*KINDS))
 def test_each_runs_to_a_good_end(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str):
     """With the settings of its own command; by the oracle where the file is not about pictures, which takes a tenth of the time."""
     command("new", kind, f"own_{kind}")
@@ -99,15 +100,15 @@ def test_each_runs_by_its_own_command(command, tmp_path: Path, vstestbed_process
         assert "Time over the limit" in (tmp_path / "made" / "report.html").read_text()
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_name_is_everywhere_and_the_file_is_short(kind: str):
-    text = text_of(kind, "two_words", "sub dir/file.py")
-    assert "my_" not in text.lower().replace(f"my_{kind}s", "") and f"My{kind.capitalize()}" not in text
-    tree = ast.parse(text)
-    assert any(isinstance(node, ast.ClassDef) and node.name == "TwoWords" for node in tree.body)
-    assert any(isinstance(node, ast.FunctionDef) and node.name == "test_two_words" for node in tree.body)
-    assert commands_of(text)[0] == 'pytest "sub dir/file.py"'
-    assert text.count("\n") <= LINES
+def test_the_name_is_everywhere_and_the_file_is_short():
+    for kind in KINDS:
+        text = text_of(kind, "two_words", "sub dir/file.py")
+        assert "my_" not in text.lower().replace(f"my_{kind}s", "") and f"My{kind.capitalize()}" not in text
+        tree = ast.parse(text)
+        assert any(isinstance(node, ast.ClassDef) and node.name == "TwoWords" for node in tree.body)
+        assert any(isinstance(node, ast.FunctionDef) and node.name == "test_two_words" for node in tree.body)
+        assert commands_of(text)[0] == 'pytest "sub dir/file.py"'
+        assert text.count("\n") <= LINES
 
 
 class TestRefusals:

@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.features.observation import OwnMotion
 from vstestbed.laws.feedforward import AlphaBeta, KalmanCA, KalmanCV, follow, look_ahead, white_noise
 
@@ -142,7 +143,7 @@ class TestOnTheIdealCamera:
         assert ahead < alone / 5
         assert predicted < ahead / 2
 
-    @pytest.mark.parametrize(("law", "torn"), [("hybrid", 3), ("partitioned", 1.5)])
+    @pytest.mark.parametrize(("law", "torn"), one_quick(("hybrid", 3), ("partitioned", 1.5)))
     def test_laws_of_both_follow_as_well(self, law, torn):
         short = {"law": {"kind": law, "gain": 1.0, "feedforward": {"kind": "kalman_ca", "predict_s": 0.06}}, "stop.duration_s": 8}
         whole = tracking(None, **short)

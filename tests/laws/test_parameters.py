@@ -94,7 +94,12 @@ def test_the_largest_that_is_accepted():
 def test_turn_limits_are_two_and_hold_the_start():
     for limits in ((0, 90), (-90, 0), (0, 0)):
         assert Partitioned(turn_limits_deg=limits).turn_limits_deg == limits
-    for limits, words in (((-90, -1), "low <= 0 <= high"), ((1, 90), "low <= 0 <= high"), ((-10,), "turn_limits_deg"), ((-10, 0, 10), "")):
+    for limits, words in (
+        ((-90, -1), "low <= 0 <= high"),
+        ((1, 90), "low <= 0 <= high"),
+        ((-10,), "turn_limits_deg"),
+        ((-10, 0, 10), "turn_limits_deg"),
+    ):
         with pytest.raises(ParameterError, match=words):
             Partitioned(turn_limits_deg=limits)
 
