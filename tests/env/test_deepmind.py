@@ -56,9 +56,9 @@ def test_it_is_the_gymnasium_environment_in_other_words() -> None:
 
 @pytest.mark.parametrize(("ending", "discount"), [(vs.Outcome.timed_out, 1.0), (vs.Outcome.collided, 0.0), (vs.Outcome.converged, 0.0)])
 def test_only_the_clock_leaves_a_future(ending: vs.Outcome, discount: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    from vstestbed.loop.judge import Judge
+    from vstestbed.loop.termination import Termination
 
-    monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (ending, "so") if frame.t > 0.1 else None)
+    monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (ending, "so") if frame.t > 0.1 else None)
     env = vstestbed.env.dm("ibvs_book", overrides={"detector": "oracle"}, success_bonus=5.0, reward="sparse")
     env.reset()
     last = [env.step(np.zeros(6)) for _ in range(2)][-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +19,7 @@ from tests.shortcuts import one_quick
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.env.gym_env import GymServo
-from vstestbed.loop.judge import Judge
+from vstestbed.loop.termination import Termination
 from vstestbed.robots import Mount
 from vstestbed.sim.base import Truth
 from vstestbed.sim.ideal import IdealPlant
@@ -186,7 +185,7 @@ class TestTruth:
     @staticmethod
     def corrupt(monkeypatch: pytest.MonkeyPatch) -> None:
         rng = np.random.default_rng(0)
-        monkeypatch.setattr(Judge, "verdict", lambda judge, frame: None)  # one that believes the lies would end the run
+        monkeypatch.setattr(Termination, "verdict", lambda termination, frame: None)  # one that believes the lies would end the run
         for plant in (MujocoPlant, IdealPlant):
             true = plant.truth
 
@@ -196,7 +195,7 @@ class TestTruth:
                     n: getattr(truth, n) + np.pad(rng.normal(size=(3, 1)), ((0, 1), (3, 0))) for n in ("T_world_camera", "T_world_target")
                 }
                 garbage = {n: rng.normal(size=np.shape(getattr(truth, n))) for n in ("p_camera", "twist", "q", "qd", "ctrl", "act", "wind")}
-                return dataclasses.replace(truth, hidden=~truth.hidden, **poses, **garbage)
+                return truth._replace(hidden=~truth.hidden, **poses, **garbage)
 
             monkeypatch.setattr(plant, "truth", lie)
 
@@ -320,7 +319,7 @@ class TestEnds:
     def test_a_run_that_ends_with_its_first_picture_is_told_by_the_first_step(
         self, quick_env: Callable[..., gymnasium.Env[Any, Any]], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (vs.Outcome.collided, "contact at the start"))
+        monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (vs.Outcome.collided, "contact at the start"))
         env = quick_env()
         assert env.reset(seed=0)[1]["outcome"] == "collided"
         _, _, terminated, _, info = env.step(np.zeros(6))

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import exp
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.episode import Episode
-from vstestbed.loop.judge import Judge
+from vstestbed.loop.termination import Termination
 from vstestbed.sim.base import Truth
 
 DURATION_S = 1.2
@@ -34,7 +34,7 @@ def corrupted(truth: Truth, rng: np.random.Generator) -> Truth:
             garbage[field.name] = ~value if value.dtype == bool else rng.normal(size=value.shape)
         else:
             garbage[field.name] = "" if value else "hub and floor"
-    return dataclasses.replace(truth, **garbage)
+    return truth._replace(**garbage)
 
 
 class Commands:
@@ -56,11 +56,9 @@ def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.Mon
     # markers by the oracle, which needs no pictures; what is seen without markers by its own detector
     scenario = own if own.detector.kind in OF_PICTURES else vs.load(name, {"detector": {"kind": "oracle"}})
     # a judge that believes the lies would end the run at once: here the clock does
-    monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
+    monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
     vs.run(scenario, watch=[honest])
-    monkeypatch.setattr(
-        Episode, "_arrive", lambda self, made, step: arrive(self, dataclasses.replace(made, truth=corrupted(made.truth, rng)), step)
-    )
+    monkeypatch.setattr(Episode, "_arrive", lambda self, made, step: arrive(self, (made[0], corrupted(made[1], rng)), step))
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5
     for told, lied in zip(honest.kept, lied_to.kept, strict=True):

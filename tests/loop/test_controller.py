@@ -13,7 +13,6 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.ego_motion import Arrival
 from vstestbed.loop.episode import Episode
 from vstestbed.loop.shutter import Exposed
 from vstestbed.robots import Reading
@@ -43,13 +42,13 @@ def overheard(monkeypatch: pytest.MonkeyPatch, name: str, settings: dict[str, An
 
     def overhear(self: Episode, made: Exposed, step: int) -> vs.Frame:
         t = step * self.plant.step_s
-        now = Arrival(t, 0.0, self.plant.reading())
-        picture = made.shot.picture
+        now, shot = self.plant.reading(), made[0]
+        picture = shot.picture
         assert picture is not None
         images = tuple(image.copy() for image in picture.completed().images if image is not None)
         frame = arrive(self, made, step)
         image = images[0] if len(images) == 1 else images
-        kept.append((made.shot.t, t, image, made.shot.reading, now.reading, frame.twist.copy(), frame.setpoint.copy()))
+        kept.append((shot.t, t, image, shot.reading, now, frame.twist.copy(), frame.setpoint.copy()))
         return frame
 
     with monkeypatch.context() as patch:

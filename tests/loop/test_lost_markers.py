@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.laws import IBVS, QP
 from vstestbed.laws.points import Visibility
-from vstestbed.loop.judge import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
+from vstestbed.loop.termination import LostMarkers, _takes  # pyright: ignore[reportPrivateUsage]
 
 SOON = {"stop.lost_after_s": 0.2, "stop.duration_s": 3.0, "camera.rate_hz": 25}
 SIDEWAYS = {"robot.start.nominal": {"xyz": [0, 0, -1], "rpy_deg": [0, 0, 0]}, "target.pose.xyz": [0, 0, 0], "detector": "oracle"}
@@ -86,8 +86,9 @@ class TestFrames:
         one = frame(t, T_world_camera=T)
         p = self.S.target.points_at(inverse(T))
         uv = np.where(np.isin(np.arange(4), unseen)[:, None], np.nan, self.S.camera.project(p))
-        truth = replace(one.truth, p_camera=p, hidden=np.zeros(4, dtype=bool))
-        return replace(one, observation=replace(one.observation, uv=uv), truth=truth)
+        truth = one.truth._replace(p_camera=p, hidden=np.zeros(4, dtype=bool))
+        error = one.error._replace(all_seen=not unseen)
+        return replace(one, observation=replace(one.observation, uv=uv), error=error, truth=truth)
 
     def test_each_has_its_time_and_comes_back(self):
         lost = LostMarkers(self.S, lambda T, p: ("",) * len(p))

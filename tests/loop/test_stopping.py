@@ -14,7 +14,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.ego_motion import Arrival, Exposure
+from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Allocation, Mount
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.arm import Arm
@@ -59,7 +59,7 @@ class Rig:
         t, reading = self.frame * self.period, self.reading(**craft)
         view = TruthView(self.p, np.full(len(self.p), not there))
         arrived = t + self.scenario.camera.latency_s + late_s
-        cycle = self.controller.arrive(Exposure(self.frame, t, None, reading, view), Arrival(arrived, arrived, reading))
+        cycle = self.controller.arrive(Exposure(self.frame, t, None, reading, view), arrived, arrived, reading)
         self.agrees(cycle.order)
         assert (cycle.twist is cycle.order.twist, cycle.setpoint is cycle.order.setpoint) == (True, True)
         return cycle
@@ -164,12 +164,12 @@ def test_a_robot_whose_allocation_is_not_finite(rig: Rig, monkeypatch: pytest.Mo
     rig.agrees(failed.order)
 
 
-def shot(rig: Rig) -> tuple[Exposure, Arrival]:
+def shot(rig: Rig) -> tuple[Exposure, float, float, vs.Reading]:
     """The next picture, which shows the markers."""
     rig.frame += 1
     t = rig.frame * rig.period
     view = TruthView(rig.p, np.zeros(len(rig.p), dtype=bool))
-    return Exposure(rig.frame, t, None, rig.reading(), view), Arrival(t, t, rig.reading())
+    return Exposure(rig.frame, t, None, rig.reading(), view), t, t, rig.reading()
 
 
 def test_a_late_picture(rig: Rig) -> None:

@@ -30,8 +30,8 @@ from vstestbed.features.observation import Observation
 from vstestbed.laws import Law
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.ego_motion import Exposure
-from vstestbed.loop.judge import Judge
 from vstestbed.loop.shutter import CameraClock, Exposed
+from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.sim.base import Truth
 from vstestbed.sim.ideal import IdealPlant
@@ -43,7 +43,7 @@ from vstestbed.vision.base import TruthView
 from vstestbed.vision.observe import Observer
 
 ROOMS = ("laws", "robots", "vision", "features", "camera", "targets")
-TRUE = (Truth, TruthView, RobotState, Exposed, Frame, MujocoPlant, IdealPlant, Stage, mujoco.MjData, mujoco.MjModel)
+TRUE = (Truth, TruthView, RobotState, Frame, MujocoPlant, IdealPlant, Stage, mujoco.MjData, mujoco.MjModel)
 """Types that hold the truth, or the simulator's state."""
 
 
@@ -118,8 +118,8 @@ class Tainted(np.ndarray):
 
 
 def tainted(truth: Truth) -> Truth:
-    fields = {f.name: getattr(truth, f.name) for f in dataclasses.fields(truth)}
-    return dataclasses.replace(truth, **{name: a.view(Tainted) for name, a in fields.items() if isinstance(a, np.ndarray)})
+    fields = truth._asdict()
+    return truth._replace(**{name: a.view(Tainted) for name, a in fields.items() if isinstance(a, np.ndarray)})
 
 
 def leaks(thing: Any, path: str, seen: set[int]) -> Iterator[str]:
@@ -224,7 +224,7 @@ def planted(monkeypatch: pytest.MonkeyPatch, leak: Callable[[Truth, Observation]
 
     def overheard(self: CameraClock, step: int, truth: Truth) -> Exposed:
         made = shot_of(self, step, truth)
-        truths[made.shot.number] = truth
+        truths[made[0].number] = truth
         return made
 
     def leaky(self: Controller, shot: Exposure, *rest: Any) -> Observation:
@@ -274,8 +274,10 @@ class TestCorruptedTruth:
     @staticmethod
     def corrupt(monkeypatch: pytest.MonkeyPatch) -> None:
         rng = np.random.default_rng(0)
-        # A judge that believes the lies would end the run at once: here the clock does.
-        monkeypatch.setattr(Judge, "verdict", lambda judge, frame: (vs.Outcome.timed_out, "") if frame.t >= 0.2 - 1e-9 else None)
+        # Termination, which believes the lies, would end the run at once: here the clock does.
+        monkeypatch.setattr(
+            Termination, "verdict", lambda termination, frame: (vs.Outcome.timed_out, "") if frame.t >= 0.2 - 1e-9 else None
+        )
         for plant in (MujocoPlant, IdealPlant):
             true = plant.truth
 
@@ -284,7 +286,7 @@ class TestCorruptedTruth:
                 T = truth.T_world_camera.copy()
                 T[:3, 3] += rng.normal(size=3)
                 garbage = {n: rng.normal(size=np.shape(getattr(truth, n))) for n in ("p_camera", "twist", "q", "qd", "ctrl", "act", "wind")}
-                return dataclasses.replace(truth, T_world_camera=T, hidden=~truth.hidden, **garbage)
+                return truth._replace(T_world_camera=T, hidden=~truth.hidden, **garbage)
 
             monkeypatch.setattr(plant, "truth", lie)
 

@@ -76,7 +76,6 @@ class TestCar:
         assert np.median(off) < 0.03  # position is from vision: the bias moves it by the mount's arm, .22 m x .087
 
     def test_the_truth_changes_nothing(self, parked, monkeypatch):
-        from dataclasses import replace
 
         from vstestbed.sim.plant import MujocoPlant
 
@@ -86,7 +85,7 @@ class TestCar:
             frame, truth = capture(plant, look)
             T = truth.T_world_camera.copy()
             T[:3, 3] += rng.normal(0, 0.5, 3)
-            return frame, replace(truth, T_world_camera=T, p_camera=rng.normal(size=truth.p_camera.shape))
+            return frame, truth._replace(T_world_camera=T, p_camera=rng.normal(size=truth.p_camera.shape))
 
         monkeypatch.setattr(MujocoPlant, "capture", corrupted)
         again = run("car_pbvs", stop__duration_s=1.0)

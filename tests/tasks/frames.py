@@ -1,4 +1,4 @@
-"""Frames for tests of monitors and of the judge: a run under way in which all is well, but for what is given."""
+"""Frames for tests of monitors and of the termination: a run under way in which all is well, but for what is given."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.outcome import Verdict
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
-from vstestbed.loop.judge import Judge
+from vstestbed.loop.termination import Termination
 from vstestbed.robots import Allocation
 from vstestbed.robots.allocation import Limit, Order
 from vstestbed.sim.base import Truth
@@ -80,11 +80,11 @@ def frame(
     )
 
 
-def first_verdict(monitor: TaskMonitor, judge: Judge, frames: Iterable[Frame]) -> tuple[Verdict, float] | None:
+def first_verdict(monitor: TaskMonitor, ends: Termination, frames: Iterable[Frame]) -> tuple[Verdict, float] | None:
     """The first verdict on frames in turn, and the time at which it fell [s]; None where all may go on."""
     for each in frames:
         monitor.measure(each)
-        if verdict := judge.verdict(each):
+        if verdict := ends.verdict(each):
             return verdict, each.t
     return None
 

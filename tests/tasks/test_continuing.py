@@ -10,7 +10,7 @@ from tests.tasks.frames import first_verdict, frame, times
 from vstestbed.core.geometry import inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.planar import pose_on_ground
-from vstestbed.loop.judge import Judge
+from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import Failsafe
 from vstestbed.tasks.continuing import ToleranceMonitor
@@ -35,7 +35,7 @@ def ended(speed, off, stop=STOP):
         place = np.array([start[0], start[1], start[2]]) + speed * t * ahead + off(t) * left
         return frame(t, T_world_camera=line @ pose_on_ground(place) @ mount, T_world_target=line)
 
-    return first_verdict(monitor, Judge(monitor, stop, CAR.target, supervisor), (at(t) for t in times(stop.duration_s)))
+    return first_verdict(monitor, Termination(monitor, stop, CAR.target, supervisor), (at(t) for t in times(stop.duration_s)))
 
 
 def test_kept_at_its_speed_it_is_completed():
@@ -70,7 +70,7 @@ def test_a_craft_that_left_its_path_while_it_had_given_up_did_not_keep_it():
     scenario = vs.load("quadrotor_path", {"goal.settle_s": 1.0})
     stop, failsafe = Stop(duration_s=scenario.goal.end_s + 1), Failsafe(lands=False, lost_after_s=1.0)
     monitor = scenario.goal.monitor(replace(scenario.setup, stop=stop), failsafe)
-    judge = Judge(monitor, stop, scenario.target, failsafe)
+    ends = Termination(monitor, stop, scenario.target, failsafe)
 
     def at(t, off_m):
         T = scenario.target.T_world_start @ inverse(scenario.goal.trajectory.at(t)[0])
@@ -80,7 +80,7 @@ def test_a_craft_that_left_its_path_while_it_had_given_up_did_not_keep_it():
     for t in times(stop.duration_s):
         blind = 3.0 <= t < 5.0
         failsafe.aborted = (Outcome.target_lost, "nothing in sight") if blind else None
-        verdict = first_verdict(monitor, judge, [at(t, 1.0 if blind else 0.0)])
+        verdict = first_verdict(monitor, ends, [at(t, 1.0 if blind else 0.0)])
         if verdict:
             break
     (outcome, reason), ended_s = verdict

@@ -5,15 +5,15 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
-from vstestbed.timing.link import BurstLoss, BurstyLink, directions
+from vstestbed.timing.link import BurstLoss, bursty_link, directions
 
 MANY = 100_000
 IDEAL = {"camera.rate_hz": 25, "detector": {"kind": "oracle", "field_of_view": "unlimited"}}
 
 
 def losses(loss: BurstLoss, n: int = MANY) -> np.ndarray:
-    link = BurstyLink(loss, np.random.default_rng(7))
-    return np.array([link.loses(k) for k in range(n)])
+    loses = bursty_link(loss, np.random.default_rng(7))
+    return np.array([loses(k) for k in range(n)])
 
 
 def bursts(lost: np.ndarray) -> np.ndarray:
@@ -47,10 +47,10 @@ def test_directions_are_independent_and_each_may_be_safe():
     rng = lambda: np.random.default_rng(1)  # noqa: E731 - the same numbers each time it is called
     pictures, commands = directions(BurstLoss(), rng())
     assert pictures is not None and commands is not None
-    a, b = (np.array([link.loses(k) for k in range(20_000)]) for link in (pictures, commands))
+    a, b = (np.array([loses(k) for k in range(20_000)]) for loses in (pictures, commands))
     assert abs(np.corrcoef(a, b)[0, 1]) < 0.06
     only, none = directions(BurstLoss(carries="pictures"), rng())
-    assert none is None and only is not None and [only.loses(k) for k in range(20_000)] == a.tolist()
+    assert none is None and only is not None and [only(k) for k in range(20_000)] == a.tolist()
     assert directions(None, rng()) == (None, None)
 
 

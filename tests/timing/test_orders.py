@@ -9,7 +9,7 @@ import pytest
 
 from vstestbed.core.geometry import Array
 from vstestbed.robots.allocation import Order
-from vstestbed.timing.setpoints import REFRESH_S, Orders, Stop
+from vstestbed.timing.setpoints import REFRESH_S, SetpointBuffer, Stop
 
 STEP_S, LASTS = 0.002, 10
 U = np.array([1.0, -2.0])
@@ -19,8 +19,8 @@ def ramp(setpoint: Array, elapsed_s: float) -> Array:
     return setpoint * max(0.0, 1.0 - elapsed_s / 0.1)
 
 
-def orders(first: Array | None = None, lasts: float = LASTS) -> Orders:
-    return Orders(ramp, first, lasts, STEP_S)
+def orders(first: Array | None = None, lasts: float = LASTS) -> SetpointBuffer:
+    return SetpointBuffer(ramp, first, lasts, STEP_S)
 
 
 def test_an_order_lasts_its_time_and_then_the_robot_stops():

@@ -8,67 +8,67 @@ import numpy as np
 import pytest
 
 from vstestbed.loop.ego_motion import CommandHistory
-from vstestbed.timing.setpoints import Between, Blend, Interpolation, Orders
+from vstestbed.timing.setpoints import Interpolator, Mode, Profile, SetpointBuffer
 
 U0, U1, A0 = np.array([0.3, -2.0]), np.array([1.0, 1.0]), np.array([4.0, -7.0])
 PERIOD_S, STEP_S, STEPS = 0.04, 0.002, 20
 U = np.array([1.0, -2.0])
-LED: tuple[Between, ...] = ("ramp", "smooth")
+LED: tuple[Mode, ...] = ("ramp", "smooth")
 
 
 def stops(setpoint: np.ndarray, elapsed_s: float) -> np.ndarray:
     return setpoint * max(0.0, 1.0 - elapsed_s / 0.1)
 
 
-def orders(between: Between, every: int, lasts: float = np.inf) -> Orders:
-    return Orders(stops, None, lasts, STEP_S, Interpolation(between, every, STEPS))
+def orders(mode: Mode, every: int, lasts: float = np.inf) -> SetpointBuffer:
+    return SetpointBuffer(stops, None, lasts, STEP_S, Interpolator(mode, every, STEPS))
 
 
-class TestBlend:
+class TestProfile:
     def test_a_ramp_is_a_straight_line(self):
-        blend = Blend("ramp", U0, A0, U1, PERIOD_S)
+        profile = Profile("ramp", U0, A0, U1, PERIOD_S)
         for t in (0.0, 0.013, 0.02, 0.04):
-            np.testing.assert_allclose(blend.at(t), U0 + (U1 - U0) * t / PERIOD_S, atol=1e-15)
-        assert blend.at(PERIOD_S) is U1 and blend.at(1.0) is U1
-        np.testing.assert_allclose(blend.slope(0.01), (U1 - U0) / PERIOD_S)
+            np.testing.assert_allclose(profile.at(t), U0 + (U1 - U0) * t / PERIOD_S, atol=1e-15)
+        assert profile.at(PERIOD_S) is U1 and profile.at(1.0) is U1
+        np.testing.assert_allclose(profile.slope(0.01), (U1 - U0) / PERIOD_S)
 
     def test_a_smooth_way_begins_with_value_and_slope_and_ends_at_rest(self):
-        blend = Blend("smooth", U0, A0, U1, PERIOD_S)
-        np.testing.assert_allclose(blend.at(0.0), U0)
-        np.testing.assert_allclose(blend.slope(0.0), A0)
-        np.testing.assert_allclose(blend.at(PERIOD_S * (1 - 1e-9)), U1, atol=1e-8)
-        np.testing.assert_allclose(blend.slope(PERIOD_S * (1 - 1e-9)), 0.0, atol=1e-6)
+        profile = Profile("smooth", U0, A0, U1, PERIOD_S)
+        np.testing.assert_allclose(profile.at(0.0), U0)
+        np.testing.assert_allclose(profile.slope(0.0), A0)
+        np.testing.assert_allclose(profile.at(PERIOD_S * (1 - 1e-9)), U1, atol=1e-8)
+        np.testing.assert_allclose(profile.slope(PERIOD_S * (1 - 1e-9)), 0.0, atol=1e-6)
 
-    @pytest.mark.parametrize("between", ["hold", "ramp", "smooth"])
-    def test_slope_and_way_are_derivative_and_integral(self, between: Between):
-        blend, h = Blend(between, U0, A0, U1, PERIOD_S), 1e-6
+    @pytest.mark.parametrize("mode", ["hold", "ramp", "smooth"])
+    def test_slope_and_way_are_derivative_and_integral(self, mode: Mode):
+        profile, h = Profile(mode, U0, A0, U1, PERIOD_S), 1e-6
         for t in (0.011, 0.029, 0.055):
-            np.testing.assert_allclose(blend.slope(t), (blend.at(t + h) - blend.at(t - h)) / (2 * h), rtol=1e-6, atol=1e-6)
-            np.testing.assert_allclose(blend.at(t), (blend.way(t + h) - blend.way(t - h)) / (2 * h), rtol=1e-6)
+            np.testing.assert_allclose(profile.slope(t), (profile.at(t + h) - profile.at(t - h)) / (2 * h), rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(profile.at(t), (profile.way(t + h) - profile.way(t - h)) / (2 * h), rtol=1e-6)
 
-    @pytest.mark.parametrize("between", LED)
-    def test_it_is_late_by_half_its_time(self, between: Between):
-        behind = U1 * 3 * PERIOD_S - Blend(between, U0, np.zeros(2), U1, PERIOD_S).way(3 * PERIOD_S)
+    @pytest.mark.parametrize("mode", LED)
+    def test_it_is_late_by_half_its_time(self, mode: Mode):
+        behind = U1 * 3 * PERIOD_S - Profile(mode, U0, np.zeros(2), U1, PERIOD_S).way(3 * PERIOD_S)
         np.testing.assert_allclose(behind, (U1 - U0) * PERIOD_S / 2, rtol=1e-12)
 
     def test_the_jerk_of_a_smooth_way_keeps_its_bound(self):
         """The third derivative of the way is that of a cubic's slope: a straight line, largest at an end."""
         t = np.linspace(0, PERIOD_S * (1 - 1e-9), 4001)
-        u = np.array([Blend("smooth", U0, A0, U1, PERIOD_S).at(s) for s in t])
+        u = np.array([Profile("smooth", U0, A0, U1, PERIOD_S).at(s) for s in t])
         jerk = np.abs(np.diff(u, 2, axis=0)).max(axis=0) / (t[1] - t[0]) ** 2
         bound = 6 * np.abs(U1 - U0) / PERIOD_S**2 + 4 * np.abs(A0) / PERIOD_S
         assert (jerk <= bound * 1.001).all() and (jerk > 0.5 * bound).any()
         from_rest = (
-            np.abs(np.diff([Blend("smooth", U0, 0 * A0, U1, PERIOD_S).at(s) for s in t], 2, axis=0)).max(axis=0) / (t[1] - t[0]) ** 2
+            np.abs(np.diff([Profile("smooth", U0, 0 * A0, U1, PERIOD_S).at(s) for s in t], 2, axis=0)).max(axis=0) / (t[1] - t[0]) ** 2
         )
         np.testing.assert_allclose(from_rest, 6 * np.abs(U1 - U0) / PERIOD_S**2, rtol=0.01)
 
     def test_there_is_no_way_to_infinity(self):
         off = np.array([0.0, -np.inf])
-        assert Blend("ramp", U0, A0, off, PERIOD_S).at(0.0) is off and Blend("smooth", off, A0, U1, PERIOD_S).at(0.0) is U1
+        assert Profile("ramp", U0, A0, off, PERIOD_S).at(0.0) is off and Profile("smooth", off, A0, U1, PERIOD_S).at(0.0) is U1
 
 
-class TestOrders:
+class TestSetpointBuffer:
     def test_a_ramp_in_closed_form_at_each_setpoint(self):
         led = orders("ramp", every=5)
         led.give(0, U)
@@ -87,10 +87,10 @@ class TestOrders:
             step += led.unchanged(step, 100 - step)
         assert sum(not np.array_equal(a, b) for a, b in itertools.pairwise(found)) == count
 
-    @pytest.mark.parametrize("between", ["hold", *LED])
+    @pytest.mark.parametrize("mode", ["hold", *LED])
     @pytest.mark.parametrize("every", [1, 3, 7])
-    def test_what_they_say_of_the_steps_to_come_is_true(self, between: Between, every: int):
-        led, rng = orders(between, every, lasts=24), np.random.default_rng(2)
+    def test_what_they_say_of_the_steps_to_come_is_true(self, mode: Mode, every: int):
+        led, rng = orders(mode, every, lasts=24), np.random.default_rng(2)
         due = sorted(rng.integers(0, 200, 7).tolist())
         for step in range(220):
             for _ in range(due.count(step)):
@@ -114,9 +114,9 @@ class TestOrders:
         np.testing.assert_array_equal(led.at(29), 2 * U)
         np.testing.assert_array_equal(led.at(30), 4 * U)
 
-    @pytest.mark.parametrize("between", LED)
-    def test_there_is_no_jump_whenever_orders_come(self, between: Between):
-        led, rng, before = orders(between, every=1), np.random.default_rng(4), np.zeros(2)
+    @pytest.mark.parametrize("mode", LED)
+    def test_there_is_no_jump_whenever_orders_come(self, mode: Mode):
+        led, rng, before = orders(mode, every=1), np.random.default_rng(4), np.zeros(2)
         most = 1.5 * 2 * 2 / STEPS + 1e-9  # the steepest cubic between -1 and 1, whose slope at the start is the last one's
         for step in range(400):
             if rng.random() < 0.1 or step == 0:
@@ -139,11 +139,11 @@ class TestOrders:
         assert before is not None
         np.testing.assert_allclose(led.at(15), before * (1 - STEP_S / 0.1))
 
-    @pytest.mark.parametrize("between", LED)
+    @pytest.mark.parametrize("mode", LED)
     @pytest.mark.parametrize("every", [1, 5])
-    def test_the_controller_knows_the_way_of_its_orders(self, between: Between, every: int):
+    def test_the_controller_knows_the_way_of_its_orders(self, mode: Mode, every: int):
         """The integral of what the actuators get, and that of the controller, which knows nothing of the physics clock."""
-        led, known, rng, way = orders(between, every), CommandHistory(2, between, PERIOD_S), np.random.default_rng(0), np.zeros(2)
+        led, known, rng, way = orders(mode, every), CommandHistory(2, mode, PERIOD_S), np.random.default_rng(0), np.zeros(2)
         for step in range(200):
             if step % 20 == 0 or step in (45, 55, 130):
                 u = rng.normal(size=2)

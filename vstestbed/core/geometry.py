@@ -121,9 +121,12 @@ def pose_block(value: Any) -> dict[str, Any]:
     return {"xyz": tidy_position(T), "rpy_deg": tidy_angles(rpy_of(T[:3, :3].tolist()))}
 
 
+FEW = 32  # numbers up to which a sum in Python takes less time than the call of numpy's: 0.5 us in place of 1.3 for eight
+
+
 def all_finite(a: Array) -> bool:
-    """Whether all numbers are finite, by their sum: 1.0 us instead of 1.3 for eight. (The sum must not overflow.)"""
-    return math.isfinite(np.add.reduce(a, axis=None))
+    """Whether all numbers are finite, by their sum, which must not overflow: the usual test takes more time in a frame."""
+    return math.isfinite(sum(a.ravel().tolist()) if a.size <= FEW else np.add.reduce(a, axis=None))
 
 
 def joined(*parts: Any) -> Array:

@@ -32,8 +32,12 @@ def usable_rows(observation: Observation, inputs: tuple[str, ...], needed: int) 
     observation: of this frame. inputs: names of fields of the observation, the first of image coordinates (N, 2) or rays (N, 3), the others
     (N,). needed: the least number of markers.
     """
-    if len(observation.uv) >= needed and all(all_finite(getattr(observation, name)) for name in inputs):
-        return ALL  # the usual frame: a slice gives views, where a mask would copy
+    if len(observation.uv) >= needed:
+        for name in inputs:
+            if not all_finite(getattr(observation, name)):
+                break
+        else:
+            return ALL  # the usual frame: a slice gives views, where a mask would copy
     usable = np.isfinite(getattr(observation, inputs[0])[:, 0])
     seen = usable
     for name in inputs[1:]:

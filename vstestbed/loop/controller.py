@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 import time
@@ -22,7 +23,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import inputs_of
-from vstestbed.loop.ego_motion import Arrival, CommandHistory, Exposure, OwnRates, mount_at, since_exposure
+from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
 from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
@@ -46,8 +47,8 @@ class GuardedLaw:
         """
         if not self.failure:
             stepped = self._asked(self._law.step, memory, seen, goal, basis)
-            wrong = "" if self.failure else self._wrong(stepped)
-            self.failure = f"law {self._law.kind} {wrong}" if wrong else self.failure
+            if not self.failure and (wrong := self._wrong(stepped)):
+                self.failure = f"law {self._law.kind} {wrong}"
             if not self.failure:
                 self._mode = stepped[1].mode
                 return stepped
@@ -81,7 +82,9 @@ class GuardedLaw:
             return f"gave a twist that is not finite, {np.round(twist, 3)}"
         if rates is not None and not all_finite(rates):
             return f"gave rates that are not finite, {np.round(rates, 3)}"
-        return "" if all(math.isfinite(share) and all_finite(twists) for share, twists in free) else "gave free motions that are not finite"
+        if free and not all(math.isfinite(share) and all_finite(twists) for share, twists in free):
+            return "gave free motions that are not finite"
+        return ""
 
     def _where(self, error: BaseException) -> str:
         """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""
@@ -154,6 +157,9 @@ def never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
+STILL = np.zeros(6)
+"""The twist of a camera whose motion nothing reads; read-only, since all frames share it."""
+STILL.flags.writeable = False
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
@@ -215,10 +221,10 @@ class Controller:
 
     def _begin(self) -> None:
         s = self.scenario
-        between, period = s.timing.interpolation, s.camera.period
+        mode, period = s.timing.interpolation, s.camera.period
         self.rng = s.rng(NOISE_STREAM)
-        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, between, period)
-        self._own_rates = OwnRates(s.robot, period, between) if self._needs_robot else None
+        self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, mode, period)
+        self._own_rates = OwnRates(s.robot, period, mode) if self._needs_robot else None
         self._order: Order | None = None  # in force
         self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
@@ -264,7 +270,7 @@ class Controller:
             depth: of a depth camera, (H, W) of the picture's size [m], NaN or 0 in holes; only `law.depth: sensor` needs it.
 
         Returns the cycle with its order, due `timing.command_latency_s` later: `stopped` with `reason`, or a velocity, as `setpoint` and as
-        `twist`, to which the sender leads with `timing.interpolation` (`setpoints.Blend`). `notes` tell of pictures that came late or
+        `twist`, to which the sender leads with `timing.interpolation` (`setpoints.Profile`). `notes` tell of pictures that came late or
         twice, or did not come. For a picture that comes twice, or (with `out_of_order` or `camera_clock`) an older one, it is the last
         cycle again.
 
@@ -277,11 +283,15 @@ class Controller:
             if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
                 self.refused += t < self._cycle.t
                 assert self._order is not None
-                return replace(self._cycle, order=self._order.copy(), notes=notes)  # since then, `without_picture` may have stopped it
+                # Not the cycle's own order: since then, `without_picture` may have stopped the robot.
+                return replace(self._cycle, order=copy.deepcopy(self._order), notes=notes)
             at = t + self.scenario.camera.latency_s if arrived is None else arrived
             images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
             shot = Exposure(self.inputs.taken, t, Picture(t, images, depth=depth), at_exposure)
-            self._cycle = replace(self.arrive(shot, Arrival(at, at + self.scenario.timing.command_latency_s, now)), notes=notes)
+            cycle = self.arrive(shot, at, at + self.scenario.timing.command_latency_s, now)
+            # Copies: who reads the cycle may write to its arrays.
+            command, allocation, order = copy.deepcopy((cycle.command, cycle.allocation, cycle.order))
+            self._cycle = replace(cycle, command=command, allocation=allocation, order=order, notes=notes)
             return self._cycle
 
     def retune(self, law: Law[Any]) -> None:
@@ -308,41 +318,43 @@ class Controller:
         self.refused += refused
         return refused
 
-    def arrive(self, shot: Exposure, now: Arrival) -> Cycle:
-        """One control step: detect, observe, reference, law, allocation."""
-        s, last = self.scenario, self.before or shot
+    def arrive(self, shot: Exposure, t: float, t_cmd: float, reading: Reading) -> Cycle:
+        """One control step: detect, observe, reference, law, allocation.
+
+        shot: the picture, with the reading at its exposure. t, reading: the time of its arrival [s], and the robot's sensor reading then:
+        the command acts on the robot as it is now. t_cmd: when the command will reach the robot [s].
+        """
+        s = self.scenario
         began = time.perf_counter()
-        seen = self._observe(shot, last, now)
+        mount = self._mount_at(reading.q)
+        seen = self._observe(shot, t, t_cmd, reading, mount)
         self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
         if self._own_goal is not None:
             goal = goal.of(self._own_goal)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
-        # The robot as it is now, not as it was at the exposure: the command acts from here on.
-        reading = now.reading
-        mount = self._mount_at(reading.q)
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
-        late = now.t - shot.t > self._latest_s
+        late = t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
-        why = f"pictures arrived {now.t - shot.t:.2g} s late" if late else ""
+        why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
         blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
         blind = blind and blind + detail(s, seen, self._found, self._why)
-        moved = self._moved(now.t, reading, blind, mount)
+        moved = self._moved(t, reading, blind, mount)
         allocation = self._allocate(command, reading, mount)
         rests = late or bool(command.rest_reason and not command.twist.any() and not command.free)
         if rests:
             allocation = replace(allocation, twist=np.zeros(6), rates=None)
         order = Order.of(allocation).halted(blind) if rests else Order.of(allocation)
         order = self._supervised(shot.t, blind, order, reading, basis, moved)
-        self._ordered(now.t_cmd, order)
+        self._ordered(t_cmd, order)
         self.before = shot
         self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
         if next_goal is not None:  # a law's memory belongs to one goal
             self.law_memory = self.guarded.init(next_goal, self.law_memory)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        return Cycle(FrameTiming(shot.number, shot.t, now.t_cmd), seen, goal, error, command, allocation, order=order)
+        return Cycle(FrameTiming(shot.number, shot.t, t_cmd), seen, goal, error, command, allocation, order=order)
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
         """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
@@ -360,7 +372,7 @@ class Controller:
         return wanted, allocation, order
 
     def _ordered(self, t_cmd: float, order: Order) -> None:
-        self._order = order.copy()
+        self._order = order
         self.ordered.add(t_cmd, order.twist)
         if self._own_rates is not None:
             self._own_rates.order(t_cmd, order)
@@ -368,35 +380,40 @@ class Controller:
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
-    def _observe(self, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
-        s = self.scenario
-        picture = shot.picture if s.detector.needs_image else None
-        detected = self.detector.detect(self.detector_memory, picture, shot.view, self.seen_through, s.target, self.rng)
+    def _observe(self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> Observation:
+        s, last, observer = self.scenario, self.before or shot, self.observer
+        picture, period = shot.picture, shot.t - last.t
+        given = picture if s.detector.needs_image else None
+        detected = self.detector.detect(self.detector_memory, given, shot.view, self.seen_through, s.target, self.rng)
         self.detector_memory, detection = detected
         self._found, self._own_goal, self._why = self._found or bool(detection.seen.any()), detection.goal, detection.why
-        twist, own = np.zeros(6), None
-        if shot.t > last.t:  # the mean of the twists commanded since the last exposure, by which a pose is predicted
-            twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / (shot.t - last.t)
-        if self.observer.uses_motion(detection):
-            mount = self._mount_at(shot.reading.q)
-            twist = s.robot.measured_twist(last.reading, shot.reading, shot.t - last.t, twist, mount)
+        twist, own = STILL, None
+        measured = observer.uses_motion(detection)
+        if period > 0 and (measured or observer.needs_pose):  # the mean of the twists commanded since the last exposure
+            twist = (self.ordered.displacement(shot.t) - self.ordered.displacement(last.t)) / period
+        if measured:
+            twist = s.robot.measured_twist(last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q))
         if self._needs_motion:
-            moved = since_exposure(s.robot, self._mount_at(now.reading.q), self.ordered, shot, now)
-            own = OwnMotion(twist, shot.t - last.t, moved, now.t - shot.t, self.last_twist)
+            own = OwnMotion(twist, period, self._since_exposure(shot, t, reading, mount), t - shot.t, self.last_twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
-        depth = shot.picture.depth if shot.picture else None
-        observed = self.observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
+        depth = picture.depth if picture else None
+        observed = observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
         self.observer_memory, seen = observed
-        return self._completed(seen, shot, last, now)
-
-    def _completed(self, seen: Observation, shot: Exposure, last: Exposure, now: Arrival) -> Observation:
         if self._own_rates is not None:
-            seen = replace(seen, robot=self._own_rates.model(last, shot, now, self._mount_at(now.reading.q)))
+            seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:
-            seen = replace(seen, proprioception=self.scenario.robot.proprioception(shot.reading, seen.odometry))
-        if self._needs_sight and shot.picture is not None:
-            seen = replace(seen, image=sight_of(shot.picture))
+            seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+        if self._needs_sight and picture is not None:
+            seen = replace(seen, image=sight_of(picture))
         return seen
+
+    def _since_exposure(self, shot: Exposure, t: float, reading: Reading, mount: Mount) -> Array:
+        """How far the camera has gone since an exposure until now (6,), in its own frame [m, rad]."""
+        # Integrated commands stand in for a robot without sensors of its motion.
+        moved, age = self.ordered.displacement(t) - self.ordered.displacement(shot.t), t - shot.t
+        if age > 0:
+            moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
+        return moved
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
@@ -415,12 +432,12 @@ class Controller:
             allocation = robot.allocate(twist, reading, mount, period)
         else:
             allocation = robot.allocate_rates(command.rates, reading, mount, period)
-        if not (all_finite(allocation.setpoint) and all_finite(allocation.twist)):
+        if not (all_finite(allocation.setpoint) and (allocation.twist is command.twist or all_finite(allocation.twist))):
             words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
             self.guarded.failure = self.guarded.failure or words
             allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
         # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
-        self.last_twist = allocation.twist.copy()  # the cycle's reader may write to it
+        self.last_twist = allocation.twist
         return allocation
 
     def _supervised(self, t: float, blind: str, order: Order, reading: Reading, basis: Array, moved: float) -> Order:
@@ -431,7 +448,7 @@ class Controller:
         made = self.supervisor.filter(t, blind, reading, order, basis, moved)
         self._taken_over = made is not order
         if made.stop == "stop" and self._order is not None:
-            made = replace(made, setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
+            made = made._replace(setpoint=self.scenario.robot.stopping(self._order.setpoint, REST_S) + 0.0)  # no -0
         return made
 
     def without_picture(self, t: float, reading: Reading) -> Order:

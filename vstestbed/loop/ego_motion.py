@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +14,11 @@ from vstestbed.robots import Mount, Reading, Robot
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.timing.setpoints import Between, Blend
+from vstestbed.timing.setpoints import Mode, Profile
 from vstestbed.vision.base import TruthView
 
 
-@dataclass(frozen=True, slots=True)
-class Exposure:
+class Exposure(NamedTuple):
     """A picture, with the robot's sensor reading at its exposure. t: of the exposure's middle [s].
     picture: None where no detector asks for one. view: the truth for an oracle; None for every other detector.
     """
@@ -30,58 +30,37 @@ class Exposure:
     view: TruthView | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """Arrival of a picture: its time [s], when its command will reach the robot [s], and the robot's sensor reading now."""
-
-    t: float
-    t_cmd: float
-    reading: Reading
-
-
 REMEMBERED = 500
-"""Orders that are kept. The oldest time asked for is that of the last exposure but one, a few orders ago."""
+"""Commands that are kept. The oldest time asked for is that of the last exposure but one, a few commands ago."""
 
 
 class CommandHistory:
     """The velocities ordered so far (size,), each in force from its time on until the next one.
-    between: how the robot goes from one order to the next (`setpoints.Blend`), in the time `over_s`.
+    mode: how the robot goes from one to the next (`setpoints.Profile`), in the time `over_s`. Arrays are kept, not copied.
     """
 
-    def __init__(self, size: int = 6, between: Between = "hold", over_s: float = 0.0) -> None:
-        self._between: Between = between
+    def __init__(self, size: int = 6, mode: Mode = "hold", over_s: float = 0.0) -> None:
+        self._mode: Mode = mode
         self._over_s, rest = over_s, np.zeros(size)
-        first = 0.0, self._blend(rest, rest, rest), rest
-        self._orders: deque[tuple[float, Blend, Array]] = deque([first], maxlen=REMEMBERED)
-
-    def _blend(self, before: Array, slope: Array, twist: Array) -> Blend:
-        return Blend(self._between, before, slope, twist, self._over_s)
+        first = 0.0, Profile(mode, rest, rest, rest, over_s), rest
+        self._commands: deque[tuple[float, Profile, Array]] = deque([first], maxlen=REMEMBERED)
 
     def add(self, t: float, twist: Array) -> None:
-        """Velocities (size,) are in force from t [s] on, which is not before the last order; one of the same time takes its place."""
-        twist = twist.copy()  # a cycle's, to which its reader may write
-        since, before, way = self._orders[-1]
+        """Velocities (size,) are in force from t [s] on, which is not before the last command; one of the same time takes its place."""
+        since, before, way = self._commands[-1]
         if t <= since:
-            self._orders[-1] = since, self._blend(before.before, before.start, twist), way
-        else:
-            after = t - since
-            self._orders.append((t, self._blend(before.at(after), before.slope(after), twist), way + before.way(after)))
+            self._commands[-1] = since, Profile(self._mode, before.before, before.start, twist, self._over_s), way
+            return
+        after = t - since
+        slope = before.slope(after) if before.duration else before.start  # of a command that is held it stays zero
+        self._commands.append((t, Profile(self._mode, before.at(after), slope, twist, self._over_s), way + before.way(after)))
 
     def displacement(self, t: float) -> Array:
         """Their integral until t, (size,) [m, rad]."""
-        for since, blend, way in reversed(self._orders):
+        for since, profile, way in reversed(self._commands):
             if since <= t:
-                return way + blend.way(t - since)
-        return self._orders[0][2]
-
-
-def since_exposure(robot: Robot, mount: Mount, ordered: CommandHistory, shot: Exposure, now: Arrival) -> Array:
-    """How far the camera has gone since an exposure (6,), in its own frame [m, rad]; mount: as it is now."""
-    # Integrated commands stand in for a robot without sensors of its motion.
-    moved, age = ordered.displacement(now.t) - ordered.displacement(shot.t), now.t - shot.t
-    if age > 0:
-        moved = robot.measured_twist(shot.reading, now.reading, age, moved / age, mount) * age
-    return moved
+                return way + profile.way(t - since)
+        return self._commands[0][2]
 
 
 def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
@@ -94,29 +73,31 @@ def mount_at(scenario: Scenario, mount: Mount, q: Array) -> Mount:
 class OwnRates:
     """Makes `Observation.robot`, and keeps the velocities that were ordered, one each `period_s`."""
 
-    def __init__(self, robot: Robot, period_s: float, between: Between = "hold"):
+    def __init__(self, robot: Robot, period_s: float, mode: Mode = "hold"):
         self._robot, self._period_s = robot, period_s
-        self._between: Between = between
+        self._mode: Mode = mode
         self._ordered: CommandHistory | None = None
         self._last = np.zeros(0)
         self._J = np.zeros((6, 0))
 
-    def model(self, last: Exposure, shot: Exposure, now: Arrival, mount: Mount) -> OwnModel:
-        """What the controller knows of its robot when a picture has arrived, after the exposures `last` and `shot`."""
-        model = self._robot.own_model(now.reading, mount)
+    def model(self, last: Exposure, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> OwnModel:
+        """What the controller knows of its robot when a picture has arrived, after the exposures `last` and `shot`.
+        t, t_cmd, reading: as of `Controller.arrive`.
+        """
+        model = self._robot.own_model(reading, mount)
         if self._ordered is None:
-            self._ordered, self._last = CommandHistory(n := len(model.names), self._between, self._period_s), np.zeros(n)
+            self._ordered, self._last = CommandHistory(n := len(model.names), self._mode, self._period_s), np.zeros(n)
         self._J = model.J
         moved = self._displacement(last.t, last.reading, shot.t, shot.reading, mount)
-        underway = self._displacement(shot.t, shot.reading, now.t, now.reading, mount)
-        coming = self._ordered.displacement(now.t_cmd) - self._ordered.displacement(now.t)
+        underway = self._displacement(shot.t, shot.reading, t, reading, mount)
+        coming = self._ordered.displacement(t_cmd) - self._ordered.displacement(t)
         return replace(
             model,
             moved=moved,
             since_s=shot.t - last.t,
             underway=underway + coming,
             coming=coming,
-            underway_s=now.t_cmd - shot.t,
+            underway_s=t_cmd - shot.t,
             ordered=self._last,
             period_s=self._period_s,
         )
@@ -135,5 +116,5 @@ class OwnRates:
             rates = order.rates
             if rates is None:
                 rates = np.asarray(np.linalg.lstsq(self._J, order.twist, rcond=None)[0], dtype=float)
-            self._last = rates.copy()
+            self._last = rates
             self._ordered.add(t_cmd, rates)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Image, Picture
+from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
@@ -19,20 +19,19 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.controller import Controller
-from vstestbed.loop.ego_motion import Arrival, Exposure
-from vstestbed.loop.judge import Judge, LostMarkers
+from vstestbed.loop.ego_motion import Exposure
 from vstestbed.loop.log_file import LogWriter
 from vstestbed.loop.plants import plant_of, shown_clean, take_goal_images
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.loop.shutter import CameraClock, Exposed
 from vstestbed.loop.stability import Stability
+from vstestbed.loop.termination import LostMarkers, Termination
 from vstestbed.robots.allocation import Order
-from vstestbed.robots.base import RobotLog, RobotState, Supervisor
+from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.scenario.randomise import LINK_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Cycle, Frame
-from vstestbed.tasks.monitors import OwnMonitor
 from vstestbed.timing.clock import DelayLine
 from vstestbed.timing.link import directions
 from vstestbed.vision.base import goal_of_points, points_of
@@ -40,45 +39,11 @@ from vstestbed.vision.base import goal_of_points, points_of
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
 
-class Witness:
-    """Makes frames, with the columns that only this robot and this task have; nothing of it comes back to the controller."""
-
-    def __init__(self, scenario: Scenario, supervisor: Supervisor):
-        self.task, self._supervisor = scenario.goal.monitor(scenario.setup, supervisor), supervisor
-        self._robot_log = scenario.robot.log(supervisor)
-        # Of points that are not the target's markers, by the true lens: they lie in the target's plane where it saw them at the goal.
-        self._goal = (
-            Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if scenario.detector.rows is not None else None
-        )
-        self._own = len(scenario.own_columns)
-
-    def frame(self, cycle: Cycle, shot: Exposure, truth: Truth, image: Image | None) -> Frame:
-        """The cycle, of the exposure `shot`, with the truth then, and the robot's and the task's own columns."""
-        row = np.empty(self._own)
-        c, depth = cycle, shot.picture.depth if shot.picture else None
-        if self._goal is not None:
-            points = points_of(goal_of_points(self._goal, c.goal.uv))
-            truth = replace(truth, p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
-        parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
-        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
-        values = self.task.measure(frame)
-        row[:] = (*self._robot_row(frame, shot), *truth.effects, *values)
-        return frame
-
-    def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
-        if self._robot_log.columns == RobotLog.columns:
-            return (self._supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
-        seen, truth = frame.observation, frame.truth
-        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
-        T_base = frame.T_world_base(self.task.mount_inverse)
-        return self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
-
-
 PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
 class Episode:
-    """One run under way: the plant, the controller, the judge, the log.
+    """One run under way: the plant, the controller, the termination, the log.
     ended_s: simulated time of the verdict [s]. frame: the last frame; its command is not sent before the next `advance`.
     by_hand: what a person changed during the run, in words, each with the time of the first [s] and how often.
     """
@@ -101,11 +66,15 @@ class Episode:
         from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
         self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera)
         supervisor = self.controller.supervisor
-        self._witness = Witness(scenario, supervisor)
-        own = [OwnMonitor(rule, scenario.setup) for rule in scenario.monitors]
+        self._task, self._robot_log = scenario.goal.monitor(scenario.setup, supervisor), scenario.robot.log(supervisor)
+        monitors = [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors]
         lost = LostMarkers(scenario, self.plant.names_before)
-        self._judge = Judge(self._witness.task, scenario.stop, scenario.target, supervisor, own, Stability(scenario), lost)
-        self._led = scenario.timing.interpolated(*scenario.clock)
+        self._termination = Termination(self._task, scenario.stop, scenario.target, supervisor, monitors, Stability(scenario), lost)
+        self._interpolator = scenario.timing.interpolator(*scenario.clock)
+        # Of points that are not the target's markers, by the true lens: they lie in the target's plane where it saw them at the goal.
+        picked = scenario.detector.rows is not None
+        self._goal = Goal.from_view(scenario.camera, scenario.target.points, scenario.goal_poses[-1]) if picked else None
+        self._own_columns, self._timing_columns = len(scenario.own_columns), scenario.timing.columns + scenario.camera.columns
         self._commands: DelayLine[Order] = DelayLine(round(scenario.timing.command_latency_s / self.plant.step_s))
         self._frames = self._turn()
         self.build_s, self.loop_s = time.perf_counter() - began, 0.0
@@ -184,7 +153,7 @@ class Episode:
         """Go on with other parameters of the law."""
         self.controller.retune(law)
         self.scenario = self.controller.scenario
-        self._judge.stability = Stability(self.scenario)
+        self._termination.stability = Stability(self.scenario)
         self.changed_by_hand("law")
 
     def _send(self, command: Array | None) -> None:
@@ -192,14 +161,14 @@ class Episode:
         assert self.frame is not None
         self._commanded = command is not None
         if command is not None:
-            self._judge.stability = None  # of commands from outside neither gain nor delay is known
+            self._termination.stability = None  # of commands from outside neither gain nor delay is known
             wanted, allocation, order = self.controller.override(self.frame, command)
             self.frame = replace(self.frame, command=wanted, allocation=allocation, order=order)
-        if self._to_robot is None or not self._to_robot.loses(self._step // self.plant.steps_per_frame):
+        if self._to_robot is None or not self._to_robot(self._step // self.plant.steps_per_frame):
             self._commands.push(self._step, self.frame.order)
         else:
             timing = self.frame.timing
-            self.frame = replace(self.frame, timing=replace(timing, own={**(timing.own or {}), "command_lost": 1.0}))
+            self.frame = replace(self.frame, timing=timing._replace(own={**(timing.own or {}), "command_lost": 1.0}))
         self._note()
 
     def _note(self) -> None:
@@ -217,7 +186,7 @@ class Episode:
         (self.outcome, self.reason), self.ended_s = verdict, t
 
     def _turn(self) -> Generator[Frame]:
-        """Take pictures, deliver them and their commands, each when it is due, until the judge's verdict."""
+        """Take pictures, deliver them and their commands, each when it is due, until the verdict that ends the run."""
         scenario, plant, controller, camera, commands = self.scenario, self.plant, self.controller, self._camera, self._commands
         self._step = step = 0
         order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
@@ -234,7 +203,7 @@ class Episode:
             if step >= silent_at:  # a camera that is dead must not leave the robot without a supervisor, nor the run without an end
                 order = controller.lapsed(step * plant.step_s, plant.reading())
                 plant.apply(order.setpoint, order.stop)
-                if verdict := self._judge.without_picture(step * plant.step_s, plant.truth()):
+                if verdict := self._termination.without_picture(step * plant.step_s, plant.truth()):
                     return self._end(verdict, step * plant.step_s)
                 if controller.supervisor.aborted:  # orders still on their way must not set a robot that stops in motion again
                     commands.clear()
@@ -253,33 +222,56 @@ class Episode:
 
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
-        plant, shot = self.plant, made.shot
+        (shot, truth), plant, controller = made, self.plant, self.controller
         rendered = plant.render_s
         given, stamp = self._camera.received(shot, step)
-        if self.controller.refuses(given):
+        if controller.refuses(given):
             return None
         due = step + self._commands.delay_steps
-        reaches = due if self._led is None else self._led.next_tick(due)
-        cycle = self.controller.arrive(given, Arrival(step * plant.step_s, reaches * plant.step_s, plant.reading()))
-        if columns := self.scenario.timing.columns + self.scenario.camera.columns:
-            own = {"t_stamp": stamp, "refused": float(self.controller.refused), "command_lost": 0.0, **self._exposed(shot.picture)}
-            cycle = replace(cycle, timing=replace(cycle.timing, t=shot.t, own={name: own[name] for name in columns}))
+        reaches = due if self._interpolator is None else self._interpolator.next_tick(due)
+        cycle = controller.arrive(given, step * plant.step_s, reaches * plant.step_s, plant.reading())
+        if self._timing_columns:
+            own = {"t_stamp": stamp, "refused": float(controller.refused), "command_lost": 0.0, **self._exposed(shot.picture)}
+            cycle = replace(cycle, timing=cycle.timing._replace(t=shot.t, own={name: own[name] for name in self._timing_columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
-        image = shot.picture.image if shot.picture else None
-        if self._camera.whole and image is not None:
-            image = image.copy()  # the caller may keep it
-        before, self.frame = self.frame, self._witness.frame(cycle, shot, made.truth, image)
-        judged = self.frame
+        before = self.frame
+        judged = self.frame = frame = self._assembled(cycle, shot, truth)
         # A command given in place of the law's is not known yet: the frame is judged, and at the end logged, with that in force.
         if self._commanded and before is not None:
-            judged = replace(judged, command=before.command, allocation=before.allocation, order=before.order)
+            judged = replace(frame, command=before.command, allocation=before.allocation, order=before.order)
         self._waits = True
-        if verdict := self._judge.verdict(judged):
-            self._end(verdict, self.frame.t)
+        if verdict := self._termination.verdict(judged):
+            self._end(verdict, frame.t)
             self.frame = replace(judged, verdict=verdict)
             self._note()
         return self.frame
+
+    def _assembled(self, c: Cycle, shot: Exposure, truth: Truth) -> Frame:
+        """The cycle of an exposure with the truth then, and the columns that only this robot and this task have."""
+        picture = shot.picture
+        image, depth = (None, None) if picture is None else (picture.image, picture.depth)
+        if self._camera.whole and image is not None:
+            image = image.copy()  # the caller may keep it
+        if self._goal is not None:
+            points = points_of(goal_of_points(self._goal, c.goal.uv))
+            truth = truth._replace(p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
+        row = np.empty(self._own_columns)
+        parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
+        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
+        values = self._task.measure(frame)
+        row[:] = (*self._robot_row(frame, shot), *truth.effects, *values)
+        return frame
+
+    def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
+        """Values of the columns that only this robot has."""
+        log = self._robot_log
+        if log.columns == RobotLog.columns:
+            return (self.controller.supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
+        seen, truth = frame.observation, frame.truth
+        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
+        T_base = frame.T_world_base(self._task.mount_inverse)
+        return log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
 
     def _exposed(self, picture: Picture | None) -> dict[str, float]:
         """Exposure time [s] and gain of a picture, for the log; without one those with which the camera begins."""

@@ -150,6 +150,6 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
         drift=scenario.noise.drift,
         perturbed=scenario.perturbed(),
         order_s=scenario.timing.order_s(scenario.camera),
-        led=scenario.timing.interpolated(*scenario.clock),
+        interpolator=scenario.timing.interpolator(*scenario.clock),
         plate_m=plate_m,
     )

@@ -6,7 +6,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.timing.clock import DelayLine
-from vstestbed.timing.link import BurstyLink
+from vstestbed.timing.link import Loses
 from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 from vstestbed.vision.base import TruthView
@@ -104,7 +104,7 @@ class Stamps:
         stamp += self._timing.jittered(self._camera.jitter_s, self._rng)
         t = min(stamp, now)
         picture = None if shot.picture is None else replace(shot.picture, t=t)
-        return replace(shot, t=t, picture=picture, reading=self._reading(stamp)), stamp
+        return shot._replace(t=t, picture=picture, reading=self._reading(stamp)), stamp
 
     def _reading(self, stamp: float) -> Reading:
         at = self._robot.true(stamp) / self._plant.step_s
@@ -114,12 +114,8 @@ class Stamps:
         return self._readings[i]
 
 
-@dataclass(frozen=True, slots=True)
-class Exposed:
-    """A picture in transit to the controller, and the truth at its exposure, which stays behind."""
-
-    shot: Exposure
-    truth: Truth
+Exposed = tuple[Exposure, Truth]
+"""A picture in transit to the controller, and the truth at its exposure, which stays behind."""
 
 
 class CameraClock:
@@ -127,7 +123,7 @@ class CameraClock:
     whole: take whole pictures, whatever the detector's regions of interest are; may be changed at any time. link: may lose pictures.
     """
 
-    def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: BurstyLink | None = None):
+    def __init__(self, scenario: Scenario, plant: Plant, whole: bool = False, link: Loses | None = None):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
         # A perturbation, metering or a stream may work on the picture as a whole: a part of it would not be changed as the whole is.
         self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)
@@ -186,10 +182,10 @@ class CameraClock:
         self.plant.expose(planned.weights[self.opening], self.look, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
-            made = self.middle
+            shot, true = self.middle
             if self._row_views is not None:  # the truth itself stays that of the time stamp
-                made = replace(made, shot=replace(made.shot, view=self._row_views.taken()))
-            self._send(planned, self.plant.developed(made.shot.t), made)
+                shot = shot._replace(view=self._row_views.taken())
+            self._send(planned, self.plant.developed(shot.t), (shot, true))
 
     def _truth(self, is_middle: bool) -> Truth | None:
         """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
@@ -202,10 +198,11 @@ class CameraClock:
     def _shot(self, step: int, truth: Truth) -> Exposed:
         # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.
         view = TruthView(truth.p_camera, truth.hidden) if self._view else None
-        return Exposed(Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth)
+        return Exposure(self.planned.frame, step * self.plant.step_s, None, self.plant.reading(), view), truth
 
     def _send(self, planned: Planned, picture: Picture | None, made: Exposed) -> None:
-        if self._takes_whole and picture is not None:
-            picture = self.plant.with_own(picture)
-        self.line.push(planned.arrives, made if picture is None else replace(made, shot=replace(made.shot, picture=picture)))
+        if picture is not None:
+            shot, truth = made
+            made = shot._replace(picture=self.plant.with_own(picture) if self._takes_whole else picture), truth
+        self.line.push(planned.arrives, made)
         self._plan()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -113,8 +113,7 @@ class Actuation:
         return {"servo_kp": {s.joint: s.kp for s in made}, "servo_kv": {s.joint: s.kv for s in made}, "servo_torque": torques}
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(NamedTuple):
     """What the robot is to do: a velocity, or a stop with its reason. All numbers are finite, and those of a stop are at rest.
 
     Attributes:
@@ -143,11 +142,6 @@ class Order:
     def of(cls, allocation: Allocation) -> Order:
         """The law's own, within the robot's limits."""
         return cls(allocation.setpoint, allocation.twist, allocation.rates)
-
-    def copy(self) -> Order:
-        """The same in arrays of its own: the reader of a cycle may write to those of the cycle."""
-        rates = None if self.rates is None else self.rates.copy()
-        return replace(self, setpoint=self.setpoint.copy(), twist=self.twist.copy(), rates=rates)
 
     def halted(self, reason: str, latched: bool = False, stop: Stop = "stop") -> Order:
         """A stop in its place."""

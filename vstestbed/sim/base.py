@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.sim.scene.world import AWAY
 from vstestbed.targets.base import Target
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolation, Orders, Stop
+from vstestbed.timing.setpoints import Interpolator, SetpointBuffer, Stop
 
 if TYPE_CHECKING:
     from vstestbed.sim.render.image_sensor import ImageSensor
@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.stage import Stage
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """Ground truth at one instant, for the log, the judge and the oracle detector, and for nothing else.
 
     Attributes:
@@ -88,8 +87,8 @@ class Plant(ABC):
 
     parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
     pictures and occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a target that moves by itself as
-    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. led: how it goes from one setpoint to the
-    next; None: at once.
+    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from one setpoint to
+    the next; None: at once.
     """
 
     _stage: Stage | None
@@ -102,12 +101,12 @@ class Plant(ABC):
         eye: ImageSensor | None,
         path: Path | None,
         order_s: float,
-        led: Interpolation | None,
+        interpolator: Interpolator | None,
     ):
         robot = parts.robot
         self._parts, self._stage, self._eye, self._path, self._target = parts, stage, eye, path, parts.target
         self.step_s, self.steps_per_frame, self._steps = parts.step, steps_per_frame, 0
-        self._orders = Orders(robot.stopping, robot.hold_setpoint(), order_s / parts.step, parts.step, led)
+        self._setpoints = SetpointBuffer(robot.stopping, robot.hold_setpoint(), order_s / parts.step, parts.step, interpolator)
 
     @property
     def _t(self) -> float:
@@ -178,7 +177,7 @@ class Plant(ABC):
 
     def apply(self, setpoint: Array, stop: Stop = "") -> None:
         """Set the setpoint, which stays in force until the next one, or until it has lasted its time; or a stop in its place."""
-        self._orders.give(self._steps, setpoint, stop)
+        self._setpoints.give(self._steps, setpoint, stop)
         self._actuate()
 
     @abstractmethod

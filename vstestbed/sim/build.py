@@ -15,7 +15,7 @@ from vstestbed.sim.base import Plant
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 from vstestbed.timing.clock import Clock
-from vstestbed.timing.setpoints import Interpolation
+from vstestbed.timing.setpoints import Interpolator
 from vstestbed.vision.perturb import Perturbed
 
 
@@ -37,7 +37,7 @@ def build_plant(
     drift: Drift = NO_DRIFT,
     perturbed: Perturbed | None = None,
     order_s: float = math.inf,
-    led: Interpolation | None = None,
+    interpolator: Interpolator | None = None,
     plate_m: float = 0.0,
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
@@ -51,7 +51,8 @@ def build_plant(
         depth_rng, sensor_rng, motion_rng: generators of the depth camera's noise, of the robot's sensor noise, of a target's random walk.
         imaging_rng: generator of the image sensor's noise (`camera.sensor`).
         drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
-        order_s: how long a command lasts before the robot stops [s]. led: how it goes from one command to the next; None: at once.
+        order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to
+            the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
@@ -64,7 +65,7 @@ def build_plant(
     if ideal and not (needs_image or plate_m or _may_hide(target, world)):
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, None, None, path, order_s, led), "none"
+        return IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator), "none"
     from vstestbed.imaging.chain import Chain, imaging_of
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
@@ -84,10 +85,10 @@ def build_plant(
     if ideal:
         from vstestbed.sim.ideal import IdealPlant
 
-        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, led), renderer
+        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator), renderer
     from vstestbed.sim.plant import MujocoPlant
 
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, led), renderer
+    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, interpolator), renderer
 
 
 def _given(rng: np.random.Generator | None) -> np.random.Generator:

@@ -12,7 +12,7 @@ from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolation
+from vstestbed.timing.setpoints import Interpolator
 
 NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)
@@ -29,9 +29,9 @@ class IdealPlant(Plant):
         eye: ImageSensor | None,
         path: Path | None,
         order_s: float,
-        led: Interpolation | None,
+        interpolator: Interpolator | None,
     ):
-        super().__init__(parts, steps_per_frame, stage, eye, path, order_s, led)
+        super().__init__(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
         self._T = parts.start[1]
         self._to_camera = adjoint(inverse(parts.camera.mount.T))
         self._T_world_target = parts.target.pose.T
@@ -69,7 +69,7 @@ class IdealPlant(Plant):
         return NO_JOINTS
 
     def _actuate(self) -> None:
-        setpoint = self._orders.at(self._steps)
+        setpoint = self._setpoints.at(self._steps)
         if setpoint is not None and setpoint is not self._followed:
             self._followed, self._twist = setpoint, self._to_camera @ setpoint
 
@@ -77,7 +77,7 @@ class IdealPlant(Plant):
         """Advance by exact exponentials: no integration error, however many steps each stands for. False beyond all numbers."""
         end = self._steps + steps
         while self._steps < end:
-            ahead = self._orders.unchanged(self._steps, end - self._steps)
+            ahead = self._setpoints.unchanged(self._steps, end - self._steps)
             try:
                 self._T = self._T @ exp(self._twist * (ahead * self.step_s))
             except (ValueError, OverflowError):  # a twist so large that its square overflows

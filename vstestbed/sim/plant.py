@@ -21,7 +21,7 @@ from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.targets.motion import Path
-from vstestbed.timing.setpoints import Interpolation
+from vstestbed.timing.setpoints import Interpolator
 
 
 class RobotContacts:
@@ -291,10 +291,10 @@ class MujocoPlant(Plant):
         rng: np.random.Generator,
         path: Path | None = None,
         order_s: float = math.inf,
-        led: Interpolation | None = None,
+        interpolator: Interpolator | None = None,
     ):
         robot, world = stage.parts.robot, stage.parts.world
-        super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, led)
+        super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, interpolator)
         self._robot, self._scenery = robot, bool(world.movers or path)
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
@@ -419,7 +419,7 @@ class MujocoPlant(Plant):
         return self._robot.reported(self._memory, self._sensors.read(self._steps))
 
     def _actuate(self) -> None:
-        setpoint = None if self._control_steps else self._orders.at(self._steps)
+        setpoint = None if self._control_steps else self._setpoints.at(self._steps)
         if setpoint is not None:
             self._ctrl[self._stage.at.ctrl] = setpoint
 
@@ -441,7 +441,7 @@ class MujocoPlant(Plant):
                     ahead = every - late
             if not self._control_steps:
                 self._actuate()
-                ahead = self._orders.unchanged(self._steps, ahead)
+                ahead = self._setpoints.unchanged(self._steps, ahead)
             if self._forces:
                 self._apply()
             if not self._stage.step(ahead):
@@ -453,7 +453,7 @@ class MujocoPlant(Plant):
         step, stage = self._steps, self._stage
         for act in self._each_period:
             act(step * self.step_s, dt)
-        setpoint = self._orders.at(step)
+        setpoint = self._setpoints.at(step)
         if setpoint is not None:
             reading = self._sensors.read(step)
             self._memory, orders = self._robot.actuate(self._memory, setpoint, reading, dt)

@@ -22,8 +22,8 @@ from vstestbed.laws import Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.laws.views import Views, has_batch
 from vstestbed.loop.controller import GuardedLaw
-from vstestbed.loop.judge import FAR_M
 from vstestbed.loop.stability import LastPart, sentence, window
+from vstestbed.loop.termination import FAR_M
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.noise import Noise
@@ -95,7 +95,7 @@ class OneByOne:
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
 SLACK_S = 1e-9
-"""The judge of one run allows this much when it compares times [s]."""
+"""The termination of one run allows this much when it compares times [s]."""
 
 MOST_STARTS = 4_000_000
 """Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
@@ -214,7 +214,7 @@ class BatchSetup:
         return isinstance(law.depth, PnP) and law.inputs != ("relative",)
 
     def frames(self, duration_s: float) -> int:
-        """Number of frames after which a time [s] has passed, by the rule of the `Judge`; of inf more than any run has."""
+        """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of inf more than any run has."""
         if math.isinf(duration_s):
             return sys.maxsize // 2
         return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
@@ -242,7 +242,7 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 
 # Batch simulation of ideal closed loops: a law from thousands of starts, vectorised over the runs.
 #
-# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its `Judge`, vectorised; the tests
+# A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its `Termination`, vectorised; the tests
 # and `basin --check` compare the outcomes of the two.
 AT_ONCE = 2000
 """Runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time."""
@@ -302,7 +302,7 @@ class Instant:
 
 
 def fly(scenario: Scenario, start: Array) -> Batch:
-    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`run`, `loop.judge.Judge`).
+    """Simulate ideal cameras from their own starts, each until it ends as a single run would (`run`, `loop.termination.Termination`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
     run does not see are left out of its equations. Depths and poses that a law solves from the pixels are true, since the pixels are exact;
@@ -407,8 +407,8 @@ class _LastHalf:
 def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Instant:
     """One frame of all runs with their commands and outcomes.
 
-    The precedence of outcomes is that of `Judge.verdict`. Without a target the law commands rest, and in a static world the target
-    stays lost: such a run ends at once, with the frame at which the `Judge` would end it.
+    The precedence of outcomes is that of `Termination.verdict`. Without a target the law commands rest, and in a static world the target
+    stays lost: such a run ends at once, with the frame at which the `Termination` would end it.
     """
     s = setup.scenario
     seen, error, all_seen = _seen(s, p)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from vstestbed.camera import DepthImage, Image
-from vstestbed.core.geometry import Array, all_finite
+from vstestbed.core.geometry import Array
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command
@@ -18,8 +19,7 @@ from vstestbed.robots.allocation import Order
 from vstestbed.sim.base import Truth
 
 
-@dataclass(frozen=True, slots=True)
-class FrameTiming:
+class FrameTiming(NamedTuple):
     """Times of one frame.
 
     Attributes:
@@ -34,8 +34,7 @@ class FrameTiming:
     own: Mapping[str, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class ImageError:
+class ImageError(NamedTuple):
     """The image error of one frame.
 
     Attributes:
@@ -51,13 +50,15 @@ class ImageError:
     def of(cls, seen: Observation, goal: Goal, rest_reason: str) -> ImageError:
         """The error of an observation against the goal; rest_reason: why the law commands rest ("" while it works)."""
         error = seen.uv - goal.uv
-        all_seen = all_finite(error)
+        squares = float(np.vdot(error, error))
+        all_seen = math.isfinite(squares)
         if not all_seen:  # the costlier masks only where something is missing: this runs for every frame
             error = error[seen.seen]
+            squares = float(np.vdot(error, error))
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
         # A law may command motion although it sees nothing (coasting), and one that works on whole pictures needs no marker.
         lost = bool(rest_reason) or not (error.size or seen.image is not None)
-        return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(float(np.vdot(error, error)) / error.size))
+        return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(squares / error.size))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +133,11 @@ class Frame(Cycle):
 
     def protected(self) -> Frame:
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""
-        for part in (self.observation, self.goal, self.command, self.allocation, self.order, self.truth):
-            for name in part.__dataclass_fields__:
-                value = getattr(part, name)
-                if isinstance(value, np.ndarray):
-                    value.setflags(write=False)
-        self.row.setflags(write=False)
+        parts = self.observation, self.goal, self.command, self.allocation
+        values = (getattr(part, name) for part in parts for name in part.__dataclass_fields__)
+        for value in (*values, *self.order, *self.truth, self.row):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
         return self
 
     @property

@@ -267,16 +267,9 @@ class _KeepOut:
 MONITORS = OneOf("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
 
 
-class OwnMonitor:
-    """A monitor of a scenario, whose verdicts are checked."""
-
-    def __init__(self, rule: MonitorContract, setup: Setup):
-        self._kind, self._monitor = rule.kind, rule.monitor(setup)
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """The rule's verdict. Raises ParameterError: it is neither None nor an outcome with its reason."""
-        verdict = self._monitor.update(frame)
-        match verdict:
-            case None | (Outcome(), str()):
-                return verdict
-        raise ParameterError(f"monitors: {self._kind}", "update must return None or (Outcome, reason)", repr(verdict))
+def checked(kind: str, verdict: Verdict | None) -> Verdict | None:
+    """The verdict of a monitor of this kind. Raises ParameterError: it is neither None nor an outcome with its reason."""
+    match verdict:
+        case None | (Outcome(), str()):
+            return verdict
+    raise ParameterError(f"monitors: {kind}", "update must return None or (Outcome, reason)", repr(verdict))

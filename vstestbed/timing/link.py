@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 import numpy as np
@@ -47,27 +48,29 @@ class BurstLoss:
         return self.good_loss > 0 or (self.enter_probability > 0 and self.bad_loss > 0)
 
 
-class BurstyLink:
+Loses = Callable[[int], bool]
+"""Whether what is sent in a camera period is lost; periods count from 0, and never go back."""
+
+
+def bursty_link(loss: BurstLoss, rng: np.random.Generator) -> Loses:
     """One direction of the link in a run. loss: its parameters. rng: of this direction alone."""
+    steps, losses = rng.spawn(2)
+    p, r = loss.enter_probability, loss.leave_probability
+    bad, now = bool(steps.random() < p / (p + r)), 0
 
-    def __init__(self, loss: BurstLoss, rng: np.random.Generator):
-        self._loss = loss
-        self._steps, self._losses = rng.spawn(2)
-        p, r = loss.enter_probability, loss.leave_probability
-        self._bad, self._period = bool(self._steps.random() < p / (p + r)), 0
+    def loses(period: int) -> bool:
+        nonlocal bad, now
+        while now < period:
+            bad ^= bool(steps.random() < (r if bad else p))
+            now += 1
+        return bool(losses.random() < (loss.bad_loss if bad else loss.good_loss))
 
-    def loses(self, period: int) -> bool:
-        """Whether what is sent in a camera period is lost; periods count from 0, and never go back."""
-        loss = self._loss
-        while self._period < period:
-            self._bad ^= bool(self._steps.random() < (loss.leave_probability if self._bad else loss.enter_probability))
-            self._period += 1
-        return bool(self._losses.random() < (loss.bad_loss if self._bad else loss.good_loss))
+    return loses
 
 
-def directions(loss: BurstLoss | None, rng: np.random.Generator) -> tuple[BurstyLink | None, BurstyLink | None]:
+def directions(loss: BurstLoss | None, rng: np.random.Generator) -> tuple[Loses | None, Loses | None]:
     """The link for pictures and that for commands; None where nothing is lost. rng: of the link alone."""
     if loss is None:
         return None, None
-    pictures, commands = (BurstyLink(loss, stream) for stream in rng.spawn(2))
+    pictures, commands = (bursty_link(loss, stream) for stream in rng.spawn(2))
     return pictures if loss.carries != "commands" else None, commands if loss.carries != "pictures" else None

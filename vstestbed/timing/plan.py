@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Le, Lt
@@ -16,8 +15,8 @@ from vstestbed.core.spec import spec
 from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.imaging.shutter import Contribution, Opening, contributions, of_rows
 from vstestbed.timing.clock import _Shot
-from vstestbed.timing.link import BurstLoss, BurstyLink
-from vstestbed.timing.setpoints import Between, Interpolation
+from vstestbed.timing.link import BurstLoss, Loses
+from vstestbed.timing.setpoints import Interpolator, Mode
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 
 LEAST_PERIODS = 3  # a command lasts this many camera periods at least
@@ -59,7 +58,7 @@ class Timing:
         command_hz: rate at which setpoints reach the actuators [Hz], a whole number of physics steps apart; null: with the law's
             command, or with `interpolation` at each physics step; e.g. `500`.
         interpolation: between two commands: `hold` the last one; go to the new one within a camera period in a straight line (`ramp`), or
-            with limited jerk (`smooth`), both late by half a period (`timing.setpoints.Blend`).
+            with limited jerk (`smooth`), both late by half a period (`timing.setpoints.Profile`).
     """
 
     exposure_s: Time = 0.0
@@ -76,7 +75,7 @@ class Timing:
     robot_clock: RobotStamps | None = None
     link: BurstLoss | None = None
     command_hz: Frequency | None = None
-    interpolation: Between = "hold"
+    interpolation: Mode = "hold"
 
     @property
     def draws(self) -> bool:
@@ -101,12 +100,12 @@ class Timing:
         stamp, refused = ("t_stamp",) * self.stamps, ("refused",) * self.refuses
         return (*stamp, *refused, *("command_lost",) * (self.link is not None and self.link.carries != "pictures"))
 
-    def interpolated(self, step_s: float, steps_per_frame: int) -> Interpolation | None:
-        """How setpoints go from one command to the next; None: each at once."""
+    def interpolator(self, step_s: float, steps_per_frame: int) -> Interpolator | None:
+        """Leads the setpoints of a run from one command to the next; None: each command is the setpoint at once."""
         if self.command_hz is None and self.interpolation == "hold":
             return None
         every = 1 if self.command_hz is None else max(1, round(1 / (self.command_hz * step_s)))
-        return Interpolation(self.interpolation, every, steps_per_frame)
+        return Interpolator(self.interpolation, every, steps_per_frame)
 
     def order_s(self, camera: _Shot) -> float:
         """How long a command lasts [s]: single pictures may be dropped, whatever the timeout."""
@@ -198,8 +197,7 @@ class Timing:
         return float(rng.uniform(-size_s, size_s) if self.jitter == "uniform" else rng.normal(0.0, size_s))
 
 
-@dataclass(frozen=True, slots=True)
-class Planned:
+class Planned(NamedTuple):
     """A planned picture, in physics steps: its number, middle of the exposure, steps to be rendered with their weights, arrival.
 
     A weight is that of a whole image, or, with a rolling shutter or flickering light, what the image contributes to each row.
@@ -230,7 +228,7 @@ class Shutter:
         step_s: float,
         steps_per_frame: int,
         rng: np.random.Generator,
-        link: BurstyLink | None = None,
+        link: Loses | None = None,
         flicker: Flicker = STEADY,
     ):
         self._timing, self._step_s, self._per_frame, self._rng, self._link = timing, step_s, steps_per_frame, rng, link
@@ -263,12 +261,12 @@ class Shutter:
             middle = max(0, self._frame * self._per_frame + max(-self._room, min(self._room, shift)))
             late = max(0.0, self._camera.latency_s + timing.jittered(timing.latency_jitter_s, rng))
             arrives = timing.drop_probability == 0 or rng.random() >= timing.drop_probability
-            if arrives and (self._link is None or not self._link.loses(self._frame)):
+            if arrives and (self._link is None or not self._link(self._frame)):
                 return self._planned(middle, round(late / self._step_s))
 
     def _planned(self, middle: int, late_steps: int) -> Planned:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
-        opens = tuple(max(0, middle + offset) for offset in self.opening.offsets)
+        opens = tuple([max(0, middle + offset) for offset in self.opening.offsets])
         weights = self._steady or self._contributed(middle * self._step_s)
         return Planned(self._frame, middle, opens, weights, middle + self.opening.half + late_steps)
 

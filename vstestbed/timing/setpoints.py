@@ -1,62 +1,44 @@
-"""Setpoints between two orders: held, or led from one to the next, at the rate at which the robot takes setpoints."""
+"""Setpoints between two commands: held, or interpolated, at the rate at which the robot takes setpoints."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from vstestbed.core.geometry import Array, all_finite
 
-Between = Literal["hold", "ramp", "smooth"]
-"""Held until the next order; led to it in a straight line; led to it with limited jerk."""
+Mode = Literal["hold", "ramp", "smooth"]
+"""Held until the next command; led to it in a straight line; led to it with limited jerk."""
 
 
-@dataclass(frozen=True, slots=True)
-class Interpolation:
-    """How the robot goes from one order to the next.
-
-    between: what lies between them. every: steps between two setpoints that reach the actuators. over: steps from the old order to the new
-    one, a camera period; of no meaning for `hold`.
-    """
-
-    between: Between
-    every: int
-    over: int
-
-    def next_tick(self, step: int) -> int:
-        """The first step from `step` on at which the actuators get a setpoint."""
-        return -(-step // self.every) * self.every
-
-
-class Blend:
-    """The way from a value to another within a time T: with s = t / T from 0 to 1,
+class Profile:
+    """The way from one value to another within a time T: with s = t / T from 0 to 1,
 
         hold    u = u1
         ramp    u = u0 + (u1 - u0) s                                           (first-order hold, late by a period)
         smooth  u = u0 + T u0' (s - 2 s^2 + s^3) + (u1 - u0) (3 s^2 - 2 s^3)   (a cubic that ends with slope 0)
 
     and u1 from then on. Of velocities, `smooth` has a continuous acceleration and a jerk of at most 6 |u1 - u0| / T^2 + 4 |u0'| / T. Both
-    cover (u0 + u1) T / 2 in the time T (smooth: from rest, u0' = 0), which a held order would have covered as u1 T: they are late by T / 2.
+    cover (u0 + u1) T / 2 in the time T (smooth: from rest, u0' = 0), where a held command covers u1 T: they are late by T / 2.
 
     References: Franklin, Powell & Workman 1998, Digital Control of Dynamic Systems (holds); Siciliano, Sciavicco, Villani & Oriolo 2009,
     doi:10.1007/978-1-84628-642-1 (cubic polynomials between two values and their slopes).
 
-    between: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,). duration: T.
+    mode: see above. before: u0 (n,). slope: u0' (n,), by the unit of time of T. after: u1 (n,). duration: T.
     """
 
     __slots__ = ("_parts", "after", "before", "duration", "start")
 
-    def __init__(self, between: Between, before: Array, slope: Array, after: Array, duration: float):
+    def __init__(self, mode: Mode, before: Array, slope: Array, after: Array, duration: float):
         self.before, self.start, self.after = before, slope, after
         # From or to infinity, by which a craft's rotors are switched off, there is no way.
-        self.duration = 0.0 if between == "hold" or not (all_finite(before) and all_finite(after)) else duration
+        self.duration = 0.0 if mode == "hold" or not (all_finite(before) and all_finite(after)) else duration
         if self.duration:
             rise, at_first = after - before, slope * duration
             smooth = (before, at_first, 3 * rise - 2 * at_first, at_first - 2 * rise)
-            self._parts = smooth if between == "smooth" else (before, rise, np.zeros_like(rise), np.zeros_like(rise))
+            self._parts = smooth if mode == "smooth" else (before, rise, np.zeros_like(rise), np.zeros_like(rise))
 
     def at(self, t: float) -> Array:
         """The value (n,) at a time from the start on; `after` itself at the end."""
@@ -80,49 +62,54 @@ class Blend:
         return self.duration * s * (a + s * (b / 2 + s * (c / 3 + s * d / 4))) + self.after * max(t - self.duration, 0.0)
 
 
-class Led:
-    """What the actuators get of the orders: a setpoint every few steps of the physics clock, on the way to the last order.
+class Interpolator:
+    """Setpoints on the way from one command to the next, one every few steps of the physics clock.
 
-    Each is the mean of the way (`Blend`) over the steps for which it is held, so that the robot covers what the way does, at any rate of
-    setpoints; its value at the first of them would be late by half of them.
+    Each is the mean of the profile over the steps for which it is held. The robot thus covers what the profile does, at any rate of
+    setpoints; the value at the first of these steps would be late by half of them.
 
-    how: rate and interpolation.
+    mode: of the profile. every: steps from one setpoint to the next. over: steps from one command to the next one, a camera period; of no
+    meaning for `hold`.
     """
 
-    def __init__(self, how: Interpolation):
-        self._how = how
+    def __init__(self, mode: Mode, every: int, over: int):
+        self._mode: Mode = mode
+        self._every, self._over = every, over
         self._begins, self._until_then = 0, np.zeros(0)
-        self.blend: Blend | None = None  # none before the first order
+        self.profile: Profile | None = None  # none before the first command
+
+    def next_tick(self, step: int) -> int:
+        """The first step from `step` on at which the actuators get a setpoint."""
+        return -(-step // self._every) * self._every
 
     def toward(self, step: int, setpoint: Array, now: Array | None, lapsed: bool) -> None:
-        """A new order at this step; it begins to act with the next setpoint that the actuators get.
+        """A new command at this step; it begins to act with the next setpoint that the actuators get.
 
-        now: the setpoint in force; None before the first order, which is led to from rest. lapsed: it is no longer an order's, but the
-        robot's own way to stop.
+        now: the setpoint in force; None before the first command, whose profile begins at rest. lapsed: the setpoint in force is the
+        robot's own way to stop, no longer that of a command.
         """
-        how, blend = self._how, self.blend
-        begins = how.next_tick(step)
+        profile, begins = self.profile, self.next_tick(step)
         held = np.zeros_like(setpoint) if now is None else now
         before, slope = held, np.zeros_like(setpoint)
-        if blend is not None and not lapsed:
+        if profile is not None and not lapsed:
             t = begins - self._begins
-            # Of two orders before one setpoint the later one counts: both set out from the same value.
-            before, slope = (blend.at(t), blend.slope(t)) if step >= self._begins else (blend.before, blend.start)
-        self.blend, self._begins, self._until_then = Blend(how.between, before, slope, setpoint, how.over), begins, held
+            # Of two commands before one setpoint the later one counts: both set out from the same value.
+            before, slope = (profile.at(t), profile.slope(t)) if step >= self._begins else (profile.before, profile.start)
+        self.profile, self._begins, self._until_then = Profile(self._mode, before, slope, setpoint, self._over), begins, held
 
     def at(self, step: int) -> Array:
         """The setpoint at this step."""
-        assert self.blend is not None
+        assert self.profile is not None
         if step < self._begins:
             return self._until_then
-        every, blend = self._how.every, self.blend
+        every, profile = self._every, self.profile
         t = step // every * every - self._begins
-        return blend.after if t >= blend.duration else (blend.way(t + every) - blend.way(t)) / every
+        return profile.after if t >= profile.duration else (profile.way(t + every) - profile.way(t)) / every
 
     def unchanged(self, step: int) -> float:
         """For how many steps from this one on it stays as it is; infinite at the end of the way."""
-        if self.blend is not None and step < self._begins + self._how.next_tick(int(self.blend.duration)):
-            return self._how.next_tick(step + 1) - step
+        if self.profile is not None and step < self._begins + self.next_tick(int(self.profile.duration)):
+            return self.next_tick(step + 1) - step
         return np.inf
 
 
@@ -133,13 +120,13 @@ REFRESH_S = 0.01
 """How often the setpoint of a robot that stops is renewed [s], where it has no onboard controller with a period of its own."""
 
 
-class Orders:
+class SetpointBuffer:
     """The setpoint in force at each step of the physics clock.
 
     Args:
-        stopping: the robot's own way to stop, `Robot.stopping`. first: the setpoint before the first order; None for none.
-        lasts: how long an order lasts, in steps; infinite: until the next. step_s: duration of a step [s].
-        led: how the setpoint goes from one order to the next; None: an order is the setpoint at once.
+        stopping: the robot's own way to stop, `Robot.stopping`. first: the setpoint before the first command; None for none.
+        lasts: how long a command lasts, in steps; infinite: until the next. step_s: duration of a step [s].
+        interpolator: leads from one command to the next; None: a command is the setpoint at once.
     """
 
     def __init__(
@@ -148,42 +135,41 @@ class Orders:
         first: Array | None,
         lasts: float,
         step_s: float,
-        led: Interpolation | None = None,
+        interpolator: Interpolator | None = None,
     ):
-        self._stopping, self._order, self._lasts, self._step_s = stopping, first, lasts, step_s
-        self._led = None if led is None else Led(led)
+        self._stopping, self._command, self._lasts, self._step_s = stopping, first, lasts, step_s
+        self._interpolator = interpolator
         self._until: float = lasts
-        """The last step at which the order is followed."""
+        """The last step at which the command is followed."""
         self._refresh = max(1, round(REFRESH_S / step_s))
 
     def give(self, step: int, setpoint: Array, stop: Stop = "") -> None:
-        """A new order at this step. A stop while the robot already stops changes nothing."""
+        """A new command at this step. A stop while the robot already stops changes nothing."""
         if stop == "stop":
             self._until = min(self._until, step - 1)
             return
         if stop == "off":  # no finite setpoint can be mistaken for it, nor is there a way to it
             setpoint = np.full_like(setpoint, -np.inf)
-        if self._led is not None:
-            self._led.toward(step, setpoint, self.at(step), lapsed=step > self._until)
-        self._order, self._until = setpoint, step + self._lasts
+        if self._interpolator is not None:
+            self._interpolator.toward(step, setpoint, self.at(step), lapsed=step > self._until)
+        self._command, self._until = setpoint, step + self._lasts
 
     def at(self, step: int) -> Array | None:
-        """The setpoint at this step: the order, or the robot's own way to stop from it; None before the first order."""
-        if self._order is None:
+        """The setpoint at this step: that of the command, or of the robot's own way to stop from it; None before the first command."""
+        if self._command is None:
             return None
-        if step <= self._until:
-            return self._followed(step)
-        return self._stopping(self._followed(self._until), (step - self._until) * self._step_s)
-
-    def _followed(self, step: float) -> Array:
-        assert self._order is not None
-        return self._order if self._led is None or self._led.blend is None else self._led.at(int(step))
+        setpoint, interpolator = self._command, self._interpolator
+        if interpolator is not None and interpolator.profile is not None:
+            setpoint = interpolator.at(int(min(step, self._until)))
+        return setpoint if step <= self._until else self._stopping(setpoint, (step - self._until) * self._step_s)
 
     def unchanged(self, step: int, ahead: int) -> int:
         """For how many of the next `ahead` steps (at least one) the setpoint at this step may stay as it is."""
-        if self._order is not None and self._led is not None and step <= self._until:
-            ahead = int(min(ahead, self._led.unchanged(step)))
-        if self._order is None or step + ahead <= self._until + 1:
+        if self._command is None:
+            return ahead
+        if self._interpolator is not None and step <= self._until:
+            ahead = int(min(ahead, self._interpolator.unchanged(step)))
+        if step + ahead <= self._until + 1:
             return ahead
         if step <= self._until:
             return int(self._until) + 1 - step

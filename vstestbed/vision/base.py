@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,7 @@ from vstestbed.targets.base import Target
 M = TypeVar("M")
 
 
-@dataclass(frozen=True, slots=True)
-class TruthView:
+class TruthView(NamedTuple):
     """True marker centres in the camera frame (N, 3) [m], and which are occluded (N,): for the oracle alone."""
 
     p_camera: Array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -146,8 +147,7 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class ObserverMemory:
+class ObserverMemory(NamedTuple):
     """What an observer keeps from one frame to the next.
 
     Attributes:
@@ -217,10 +217,24 @@ class Observer:
         flow = None if self.depth.estimator is None else init_flow(len(self.target.points) if self.rows is None else self.rows)
         return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
+    @cached_property
+    def needs_pose(self) -> bool:
+        """Whether a pose is needed, which is predicted by the twist where the detector does not solve it."""
+        return self.depth.needs_pose or not {"T_camera_target", "place"}.isdisjoint(self.required_fields)
+
+    @cached_property
+    def _direct(self) -> bool:
+        """Whether the points are reported as they are detected, and nothing is kept from frame to frame: the ideal loop, at its speed."""
+        changed = self.dropout > 0 or self.pixel_sigma_px > 0 or self.perturbed is not None or self.depth_scale is not None
+        kept = self.needs_pose or self.depth.estimator is not None or self.grounded or self.derotation != "none"
+        read = self.depth.measured or self.depth.needs_size or not {"xy", "depth"}.issuperset(self.required_fields)
+        return not (changed or kept or read)
+
     def uses_motion(self, detection: Detection) -> bool:
-        """Whether `observe` will read the twist: for depth from motion, odometry, or a pose propagated over missing markers."""
-        gaps = self.dropout > 0 or self.perturbed is not None or self.grounded or "motion" in self.required_fields
-        return gaps or self.depth.estimator is not None or not all_finite(detection.uv)
+        """Whether `observe` reads the measured twist: for depth from motion, odometry, or a pose propagated over missing markers."""
+        if self.grounded or self.depth.estimator is not None or "motion" in self.required_fields:
+            return True
+        return self.needs_pose and (self.dropout > 0 or self.perturbed is not None or not all_finite(detection.uv))
 
     def observe(
         self,
@@ -251,6 +265,10 @@ class Observer:
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
             memory, seen = own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
             return memory, replace(seen, ids=detection.ids)
+        if self._direct:
+            xy = self.camera.normalise(detection.uv)
+            depth = self.depth.depths(DepthCues(self.goal, xy, p_true=detection.p_camera))
+            return memory, Observation(t, detection.uv, xy, depth, detection.T_camera_target)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
@@ -291,8 +309,7 @@ class Observer:
         return uv, T
 
     def _solves(self, T: Array | None) -> bool:
-        needed = self.depth.needs_pose or bool({"T_camera_target", "place"} & set(self.required_fields))
-        return needed and (T is None or self.pixel_sigma_px > 0)
+        return self.needs_pose and (T is None or self.pixel_sigma_px > 0)
 
     def _pose(self, ray: Array | None, t: float, memory: ObserverMemory, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
         """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it was measured rather than propagated."""

@@ -1,10 +1,10 @@
-"""The judge: the verdict on each frame, from the task's monitor and the safety monitors."""
+"""Termination: the verdict on each frame, from the task's monitor, the tests of safety and the scenario's monitors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import mul
 from typing import Any
 
@@ -23,7 +23,7 @@ from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, timed_out_words
-from vstestbed.tasks.monitors import Monitor
+from vstestbed.tasks.monitors import Monitor, checked
 from vstestbed.tasks.stop import Stop
 
 FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
@@ -33,81 +33,6 @@ BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it 
 TURNED_WORDS = "the target turned its back to the camera, or moved past it"
 BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
 BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
-
-
-class Collision:
-    """The robot touches something, or its feet do before they are allowed to."""
-
-    def __init__(self, supervisor: Supervisor):
-        self._supervisor = supervisor
-
-    def touches(self, truth: Truth) -> str:
-        """What touches now, as `forearm and floor`; "" where nothing does that may not."""
-        return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """Collided, with the reason of an earlier abort."""
-        return self.verdict(frame.truth)
-
-    def verdict(self, truth: Truth) -> Verdict | None:
-        """The same, of the truth alone."""
-        touching = self.touches(truth)
-        if not touching:
-            return None
-        aborted = self._supervisor.aborted
-        return Outcome.collided, f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}"
-
-
-class Divergence:
-    """The camera is very far from its target."""
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """Diverged, beyond FAR_M."""
-        away = (frame.truth.T_world_camera[:3, 3] - frame.truth.T_world_target[:3, 3]).tolist()
-        return (Outcome.diverged, FAR_WORDS) if math.hypot(*away) > FAR_M else None
-
-
-class PlaneCrossed:
-    """The camera is behind a target that has markers on its front only."""
-
-    def __init__(self) -> None:
-        self._T_world_target: Array | None = None
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """Lost: from there no marker can be seen."""
-        before, self._T_world_target = self._T_world_target, frame.truth.T_world_target
-        if not _is_behind(frame, self._T_world_target):
-            return None
-        if before is None:
-            return Outcome.target_lost, BEHIND_WORDS
-        return Outcome.target_lost, CROSSED_WORDS if _is_behind(frame, before) else TURNED_WORDS
-
-
-class LimitReached:
-    """A joint limit or a singular configuration leaves nearly nothing of the command."""
-
-    def __init__(self) -> None:
-        self._timer = HoldTimer()
-
-    def update(self, frame: Frame) -> Verdict | None:
-        """The limit's outcome, after BLOCKED_S."""
-        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
-        limit = frame.allocation.limit
-        blocked = limit in ("joint_limit", "singular") and frame.allocation.scale < BLOCKED_SCALE
-        if self._timer.lasting(blocked, frame.t) < BLOCKED_S:
-            return None
-        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
-
-
-def _is_behind(frame: Frame, T_world_target: Array) -> bool:
-    """Whether the camera is behind the front of a target at a pose (4, 4), whose z points away from a camera in front of it."""
-    away = (frame.truth.T_world_camera[:3, 3] - T_world_target[:3, 3]).tolist()
-    return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
-
-
-def safety_monitors(target: Target, collision: Collision, stop: Stop) -> tuple[Monitor, ...]:
-    """The monitors of a run in the order of their precedence; a target out of sight is the supervisor's matter."""
-    return collision, Divergence(), *((PlaneCrossed(),) if target.one_sided and stop.loss_ends else ()), LimitReached()
 
 
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
@@ -130,14 +55,8 @@ REMEDIES = {
 START = ", from the start on"
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in the picture [px]."""
-
-    kind: int
-    words: str
-    t: float
-    px: float = math.nan
+Loss = tuple[int, str, float, float]
+"""Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in the picture [px] (NaN: not told)."""
 
 
 class LostMarkers:
@@ -151,12 +70,13 @@ class LostMarkers:
         self._of_markers = single and not detector.needs_sheet and len(target.points) > 0
         self._limited = getattr(detector, "field_of_view", "limited") == "limited"
         self._least_area_px: float | None = getattr(detector, "least_area_px", None)
-        self._seen = np.ones(len(target.points), dtype=bool)
+        self._seen, self._whole = np.ones(len(target.points), dtype=bool), True
         self._lost: dict[int, Loss] = {}
 
     def add(self, frame: Frame) -> None:
         """Note which markers this frame lost, and which it found again."""
-        if not self._of_markers:
+        # The usual frame first: nothing is lost, and nothing was.
+        if not self._of_markers or (self._whole and frame.error.all_seen):
             return
         seen, counted = frame.observation.seen, frame.goal.counted
         if counted is not None:
@@ -169,10 +89,10 @@ class LostMarkers:
         if len(new):
             names = self._before(frame.truth.T_world_camera, frame.truth.p_camera) if self._limited else ("",) * len(seen)
             self._lost |= {int(i): self._loss(frame, int(i), names[i]) for i in new}
-        self._seen = seen
+        self._seen, self._whole = seen, bool(seen.all())
 
-    def told(self, reason: str) -> str:
-        """A reason for which the run is over, with the sentence; what the robot could only guess, and the sentence knows, is left out."""
+    def explained(self, reason: str) -> str:
+        """A reason for which the run is over, with the sentence, which takes the place of what the robot could only guess."""
         where = self.sentence()
         if not where:
             return reason
@@ -182,16 +102,16 @@ class LostMarkers:
     def sentence(self) -> str:
         """Which markers were lost where, when, and what would help; "" where none is lost."""
         groups: dict[tuple[int, str], list[int]] = {}
-        for i, loss in sorted(self._lost.items()):
-            groups.setdefault((loss.kind, loss.words), []).append(i)
+        for i, (kind, words, *_) in sorted(self._lost.items()):
+            groups.setdefault((kind, words), []).append(i)
         said = []
         for (_, words), members in groups.items():
             called = [self._scenario.target.called(i) for i in members]
             first, last = (
-                f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i].t for i in members) for f in (min, max))
+                f"from {t:.2f} s on" if t else "from the start on" for t in (f(self._lost[i][2] for i in members) for f in (min, max))
             )
             head = f"marker {called[0]} was" if len(called) == 1 else f"markers {', '.join(called)} were"
-            sizes = sorted({f"{self._lost[i].px:.2g}" for i in members}, key=float)
+            sizes = sorted({f"{self._lost[i][3]:.2g}" for i in members}, key=float)
             words = words.format(px=" to ".join(dict.fromkeys((sizes[0], sizes[-1]))))
             said.append(f"{head} {words} {first}" + (f", the last one {last}" if last != first else ""))
         kinds = sorted({kind for kind, _ in groups})
@@ -199,23 +119,23 @@ class LostMarkers:
         return "; ".join([*said, *(REMEDIES[kind].format(law=law) for kind in kinds)])
 
     def _loss(self, frame: Frame, i: int, name: str) -> Loss:
-        target, truth = self._scenario.target, frame.truth
+        target, truth, t = self._scenario.target, frame.truth, frame.t
         T_target_camera = inverse(truth.T_world_target) @ truth.T_world_camera
         if target.one_sided and T_target_camera[2, 3] >= 0:
-            return Loss(BACK, "seen from behind", frame.t)
+            return BACK, "seen from behind", t, math.nan
         rim = self._rim(truth.p_camera[i], T_target_camera, i)
         uv = self._scenario.camera.project(rim)
         if self._limited and (beyond := self._out_of_view(uv, truth.p_camera[i])):
-            return Loss(*beyond, frame.t)
+            return *beyond, t, math.nan
         if name or truth.hidden[i] or target.hides(T_target_camera)[i]:
-            return Loss(HIDDEN, "hidden" + (f" by {name}" if name else ""), frame.t)
+            return HIDDEN, "hidden" + (f" by {name}" if name else ""), t, math.nan
         u, v = (uv - uv.mean(axis=0)).T
         radius = math.sqrt(abs(float(u @ np.roll(v, -1) - v @ np.roll(u, -1))) / (2 * math.pi))  # of a circle of its area
         if self._least_area_px is not None and radius**2 * math.pi < SMALL * self._least_area_px:
             least = math.sqrt(self._least_area_px / math.pi)
             kind = self._scenario.detector.kind
-            return Loss(TINY, f"too small (a radius of {{px}} px; {kind} finds {least:.2g} px and more, of full colour)", frame.t, radius)
-        return Loss(UNKNOWN, "not found although in the picture (with a radius of {px} px)", frame.t, radius)
+            return TINY, f"too small (a radius of {{px}} px; {kind} finds {least:.2g} px and more, of full colour)", t, radius
+        return UNKNOWN, "not found although in the picture (with a radius of {px} px)", t, radius
 
     def _rim(self, p_camera: Array, T_target_camera: Array, i: int) -> Array:
         """Points (POINTS, 3) round the rim of marker i, whose centre is at p_camera (3,): in its plane, of a ball across the ray."""
@@ -261,18 +181,23 @@ def _takes(scenario: Scenario, law: Law[Any]) -> bool:
     return True
 
 
+def is_behind(T_world_target: Array, away: list[float]) -> bool:
+    """Whether a camera `away` [m] from a target at a pose (4, 4) is behind its front, from which the target's z points away."""
+    return sum(map(mul, away, T_world_target[:3, 2].tolist())) >= 0
+
+
 DRIVEN_TO = (Outcome.target_lost, Outcome.diverged, Outcome.collided)
 """Ends to which a loop that swings or grows may drive a robot before its time is over."""
 
 
-class Judge:
-    """Decides by truth, measurements and commands; nothing of it comes back to the law.
+class Termination:
+    """Decides by truth, measurements and commands whether a run is over; nothing of it comes back to the law.
 
     Precedence of several outcomes in one frame: a task aborted by the supervisor (unless the robot touches something), a task
-    that is reached, the safety monitors in their order, the scenario's own, a task that is missed.
+    that is reached, the tests of safety in their order, the scenario's monitors, a task that is missed.
 
-    task: has already measured the frame. own: the scenario's monitors. stability: tells a run that would end as `timed_out`, and is
-    unstable. markers: tells where those are lost that are not seen.
+    task: has already measured the frame. monitors: the scenario's, each with its kind. stability: tells a run that would end as
+    `timed_out`, and is unstable. markers: tells where those are lost that are not seen.
     """
 
     def __init__(
@@ -281,29 +206,75 @@ class Judge:
         stop: Stop,
         target: Target,
         supervisor: Supervisor,
-        own: Sequence[Monitor] = (),
+        monitors: Sequence[tuple[str, Monitor]] = (),
         stability: Stability | None = None,
         markers: LostMarkers | None = None,
     ):
-        self._task, self._supervisor, self._duration_s = task, supervisor, stop.duration_s
+        self._task, self._supervisor, self._duration_s, self._monitors = task, supervisor, stop.duration_s, monitors
         self.stability, self._markers = stability, markers
-        self._collision = Collision(supervisor)
-        self._monitors = (*safety_monitors(target, self._collision, stop), *own)
+        # Where no loss ends a run, the camera may go behind its target.
+        self._one_sided = target.one_sided and stop.loss_ends
+        self._T_before: Array | None = None
+        self._blocked = HoldTimer()
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
-        # All monitors see every frame, whichever decides: they measure durations, and a tolerance that was violated while the task
+        # All tests see every frame, whichever decides: they measure durations, and a tolerance that was violated while the task
         # was aborted stays violated when the supervisor resumes it.
-        reached, missed = self._task.reached(frame), self._task.missed(frame)
-        found = [monitor.update(frame) for monitor in self._monitors]
+        task = self._task
+        reached, missed = task.reached(frame), task.missed(frame)
+        unsafe = self.unsafe(frame)
+        ruled = [checked(kind, monitor.update(frame)) for kind, monitor in self._monitors] if self._monitors else ()
         if self._markers is not None:
             self._markers.add(frame)
         if self.stability is not None:
             self.stability.add(frame)
-        if self._supervisor.aborted and not self._collision.touches(frame.truth):
+        if self._supervisor.aborted and not self._touching(frame.truth):
             return self._after_abort(frame.t, self._supervisor.aborted)
-        verdict = reached or next(filter(None, found), None) or missed
+        verdict = reached or unsafe or next(filter(None, ruled), None) or missed
         return verdict and self._told_apart(verdict)
+
+    def unsafe(self, frame: Frame) -> Verdict | None:
+        """The first of: a collision, divergence, the plane of the target crossed, a limit reached; to be asked once a frame.
+
+        A target out of sight is the supervisor's matter.
+        """
+        truth, T_target = frame.truth, frame.truth.T_world_target
+        away = (truth.T_world_camera[:3, 3] - T_target[:3, 3]).tolist()
+        crossed = self._crossed(truth, T_target, away) if self._one_sided else None
+        blocked = self._limit_reached(frame)
+        far = (Outcome.diverged, FAR_WORDS) if math.hypot(*away) > FAR_M else None
+        return self._collision(truth) or far or crossed or blocked
+
+    def _touching(self, truth: Truth) -> str:
+        """What touches now, as `forearm and floor`; "" where nothing does that may not: feet may not before they are to."""
+        return truth.contact or ("" if self._supervisor.may_touch else truth.feet)
+
+    def _collision(self, truth: Truth) -> Verdict | None:
+        """Collided, with the reason of an earlier abort."""
+        if not (touching := self._touching(truth)):
+            return None
+        aborted = self._supervisor.aborted
+        return Outcome.collided, f"contact of {touching}{f', after {aborted[1]}' if aborted else ''}"
+
+    def _crossed(self, truth: Truth, T_target: Array, away: list[float]) -> Verdict | None:
+        """Lost, where the camera, `away` [m] from the target, is behind its front: from there no marker can be seen."""
+        before, self._T_before = self._T_before, T_target
+        if not is_behind(T_target, away):
+            return None
+        if before is None:
+            return Outcome.target_lost, BEHIND_WORDS
+        away_before = (truth.T_world_camera[:3, 3] - before[:3, 3]).tolist()
+        return Outcome.target_lost, CROSSED_WORDS if is_behind(before, away_before) else TURNED_WORDS
+
+    def _limit_reached(self, frame: Frame) -> Verdict | None:
+        """A joint limit or a singular configuration has left nearly nothing of the command for BLOCKED_S."""
+        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
+        limit, scale = frame.allocation.limit, frame.allocation.scale
+        blocked = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
+        if self._blocked.lasting(blocked, frame.t) < BLOCKED_S:
+            return None
+        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
         """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so. Where
@@ -321,7 +292,7 @@ class Judge:
 
     def without_picture(self, t: float, truth: Truth) -> Verdict | None:
         """The outcome while no picture arrives [s]: of a collision, of an aborted task, or of the end of the duration."""
-        if verdict := self._collision.verdict(truth):
+        if verdict := self._collision(truth):
             return verdict
         if self._supervisor.aborted:
             return self._after_abort(t, self._supervisor.aborted)
@@ -333,5 +304,5 @@ class Judge:
             return None
         outcome, reason = aborted
         if self._markers is not None and outcome is Outcome.target_lost:
-            reason = self._markers.told(reason)
+            reason = self._markers.explained(reason)
         return self._told_apart((outcome, "; ".join(filter(None, (reason, self._supervisor.DOWN[0 if down else 1])))))

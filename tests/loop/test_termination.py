@@ -1,4 +1,4 @@
-"""The judge: each outcome from the frames that call for it, with the reason that a person reads; which of several counts."""
+"""Termination: each outcome from the frames that call for it, with the reason that a person reads; which of several counts."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 import vstestbed as vs
 from tests.tasks.frames import back_from_target, first_verdict, frame, times
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.judge import Judge
+from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import OFF, SINKS, Failsafe
 from vstestbed.tasks.monitor import GoalMonitor
@@ -21,8 +21,8 @@ def judged(seconds, supervisor=None, stop=STOP, **given):
     """The verdict (outcome, reason) on the same frame at 25 Hz for so long, and when it fell; None to go on."""
     supervisor = supervisor or Supervisor()
     monitor = GoalMonitor(replace(SETUP, stop=stop), 1, supervisor)
-    judge = Judge(monitor, stop, SETUP.target, supervisor)
-    found = first_verdict(monitor, judge, (frame(t, **given) for t in times(seconds)))
+    ends = Termination(monitor, stop, SETUP.target, supervisor)
+    found = first_verdict(monitor, ends, (frame(t, **given) for t in times(seconds)))
     return None if found is None else (*found[0], found[1])
 
 
@@ -85,7 +85,7 @@ class TestOrder:
 class TestARobotThatGaveUp:
     WHY = (Outcome.target_lost, "too few markers in sight for 1 s")
 
-    def test_the_judge_waits_until_it_stands(self):
+    def test_the_run_goes_on_until_it_stands(self):
         moving, standing = Supervisor(aborted=self.WHY), Supervisor(aborted=self.WHY, _stands=True)
         assert judged(9.9, supervisor=moving) is None
         assert judged(1.0, supervisor=standing) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands", 0.0)
@@ -97,14 +97,14 @@ class TestARobotThatGaveUp:
 
     def test_without_pictures_it_decides_by_the_clock(self):
         supervisor = Supervisor()
-        judge, truth = Judge(GoalMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
-        assert judge.without_picture(9.9, truth) is None
-        assert judge.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
-        assert judge.without_picture(1.0, frame(contact="forearm and floor").truth)[0] is Outcome.collided
+        ends, truth = Termination(GoalMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
+        assert ends.without_picture(9.9, truth) is None
+        assert ends.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
+        assert ends.without_picture(1.0, frame(contact="forearm and floor").truth)[0] is Outcome.collided
         supervisor.aborted = self.WHY
-        assert judge.without_picture(9.9, truth) is None
+        assert ends.without_picture(9.9, truth) is None
         supervisor._stands = True
-        assert judge.without_picture(9.9, truth) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands")
+        assert ends.without_picture(9.9, truth) == (Outcome.target_lost, f"{self.WHY[1]}; the robot stands")
 
 
 class TestACraftThatGaveUp:
@@ -113,7 +113,7 @@ class TestACraftThatGaveUp:
     def craft(self, **given) -> Failsafe:
         return Failsafe(lands=False, lost_after_s=1.0, aborted=self.WHY, **given)
 
-    def test_the_judge_waits_until_it_is_down(self):
+    def test_the_run_goes_on_until_it_is_down(self):
         assert judged(9.9, supervisor=self.craft()) is None
         outcome, reason, t = judged(9.9, supervisor=self.craft(off_at=5.0, mode=OFF))
         assert outcome is Outcome.overturned and reason == "tilted; the craft set down"
@@ -134,6 +134,6 @@ class TestACraftThatGaveUp:
         assert judged(1.0, supervisor=self.craft(mode=SINKS), feet="left and floor") is None
 
     def test_a_target_out_of_sight_is_its_supervisors_matter(self):
-        """It sets down first; a judge that ended the run would leave it in the air."""
+        """It sets down first; a verdict would leave it in the air."""
         flying = Failsafe(lands=False, lost_after_s=1.0)
         assert judged(9.9, supervisor=flying, lost=True, rest_reason="nothing in sight") is None
