@@ -28,11 +28,11 @@ import vstestbed as vs
 from docs.build import latency
 from docs.build.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.report.canvas import DPI, save, style
 from vstestbed.report.comparison import grid as effects
-from vstestbed.report.comparison.figures import Data, Series
-from vstestbed.report.comparison.page import COLUMN_IN, DPI
+from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.page import COLUMN_IN
 from vstestbed.report.comparison.results import ComparisonResults
-from vstestbed.report.html.canvas import save, style
 from vstestbed.report.video.film import FINE, Pictures, replay_of, rows_of
 from vstestbed.report.video.overlay import INK, PAPER, FilmFrame, draw_text
 from vstestbed.report.video.side_by_side import FrameReader, scaled
@@ -195,7 +195,7 @@ def grid_of(name: str, folder: Path) -> Image:
     rows = Kept(may_run=False)(f"compare {name}")
     comparison = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), ("effect", "law"))
     with style(paper=True):
-        drawn = effects.grid(Data(comparison, Series(np.zeros(1), ()), []), COLUMN_IN[2])
+        drawn = effects.grid(Data(comparison), COLUMN_IN[2])
         assert drawn is not None, name
         save(drawn, folder / f"{name}.png", DPI)
     return figure(folder / f"{name}.png")

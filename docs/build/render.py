@@ -23,7 +23,7 @@ from docs.build.kept import Kept, Row
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.results import TIME, ComparisonResults
-from vstestbed.report.comparison.statistics import Difference, paired_difference, spread, success_rate
+from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference, quartiles, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
 from vstestbed.studies.bench import BesideFloor
 
@@ -155,14 +155,14 @@ def in_reach(rows: Iterable[Row]) -> list[Row]:
 
 def typical(rows: Iterable[Row], name: str, places: int = 1, factor: float = 1, every: bool = False) -> str:
     """Median and quartiles over the runs that reached the goal, or over all: `12.7 [11.9, 13.1]`."""
-    of = spread(_values(rows, name, factor, every))
-    texts = [number(value, places) for value in (of.median, of.q1, of.q3)]
+    q1, median, q3, _ = quartiles(_values(rows, name, factor, every))
+    texts = [number(value, places) for value in (median, q1, q3)]
     return texts[0] if len(set(texts)) == 1 else f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
 
 def median(rows: Iterable[Row], name: str, factor: float = 1, every: bool = False) -> float:
     """The median over the runs that reached the goal, or over all."""
-    return spread(_values(rows, name, factor, every)).median
+    return quartiles(_values(rows, name, factor, every))[1]
 
 
 def worst(rows: Iterable[Row], name: str, factor: float = 1) -> float:
@@ -190,8 +190,8 @@ def differs(rows: Iterable[Row], others: Iterable[Row], name: str, places: int =
 
 def shifted(rows: Iterable[Row], others: Iterable[Row], name: str, places: int = 1) -> str:
     """Median and quartiles of the paired differences of both's successful seeds: `-0.20 [-0.24, -0.16]`."""
-    of = spread([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
-    return f"{number(of.median, places)} [{number(of.q1, places)}, {number(of.q3, places)}]"
+    q1, median, q3, _ = quartiles([a - b for a, b in zip(*_pairs(rows, others, name), strict=True)])
+    return f"{number(median, places)} [{number(q1, places)}, {number(q3, places)}]"
 
 
 def _pairs(rows: Iterable[Row], others: Iterable[Row], name: str, every: bool = False) -> tuple[list[float], list[float]]:
@@ -221,7 +221,7 @@ def effects(rows: Sequence[Row]) -> str:
     marked = real(changes) | real(overall)
     most = max(len(c.success) for c in found.cells.values())
 
-    def change(at: object, d: Difference | None) -> str:
+    def change(at: object, d: IntervalEstimate | None) -> str:
         if d is None or not math.isfinite(d.mean):
             return "-"
         return f"**{d.mean:+.2f} s**" if at in marked else f"{d.mean:+.2f} s"

@@ -36,9 +36,9 @@ from vstestbed.laws.photometric import (
     scale,
     weights,
 )
-from vstestbed.report.comparison.results import Metric
 from vstestbed.scenario.load import parse
 from vstestbed.sim.replay import Retake
+from vstestbed.tasks.metrics import Metric
 
 CORNERS = np.array([[-0.3, -0.225, 0], [0.3, -0.225, 0], [0.3, 0.225, 0], [-0.3, 0.225, 0]])
 AT_GOAL = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]])
@@ -263,7 +263,7 @@ def test_runs_converges_and_knows_it_by_grey_levels(file: Path) -> None:
     assert (summary["outcome"], summary["judged_unit"], summary["judged_limit"]) == ("converged", "grey levels", 0.5)
     assert summary["final_error_px"] is None
     assert summary["final_error_grey"] == r["error_grey"][-1] < 0.5
-    assert Metric.of("final_error_grey").label == "Measured image error [grey levels]"
+    assert Metric.named("final_error_grey").label == "Measured image error [grey levels]"
     assert r["position_error_m"][-1] < 1e-2
     assert not r["lost"].any()
     assert "u_0" not in r.columns

@@ -20,7 +20,7 @@ from vstestbed.laws import IBVS, PBVS, Switched
 from vstestbed.laws.switched import Turn, Until, quantity
 from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
-from vstestbed.report.run.numbers import table
+from vstestbed.report.run.page import rows
 from vstestbed.report.run.tracks import Setting, Tracks
 from vstestbed.studies.batch import fly, start_of
 from vstestbed.targets.points import Square
@@ -152,7 +152,7 @@ def test_chattering_is_counted_and_hysteresis_or_a_dwell_time_ends_it():
 def test_the_report_shows_the_modes_and_that_of_other_laws_does_not():
     recording = vs.run(half_turned(RETREAT, **{"stop.duration_s": 1, "metrics": ["error_growth"]}))
     summary = recording.summary()
-    assert "<dt>Switches of the law</dt><dd>1</dd>" in table(summary)
+    assert ("Switches of the law", "1", "") in rows(summary)
     svg = figures.error(Tracks.of(recording.rows, Setting.of(recording.scenario))).svg("error")
     assert "ibvs</li>" in svg and "pbvs</li>" in svg and ">mode<" in svg
     plain = vs.run(half_turned("ibvs", **{"stop.duration_s": 1}))

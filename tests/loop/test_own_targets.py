@@ -13,7 +13,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.named_files import folder
-from vstestbed.report.run.figures import depth, features
+from vstestbed.report.run.figures import depth
+from vstestbed.report.run.space import features
 from vstestbed.report.run.tracks import Setting, Tracks
 from vstestbed.studies.run_folder import run_into
 

@@ -7,7 +7,7 @@ import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.stability import FEWEST, LastPart, closed_form, grows, period, reversal, swing, swing_frames, swings, to_and_fro
-from vstestbed.report.run.numbers import headline
+from vstestbed.report.run.page import sentences
 from vstestbed.studies.batch import fly, start_of
 from vstestbed.tasks.metrics import TWIST
 
@@ -52,9 +52,9 @@ def test_the_ideal_camera_is_unstable_where_theory_says(d: int):
 def test_a_run_that_converged_says_for_how_long_its_command_swung():
     summary = flown(0.97, 1).summary()
     assert summary["outcome"] == "converged" and summary["swing_frames"] == 6 and summary["swung_s"] > 3
-    assert "On the way its command reversed every 3 frames, for " in headline(summary)
+    assert "On the way its command reversed every 3 frames, for " in sentences(summary)
     calm = flown(0.3, 1).summary()
-    assert "swung_s" not in calm and "reversed" not in headline(calm)
+    assert "swung_s" not in calm and "reversed" not in sentences(calm)
 
 
 @pytest.mark.parametrize("limit", one_quick(None, 0.3))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.report.html import checked
 from vstestbed.core.geometry import Array
-from vstestbed.report.html.chart import Chart, log_ticks, numerals, ticks
+from vstestbed.report.chart import Chart, log_ticks, numerals, ticks
 
 
 def paths(chart: Chart) -> list[list[Array]]:

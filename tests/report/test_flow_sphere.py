@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.report.html.canvas import INK, RULE, style
+from vstestbed.report.canvas import style
+from vstestbed.report.marks import INK, RULE
 from vstestbed.report.optical_flow import MOTIONS, draw_sphere
 from vstestbed.report.run.space import drawn, towards_viewer
 

@@ -33,9 +33,9 @@ def experiments(incomplete: str) -> list[str]:
 
 def figures(incomplete: str) -> list[str]:
     """Names of the numbers of `summary.json` by which runs are compared."""
-    from vstestbed.tasks.metrics import FIGURES, own_titles
+    from vstestbed.tasks.metrics import FIGURES, own_metrics
 
-    return [name for name in (*FIGURES, *own_titles()) if name.startswith(incomplete)]
+    return [name for name in (*FIGURES, *own_metrics()) if name.startswith(incomplete)]
 
 
 def kinds(incomplete: str) -> list[str]:

@@ -13,7 +13,7 @@ import viser
 
 from vstestbed.core.geometry import Array, inverse, pose_from, quaternion_wxyz, rotation_from_quaternion, transform
 from vstestbed.live.run import PICTURE_S, Sample
-from vstestbed.report.html.canvas import AXIS_COLORS, LINE_COLORS
+from vstestbed.report.marks import AXIS_COLORS, LINE_COLORS
 from vstestbed.report.video.film import Pictures, scaled
 from vstestbed.report.video.outside import GOAL, OWN, frustum_corners
 from vstestbed.report.video.writer import Image

@@ -17,7 +17,8 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.features import Feature, Point, Polar, Spherical
-from vstestbed.report.html.canvas import INK, LINE_COLORS, new_figure, save, style
+from vstestbed.report.canvas import new_figure, save, style
+from vstestbed.report.marks import INK, LINE_COLORS
 from vstestbed.report.run import space
 
 if TYPE_CHECKING:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.files import make_folder
 from vstestbed.core.geometry import Array
-from vstestbed.report.comparison.results import Metric
-from vstestbed.report.html.canvas import GOAL, INK, LINE_COLORS, LOST, WIDTH_IN, new_figure, panels, save, style, to_svg
-from vstestbed.report.html.template import SCRIPT, Cell, data_url, figure, made_by, number, page, plain_table, table
+from vstestbed.report.canvas import new_figure, panels, save_paper, style, to_svg
+from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, WIDTH_IN, line_color, number
+from vstestbed.report.pages import NO_CELL, Cell, data_url, write_page
+from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,23 +42,18 @@ DPI: Final = 200
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
 
 
-@dataclass(frozen=True)
-class BasinMap:
-    """Outcome of each start of a grid by name, and time to converge [s] (NaN if it did not), both (n_y, n_x)."""
-
-    label: str
-    endings: Array
-    time_s: Array
+BasinMap = tuple[str, Array, Array]  # Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
 
 
 def colours(one: BasinMap, soonest: float, latest: float) -> Array:
     """The map as an image (n_y, n_x, 3): blue from light to dark between two times to converge [s], else the colour of the outcome."""
     from matplotlib.colors import to_rgb
 
-    share = np.clip((one.time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
+    _, endings, time_s = one
+    share = np.clip((time_s - soonest) / max(latest - soonest, 1e-9), 0, 1)
     picture = np.where(np.isfinite(share)[..., None], SOON + np.nan_to_num(share)[..., None] * (LATE - SOON), to_rgb(OTHER))
     for ending, (colour, _) in ENDINGS.items():
-        picture[one.endings == ending] = to_rgb(colour)
+        picture[endings == ending] = to_rgb(colour)
     return picture
 
 
@@ -67,14 +62,14 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
     columns = min(BASIN_COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
     drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
-    times = np.concatenate([m.time_s[np.isfinite(m.time_s)] for m in maps]) if maps else np.zeros(0)
+    times = np.concatenate([time_s[np.isfinite(time_s)] for _, _, time_s in maps]) if maps else np.zeros(0)
     # percentiles: a few extreme times must not compress the scale of all others
     soonest, latest = np.percentile(times, [1, 99]).tolist() if len(times) else (0.0, 1.0)
     grid = panels(drawn, len(maps), columns, sharex=True, sharey=True)
     for i, (axes, one) in enumerate(zip(grid, maps, strict=True)):
         axes.imshow(colours(one, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
         axes.grid(False)
-        axes.set_title(f"{one.label}: {100 * float(np.mean(one.endings == 'converged')):.1f} %")
+        axes.set_title(f"{one[0]}: {100 * float(np.mean(one[1] == 'converged')):.1f} %")
         if i + columns >= len(maps):
             axes.set_xlabel(f"{x[0]} [{x[1]}]")
             axes.tick_params(labelbottom=True)
@@ -93,7 +88,7 @@ def _draw_legend(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: fl
     blues = LinearSegmentedColormap.from_list("converged", [tuple(SOON), tuple(LATE)])
     bar = drawn.colorbar(ScalarMappable(Normalize(soonest, latest), blues), ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
     bar.set_label("converged: time [s]")
-    present = {str(e) for m in maps for e in np.unique(m.endings.astype(str))} - {"converged"}
+    present = {str(e) for _, endings, _ in maps for e in np.unique(endings.astype(str))} - {"converged"}
     patches = [Patch(color=colour, label=name) for ending, (colour, name) in ENDINGS.items() if ending in present]
     patches += [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in sorted(present - set(ENDINGS))]
     if patches:
@@ -110,18 +105,19 @@ def write_basin(
         f"Start of the camera, {x[0]} and {y[0]} in the frame of its goal{_fixed_coordinates(summaries)}. Ideal cameras, without latency "
         f"or noise{view}. Blue converges, darker later; the number is its share."
     )
-    title = "Basins of attraction"
-    plate = _plate(folder, "basin", lambda: draw_basin(maps, x, y), "How each start ended", title, caption)
-    return write_whole(folder / "report.html", page(title, [plate, _basin_table(summaries), _checks(summaries), made_by(command)]))
+    image = _plate(folder, "basin", lambda: draw_basin(maps, x, y))
+    heads, lines = _basin_table(summaries)
+    # the checked starts whose single run ended otherwise than in the batch
+    checks = [f"{s['label']} at {d['words']}" for s in summaries for d in s["disagreements"]]
+    content = {"plate": ("How each start ended", image, caption), "tables": [("In numbers", heads, lines)], "checks": checks}
+    return write_page(folder, "study.html", "Basins of attraction", **content, command=command)
 
 
-def _plate(folder: Path, name: str, draw: Callable[[], Figure], title: str, alt: str, caption: str) -> str:
-    """The figure of a study, as PDF and PNG in its folder and as a card on its page."""
+def _plate(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
+    """The figure of a study as PDF and PNG in its folder; returns the picture for its page."""
     with style(paper=True):
-        drawn = draw()
-        save(drawn, folder / f"{name}.pdf", DPI)
-        png = save(drawn, folder / f"{name}.png", DPI)
-    return figure(title, f'<img src="{data_url("image/png", png.read_bytes())}" alt="{alt}" style="width: 100%; height: auto">', caption)
+        save_paper(draw(), folder, name, DPI)
+    return data_url("image/png", (folder / f"{name}.png").read_bytes())
 
 
 def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
@@ -134,7 +130,7 @@ def _fixed_coordinates(summaries: Sequence[Mapping[str, Any]]) -> str:
     return f"; {values[0]}" if values else ""
 
 
-def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> str:
+def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     endings = ["converged", *ENDINGS]
     endings += sorted({e for s in summaries for e in s["shares"]} - set(endings))
     endings = [e for e in endings if any(s["shares"].get(e) for s in summaries)]
@@ -142,18 +138,8 @@ def _basin_table(summaries: Sequence[Mapping[str, Any]]) -> str:
     for s in summaries:
         check = f"{s['agreeing']} of {s['checked']}" if s["checked"] else "-"
         shares = (f"{100 * s['shares'].get(e, 0.0):.2f}" for e in endings)
-        lines.append([escape(s["label"]), *shares, str(s["starts"]), f"{s['processor_s']:.1f}", check])
-    heads = ["", *(f"{e.replace('_', ' ')} [%]" for e in endings), "starts", "time of one core [s]", "time loop agrees"]
-    return f"<h2>In numbers</h2>{plain_table(heads, lines)}"
-
-
-def _checks(summaries: Sequence[Mapping[str, Any]]) -> str:
-    """The checked starts whose single run ended otherwise than in the batch."""
-    found = [(s["label"], d["words"]) for s in summaries for d in s["disagreements"]]
-    if not found:
-        return ""
-    lines = "".join(f"<li>{escape(label)} at {escape(words)}</li>" for label, words in found)
-    return f'<h2>Where the time loop ends otherwise</h2><ul class="runs">{lines}</ul>'
+        lines.append([s["label"], *shares, str(s["starts"]), f"{s['processor_s']:.1f}", check])
+    return ["", *(f"{e.replace('_', ' ')} [%]" for e in endings), "starts", "time of one core [s]", "time loop agrees"], lines
 
 
 # Convergence maps as a figure: the share of seeds that converged in each cell, and how most of the others ended.
@@ -214,21 +200,17 @@ def write_sweep(
     """Write `convergence.png`, `convergence.pdf` and `report.html`, with a caution on top; returns the page's path."""
     letters = ", ".join(f"{letter}: {word.replace('_', ' ')}" for word, letter in LETTERS.items())
     caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
-    body = [
-        f"<p><strong>{escape(caution)}</strong></p>" if caution else "",
-        _plate(folder, "convergence", lambda: draw_sweep(maps, x, y), "Where it converges", "Convergence maps", caption),
-        *(_sweep_table(one, x, y) for one in maps),
-        made_by(command),
-    ]
-    return write_whole(folder / "report.html", page("Convergence", body, escape(description)))
+    image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
+    what = "median distance from the true goal, of those that converged [mm]"
+    found = [(f"{one.label}: {what}", ["", *x[1]], _distances(one, y)) for one in maps]
+    content = {"plate": ("Where it converges", image, caption), "tables": found, "about": description, "caution": caution}
+    return write_page(folder, "study.html", "Convergence", **content, command=command)
 
 
-def _sweep_table(one: ConvergenceMap, x: SweepAxis, y: SweepAxis) -> str:
-    """Distances from the true goal as a table, its rows from top to bottom as in the figure."""
+def _distances(one: ConvergenceMap, y: SweepAxis) -> list[list[str]]:
+    """Distances from the true goal as lines of a table, from top to bottom as in the figure."""
     rows = reversed(list(zip(y[1], one.away_m.tolist(), strict=True)))
-    lines = [[escape(value), *("-" if math.isnan(away) else number(1e3 * away) for away in row)] for value, row in rows]
-    title = f"{escape(one.label)}: median distance from the true goal, of those that converged [mm]"
-    return f"<h2>{title}</h2>{plain_table(['', *x[1]], lines)}"
+    return [[value, *("-" if math.isnan(away) else number(1e3 * away) for away in row)] for value, row in rows]
 
 
 # Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop.
@@ -251,13 +233,8 @@ DELAY_COLUMNS: Final = (
 """Columns of the table: name in the data, head, format."""
 
 
-@dataclass(frozen=True)
-class Branches:
-    """Root locus of one delay: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
-
-    delay_frames: float
-    poles: NDArray[np.complexfloating]
-    at_limit: NDArray[np.complexfloating]
+Branches = tuple[float, NDArray[np.complexfloating], NDArray[np.complexfloating]]
+"""Root locus of one delay [frames]: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""
 
 
 def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
@@ -288,14 +265,13 @@ def _draw_limits(axes: Axes, rows: Rows) -> None:
 def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     angle = np.linspace(0, np.pi, 181)
     axes.plot(np.cos(angle), np.sin(angle), color=INK, linewidth=0.8)
-    for i, one in enumerate(loci):
-        color = LINE_COLORS[i % len(LINE_COLORS)]
-        upper = one.poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
-        axes.plot(np.where(upper, one.poles.real, np.nan), np.where(upper, one.poles.imag, np.nan), color=color, linewidth=1.0)
-        crossing = one.at_limit[one.at_limit.imag >= -1e-9]
-        axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
+    for i, (delay, poles, at_limit) in enumerate(loci):
+        upper = poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
+        axes.plot(np.where(upper, poles.real, np.nan), np.where(upper, poles.imag, np.nan), color=line_color(i), linewidth=1.0)
+        crossing = at_limit[at_limit.imag >= -1e-9]
+        axes.plot(crossing.real, crossing.imag, "o", color=line_color(i), markersize=3)
         # an empty line for the legend: `upper` is a matrix with a line for each pole
-        axes.plot([], [], color=color, label=f"d = {one.delay_frames:g}")
+        axes.plot([], [], color=line_color(i), label=f"d = {delay:g}")
     axes.set_aspect("equal")
     axes.set_xlim(-1.35, 1.35)
     axes.set_ylim(-0.06, 1.6)
@@ -308,16 +284,12 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
 def write_delay(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str) -> Path:
     """Write `delay.png`, `delay.pdf` and `report.html`; returns the page's path."""
     caption = "Left: the gain, times the camera's period, at which the loop becomes unstable. Right: its poles as the gain rises."
-    title = "Gain limit over delay"
-    plate = _plate(folder, "delay", lambda: draw_delay(rows, loci), title, title, caption)
-    return write_whole(folder / "report.html", page(f"Delay: {name}", [plate, _delay_table(rows), made_by(command)]))
-
-
-def _delay_table(rows: Rows) -> str:
-    """The limits as a table; columns without any value are left out (a robot without joints has no lag)."""
+    plate = ("Gain limit over delay", _plate(folder, "delay", lambda: draw_delay(rows, loci)), caption)
+    # columns without any value are left out: a robot without joints has no lag
     shown = [column for column in DELAY_COLUMNS if any(row.get(column[0]) is not None for row in rows)]
-    lines = [["-" if row.get(key) is None else escape(format(row[key], form)) for key, _, form in shown] for row in rows]
-    return f"<h2>In numbers</h2>{plain_table([head for _, head, _ in shown], lines, named=False)}"
+    lines = [["-" if row.get(key) is None else format(row[key], form) for key, _, form in shown] for row in rows]
+    found = [("In numbers", [head for _, head, _ in shown], lines)]
+    return write_page(folder, "study.html", f"Delay: {name}", plate=plate, tables=found, command=command)
 
 
 # A search for good settings, and its figures: trials over each parameter, the best so far.
@@ -415,7 +387,7 @@ def _points(axes: Axes, found: TuningPage, places: Sequence[float]) -> None:
             if trial.number == found.best:
                 axes.plot(x, trial.mean, "o", markersize=10, markerfacecolor="none", markeredgecolor=GOAL, markeredgewidth=1.8)
         else:
-            axes.plot(x, 0.97, "x", color=LOST, markersize=5, transform=axes.get_xaxis_transform(), clip_on=False)
+            axes.plot(x, 0.97, transform=axes.get_xaxis_transform(), clip_on=False, **FAILED)
     means = [trial.mean for trial in found.trials if trial.whole]
     if means and min(means) > 0 and max(means) / min(means) > WIDE:
         axes.set_yscale("log")
@@ -436,40 +408,36 @@ PLOTS: Final = (
 
 def write_tuning(folder: Path, found: TuningPage) -> Path:
     """Write `report.html`, and the figures as PDF and PNG into `figures/`; returns the page's path."""
-    place, parts = make_folder(folder / "figures"), []
+    place, plots = make_folder(folder / "figures"), []
     for key, title, draw, caption in PLOTS:
         with style(paper=True):
-            drawn = draw(found, 7.16)
-            save(drawn, place / f"{key}.pdf")
-            save(drawn, place / f"{key}.png", DPI)
+            save_paper(draw(found, 7.16), place, key, DPI)
         with style():
-            parts.append(f'<div class="broad">{figure(title, to_svg(draw(found, 2 * WIDTH_IN), key, title), caption)}</div>')
-    listed = "".join(f"<li>{escape(words)}</li>" for words in found.sentences)
-    good = "" if found.best is None else " good" if found.sure else " open"
-    body = [
-        f'<div class="outcome{good}"><strong>{escape(found.headline)}</strong><ul>{listed}</ul></div>',
-        f"<section><h2>To take it</h2><pre>{escape(found.command)}</pre></section>" if found.command else "",
-        f"<section><h2>Figures</h2>{''.join(parts)}</section>",
-        _trials(found),
-        made_by(found.made_by),
-        SCRIPT,
-    ]
-    described = f'<p class="soft">{len(found.trials)} trials by {escape(found.metric.title.lower())}</p>'
-    return write_whole(folder / "report.html", page(f"{found.title}: tuning", body, described))
+            plots.append((title, to_svg(draw(found, 2 * WIDTH_IN), key, title), caption))
+    return write_page(
+        folder,
+        "study.html",
+        f"{found.title}: tuning",
+        about=f"{len(found.trials)} trials by {found.metric.title.lower()}",
+        outcome=(found.headline, "" if found.best is None else "good" if found.sure else "open", found.sentences),
+        take=found.command,
+        plots=plots,
+        trials=(["Trial", *(a.path for a in found.axes), "Reached the goal", found.metric.label, "The others ended"], _trials(found)),
+        command=found.made_by,
+    )
 
 
-def _trials(found: TuningPage) -> str:
-    heads = ["Trial", *(axis.path for axis in found.axes), "Reached the goal", found.metric.label, "The others ended"]
+def _trials(found: TuningPage) -> list[list[Cell]]:
+    """A line for each trial, the best ones first."""
     sign = -1 if found.higher else 1
     order = sorted(found.trials, key=lambda t: (t.runs - t.reached or not t.runs, sign * t.mean if math.isfinite(t.mean) else math.inf))
-    lines: list[list[Cell]] = [
+    return [
         [
-            (trial.number, f"{trial.number}{' (the best)' if trial.number == found.best else ''}"),
-            *((value, escape(value) if isinstance(value, str) else f"{value:g}") for value in trial.values),
-            (trial.reached, f"{trial.reached} of {trial.runs}"),
-            (trial.mean, number(trial.mean)) if math.isfinite(trial.mean) else (None, "–"),
-            (trial.note, escape(trial.note)),
+            (trial.number, f"{trial.number}{' (the best)' if trial.number == found.best else ''}", False, []),
+            *((value, value if isinstance(value, str) else f"{value:g}", False, []) for value in trial.values),
+            (trial.reached, f"{trial.reached} of {trial.runs}", False, []),
+            (trial.mean, number(trial.mean), False, []) if math.isfinite(trial.mean) else NO_CELL,
+            (trial.note, trial.note, False, []),
         ]
         for trial in order
     ]
-    return f'<section><h2>Trials</h2>{table(heads, lines)}<p class="soft">Click on a head to sort.</p></section>'

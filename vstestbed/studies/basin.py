@@ -302,11 +302,11 @@ def table(basins: Sequence[Basin]) -> polars.DataFrame:
 
 def write(folder: Path, basins: Sequence[Basin], command: str = "") -> Path:
     """Write `basin.parquet`, `.csv`, `.json`, `.png`, `.pdf` and `report.html`, each complete or not at all; returns the page's path."""
-    from vstestbed.report.studies import BasinMap, write_basin
+    from vstestbed.report.studies import write_basin
 
     write_table(folder / "basin", table(basins))
     summaries = [b.summary() for b in basins]
     write_json(folder / "basin.json", summaries)
-    maps = [BasinMap(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
+    maps = [(b.label, b.endings.reshape(b.y.n, b.x.n), b.time_to_converge_s.reshape(b.y.n, b.x.n)) for b in basins]
     x, y = basins[0].x, basins[0].y
     return write_basin(folder, maps, (x.name, x.unit, x.low, x.high), (y.name, y.unit, y.low, y.high), summaries, command)

@@ -428,4 +428,4 @@ def branches(limit: Limit) -> Branches:
     end = limit.g_lag or limit.g_theory
     gains = np.linspace(1e-6, BEYOND * end, 400)  # not from 0, where all poles but one coincide at the origin
     at_limit = locus(limit.delay_frames, np.array([limit.g]), first)[0]
-    return Branches(limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit)
+    return limit.delay_frames, locus(limit.delay_frames, gains, first), at_limit

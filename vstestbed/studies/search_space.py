@@ -15,10 +15,10 @@ import numpy as np
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, ScenarioError
 from vstestbed.core.files import read_file, write_json
 from vstestbed.core.registry import rooms_of
-from vstestbed.report.comparison.results import Metric
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, changed, controllers
+from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     import optuna

@@ -19,7 +19,6 @@ from vstestbed.core.files import write_table
 from vstestbed.core.planar import block_of
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
-from vstestbed.report.comparison.results import Metric
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.report.studies import ParameterAxis, TrialRow, TuningPage, write_tuning
 from vstestbed.scenario.dump import dump, flow_text
@@ -48,7 +47,7 @@ from vstestbed.studies.search_space import (
     read_record,
     write_record,
 )
-from vstestbed.tasks.metrics import FIGURES, own_titles
+from vstestbed.tasks.metrics import FIGURES, Metric, own_metrics
 
 __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", "planned", "report_again", "tune"]
 
@@ -92,18 +91,18 @@ class Tuning:
         """Refuse a search over nothing, and a metric that no run has."""
         if not self.vary:
             raise ParameterError(OPTION, "is missing: it names what is tuned, such as --vary law.gain=0.2:2")
-        if self.metric not in (known := (*FIGURES, *own_titles())):
+        if self.metric not in (known := (*FIGURES, *own_metrics())):
             raise ParameterError("--metric", f"must be a figure of summary.json: {', '.join(known)}", self.metric)
 
     @property
     def shown(self) -> Metric:
         """The metric with its title and unit."""
-        return Metric.of(self.metric)
+        return Metric.named(self.metric)
 
     @property
     def higher(self) -> bool:
         """Whether more of the metric is better."""
-        return self.shown.higher if self.maximise is None else self.maximise
+        return self.shown.better > 0 if self.maximise is None else self.maximise
 
     def comparison(self) -> Comparison:
         """The scenario with its settings; `axes` has the ends of the ranges and the choices."""

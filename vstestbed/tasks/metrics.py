@@ -1,10 +1,11 @@
-"""Metrics that a scenario adds to those of every run (`metrics: [...]`), each computed from the log."""
+"""The table of metrics that every reader uses, and the metrics that a scenario adds (`metrics: [...]`), computed from the log."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Real
-from typing import Annotated, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -59,40 +60,99 @@ class StartShares:
         return dict(zip(self.titles, found, strict=True))
 
 
-FIGURES = (
-    "sim_time_s",
-    "frames",
-    "frames_lost",
-    "time_to_converge_s",
-    "final_error_px",
-    "final_position_error_m",
-    "final_rotation_error_deg",
-    "path_length_m",
-    "path_ratio",
-    "max_retreat_m",
-    "max_rotation_deg",
-    "max_feature_excursion_px",
-    "feature_overshoot",
-    "min_border_margin_px",
-    "peak_speed_mps",
-    "peak_rate_radps",
-    "saturated_fraction",
-    "tracking_rms_px",
-    "tracking_max_px",
-    "tracking_rms_m",
-    "tracking_max_m",
-    "judged_error",
+Runs = Literal["reached", "ended", "any"]
+"""Of which runs a metric tells something: of those that reached their goal (times, paths); of each run at its end (final errors); of any
+run on its way, so that also failed runs can be compared by it."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A number of `summary.json` as every reader shows it: pages, tables, figures, terminal."""
+
+    name: str  # key in `summary.json`
+    title: str  # title, unit: as shown
+    unit: str = ""  # "" for counts and ratios
+    scale: float = 1.0  # factor from the number in `summary.json` to the one that is shown
+    better: int = -1  # 1: more is better, -1: less is, 0: it describes a run and does not judge it
+    of: Runs = "reached"
+    where: str = ""  # which runs have it; "" for all
+    tile: bool = False  # stands large at the top of a run's page
+    compared: bool = False  # is shown of a comparison that names no metrics
+
+    @classmethod
+    def named(cls, name: str) -> Metric:
+        """The metric of a key of `summary.json`; one that is in no table has its key as its title."""
+        return KNOWN.get(name) or own_metrics().get(name) or cls(name, name)
+
+    @property
+    def label(self) -> str:
+        """Title and unit: `Final error [px]`."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
+    @property
+    def every_run(self) -> bool:
+        """Whether a median is over all runs that have the number, not only over those that reached the goal."""
+        return self.of != "reached"
+
+    @property
+    def over(self) -> str:
+        """Which runs a median is over, in words."""
+        return "all runs" if self.every_run else "the runs that reached the goal"
+
+    @property
+    def every_pair(self) -> bool:
+        """Whether differences are over all common seeds, too: the number means the same for a run that failed."""
+        return self.of == "any"
+
+
+MOVING, MODES, LINK = "a target that moves", "a law with modes", "a link or a camera clock"
+EVERY_RUN = (
+    Metric("sim_time_s", "Simulated time", "s", better=0),
+    Metric("frames", "Frames", better=0),
+    Metric("frames_lost", "Frames without target"),
+    Metric("time_to_converge_s", "Time to converge", "s", tile=True, compared=True),
+    Metric("final_error_px", "Measured image error", "px", of="ended", tile=True, compared=True),
+    Metric("final_position_error_m", "True position error", "mm", 1e3, of="ended", tile=True, compared=True),
+    Metric("final_rotation_error_deg", "True rotation error", "deg", of="ended", tile=True, compared=True),
+    Metric("path_length_m", "Path length", "m", tile=True),
+    Metric("path_ratio", "Path over straight line", "×", compared=True),
+    Metric("max_retreat_m", "Largest retreat", "m", compared=True),
+    Metric("max_rotation_deg", "Largest rotation", "deg", better=0),
+    Metric("max_feature_excursion_px", "Largest feature excursion", "px", compared=True),
+    Metric("feature_overshoot", "Overshoot of features", "×", of="any"),
+    Metric("min_border_margin_px", "Smallest margin to the border", "px", better=1, compared=True),
+    Metric("peak_speed_mps", "Peak speed", "m/s", better=0, compared=True),
+    Metric("peak_rate_radps", "Peak rate of turn", "rad/s", better=0),
+    Metric("saturated_fraction", "Frames with a limited command", "%", 1e2, compared=True),
+    Metric("tracking_rms_px", "Tracking error, RMS", "px", of="any", where=MOVING),
+    Metric("tracking_max_px", "Tracking error, largest", "px", of="any", where=MOVING),
+    Metric("tracking_rms_m", "Camera from its goal, RMS", "m", of="any", where=MOVING),
+    Metric("tracking_max_m", "Camera from its goal, largest", "m", of="any", where=MOVING),
+    Metric("judged_error", "Error that decides"),
 )
-"""The names of every run's figures."""
-SOME_FIGURES = (
-    *("law_switches", "law_shortest_stay_s"),  # of a law with modes
-    *("pictures_lost", "pictures_refused", "commands_lost"),  # of wrong time stamps, pictures out of order or a link that loses
-    "final_error_grey",  # of a law that works on grey levels
-    *("swung_s", "swing_frames"),  # of a run whose command swung
+"""The metrics that each summary has, in its order; null where one is undefined."""
+SOME_RUNS = (
+    Metric("law_switches", "Switches of the law", of="any", where=MODES),
+    Metric("law_shortest_stay_s", "Shortest time between two switches", "s", of="any", where=MODES),
+    Metric("pictures_lost", "Pictures lost", of="any", where=LINK),
+    Metric("pictures_refused", "Pictures refused, out of order", of="any", where=LINK),
+    Metric("commands_lost", "Commands lost", of="any", where=LINK),
+    Metric("final_error_grey", "Measured image error", "grey levels", of="ended", where="a law that works on grey levels", tile=True),
+    Metric("swung_s", "Longest time for which the command swung", "s", of="any", where="a command that swung"),
+    Metric("swing_frames", "Period of that swing, in frames", of="any", where="a command that swung"),
 )
-_COLUMNS = ("scenario", "outcome", "success", "reason", "seed", "folder", "task", "amount", "attempts", "versions", "time_ms")
-_OTHERS = ("wall_time_s", "real_time_factor", "worst_task_error_m", "judged_unit", "judged_limit", "judged_by", "law_mode_share")
-TAKEN = frozenset((*FIGURES, *SOME_FIGURES, *_COLUMNS, *_OTHERS))
+"""The metrics that a summary has where the run has what they tell of."""
+OF_A_RUN = (
+    Metric("seed", "Seed", better=0),
+    Metric("wall_time_s", "Wall time", "s"),
+    Metric("worst_task_error_m", "Largest error once settled", "m", of="any", where="a continuing task", tile=True),
+    Metric("real_time_factor", "Real-time factor, films included", "×", tile=True),
+)
+"""Other numbers of a summary that a run's page shows, and by which no runs are compared unless they are named."""
+KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}
+FIGURES, SOME_FIGURES = tuple(m.name for m in EVERY_RUN), tuple(m.name for m in SOME_RUNS)
+_COLUMNS = ("scenario", "outcome", "success", "reason", "folder", "task", "amount", "attempts", "versions", "time_ms")
+TAKEN = frozenset((*KNOWN, *_COLUMNS, "judged_unit", "judged_limit", "judged_by", "law_mode_share"))
 """Names that a summary or a comparison's table has already."""
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -193,9 +253,15 @@ class ErrorGrowth:
 METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
 
 
-def own_titles() -> dict[str, tuple[str, str]]:
-    """Title and unit of the figures of all registered metrics, by name."""
-    return {name: title for metric in METRICS.members.values() for name, title in metric.titles.items()}  # pyright: ignore[reportAttributeAccessIssue] - of the contract
+def own_metrics() -> dict[str, Metric]:
+    """The metrics of all registered kinds, by name."""
+    kinds: Any = METRICS.members.values()  # of the contract
+    return {name: Metric(name, *title, of="any") for kind in kinds for name, title in kind.titles.items()}
+
+
+def comparable() -> tuple[str, ...]:
+    """Names of all metrics by which runs can be compared."""
+    return (*FIGURES, *SOME_FIGURES, *own_metrics())
 
 
 def check_metrics(metrics: Sequence[MetricContract]) -> None:

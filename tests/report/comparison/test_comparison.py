@@ -13,8 +13,9 @@ import pytest
 from tests.report.comparison.comparisons import build, errors, start_px
 from vstestbed.core.errors import RunFolderError
 from vstestbed.report.comparison.figures import INSTANTS, read_series
-from vstestbed.report.comparison.results import TIME, ComparisonResults, Metric, against, pairs, short_names
+from vstestbed.report.comparison.results import TIME, ComparisonResults, against, pairs, short_names
 from vstestbed.report.comparison.tables import headline, pair_text
+from vstestbed.tasks.metrics import Metric
 
 
 def table(**columns: list[Any]) -> pl.DataFrame:
@@ -81,9 +82,9 @@ def test_numbers_come_in_their_unit_and_gaps_as_nan() -> None:
     controller = ComparisonResults(
         table(success=[True, False, True], final_position_error_m=[0.001, 0.5, None], path_ratio=[1, 9, 2])
     ).controllers[0]
-    np.testing.assert_array_equal(controller.counted(Metric.of("final_position_error_m")), [1.0, 500.0, np.nan])  # of every run, in mm
-    np.testing.assert_array_equal(controller.counted(Metric.of("path_ratio")), [1, np.nan, 2])  # of those that reached the goal
-    assert np.isnan(controller.values(Metric.of("no_such_number"))).all()
+    np.testing.assert_array_equal(controller.counted(Metric.named("final_position_error_m")), [1.0, 500.0, np.nan])  # of every run, in mm
+    np.testing.assert_array_equal(controller.counted(Metric.named("path_ratio")), [1, np.nan, 2])  # of those that reached the goal
+    assert np.isnan(controller.values(Metric.named("no_such_number"))).all()
 
 
 def test_pairs_are_of_the_same_seed_and_can_be_turned() -> None:
@@ -147,7 +148,8 @@ def test_logs_that_are_missing_or_empty_are_gaps_and_damaged_ones_are_named(tmp_
 
 
 def said(comparison: ComparisonResults) -> str:
-    return headline(comparison, pairs(comparison))
+    verdict, look, sentences, others = headline(comparison, pairs(comparison))
+    return " ".join([verdict, f"outcome {look}", *sentences, *others])
 
 
 def test_the_faster_one_is_better_and_by_how_much() -> None:

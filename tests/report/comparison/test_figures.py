@@ -9,10 +9,10 @@ import numpy as np
 import polars as pl
 
 from tests.report.comparison.comparisons import build
+from vstestbed.report.canvas import save, style, to_svg
 from vstestbed.report.comparison.figures import Data, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
 from vstestbed.report.comparison.results import ComparisonResults
-from vstestbed.report.html.canvas import save, style, to_svg
 
 PICTURE = "target: {kind: picture, file: texture:poster, width: 0.4, pose: {xyz: [0, 0, 1.2]}, draw_markers: false}"
 GREY = {
@@ -36,7 +36,7 @@ def of_pictures(folder: Path, name: str, limit: float) -> None:
 
 def read(folder: Path, frame: pl.DataFrame) -> Data:
     comparison = ComparisonResults(frame)
-    return Data(comparison, read_series(folder, comparison, _measured(folder, comparison, ())), [])
+    return read_series(folder, comparison, measured=_measured(folder, comparison, ()))
 
 
 def test_pixels_and_grey_levels_have_panels_of_their_own(tmp_path: Path) -> None:
@@ -62,12 +62,12 @@ def test_laws_of_pictures_alone_share_the_axis_of_grey_levels(tmp_path: Path) ->
     (axes,) = medians(data, 6.0).axes
     assert axes.get_ylabel() == "RMS difference\n[grey levels]"
     assert not axes.texts  # they differ in their limits
-    assert np.isfinite(data.series.errors[0]).all()
+    assert np.isfinite(data.errors[0]).all()
 
 
 def test_a_threshold_above_all_errors_is_inside_the_axes(tmp_path: Path) -> None:
     data = read(tmp_path, build(tmp_path, {"a": 0.8, "b": 1.0}, 2))
-    for errors in data.series.errors:
+    for errors in data.errors:
         errors *= 1e-6
     with style(), warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 from matplotlib.text import Text
 
-from vstestbed.report.comparison.figures import Data, Series
+from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.grid import Grid, grid, real
 from vstestbed.report.comparison.results import TIME, ComparisonResults
 from vstestbed.report.comparison.statistics import holm, paired_difference
@@ -30,7 +30,7 @@ def table(effects: tuple[str, ...] = ("none", "late", "noisy")) -> pl.DataFrame:
 
 def drawn(frame: pl.DataFrame, axes: tuple[str, ...] = ("effect", "law")) -> list[str] | None:
     """The words in the grid's panels."""
-    figure = grid(Data(ComparisonResults(frame, axes), Series(np.zeros(1), ()), []), 7.0)
+    figure = grid(Data(ComparisonResults(frame, axes)), 7.0)
     return None if figure is None else [t.get_text() for panel in figure.axes for t in panel.findobj(Text)]
 
 

@@ -20,7 +20,7 @@ from vstestbed.report.comparison.figures import read_series
 from vstestbed.report.comparison.page import write_comparison_report
 from vstestbed.report.comparison.results import DEFAULT_METRICS, ComparisonResults
 from vstestbed.report.comparison.statistics import MOST_PAIRS, paired_difference, success_rate
-from vstestbed.report.html.template import number
+from vstestbed.report.marks import number
 
 FAILING = {("slow", 0): "timed_out", ("slow", 5): "timed_out", ("fast", 3): "target_lost", ("fast", 7): "crashed"}
 FIGURES = [
@@ -131,8 +131,7 @@ def test_failures_are_listed_with_seeds_and_commands(built: tuple[Path, pl.DataF
 
 
 def test_commands_are_quoted_for_a_shell() -> None:
-    failure = comparison_page.Failure("a", 0, "timed_out", "", Path("my runs/a&b/0"))
-    assert failure.command == "vstestbed run 'my runs/a&b/0/scenario.yaml'"
+    assert comparison_page.rerun_command(Path("my runs/a&b/0")) == "vstestbed run 'my runs/a&b/0/scenario.yaml'"
 
 
 def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None:
@@ -273,9 +272,9 @@ def test_of_very_many_runs_the_page_shows_some_and_says_so(
     assert [e.shape[0] for e in series.errors] == [5, 5] and series.sampled == 5
     monkeypatch.setattr(comparison_page, "LISTED", 3)
     monkeypatch.setattr(comparison_page, "SEEDS", 1)
-    text = checked(comparison_page.failures_section(folder, comparison)).text
-    assert "the commands that run 3 of them, every kind in turn, again" in text and text.count("vstestbed run") == 3
-    assert "slow: seeds 0 and 1 more" in text
+    found = comparison_page.failures(folder, comparison)
+    assert (found["failed"], found["listed"], sum(len(kind["shown"]) for kind in found["kinds"])) == (4, 3, 3)
+    assert "slow: seeds 0 and 1 more" in [kind["who"] for kind in found["kinds"]]
 
 
 def test_intervals_of_very_many_pairs_are_those_of_student() -> None:

@@ -11,8 +11,9 @@ import pytest
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.comparison.figures import STEPS, profile
-from vstestbed.report.comparison.results import ComparisonResults, Metric, interquartiles, pairs, write_records
+from vstestbed.report.comparison.results import ComparisonResults, interquartiles, pairs, write_records
 from vstestbed.report.comparison.tables import statistics_text
+from vstestbed.tasks.metrics import Metric
 
 
 @pytest.mark.parametrize("name", ["time_to_converge_s", "min_border_margin_px"])
@@ -20,16 +21,16 @@ def test_a_profile_counts_the_runs_that_are_as_good(name: str) -> None:
     rng = np.random.default_rng(0)
     value, success = rng.integers(0, 15, 40).astype(float), rng.random(40) < 0.8
     frame = pl.DataFrame({"scenario": ["a"] * 40, "seed": list(range(40)), "success": success, name: value})
-    metric = Metric.of(name)
+    metric = Metric.named(name)
     tau, share, n = profile(ComparisonResults(frame).controllers[0], metric)
-    good = [(success & (value >= t if metric.higher else value <= t)).sum() / 40 for t in tau]
+    good = [(success & (value >= t if metric.better > 0 else value <= t)).sum() / 40 for t in tau]
     np.testing.assert_allclose(share, good)
     assert n == 40 and len(tau) == len(set(value[success])) and share[-1] == success.mean()
 
 
 def test_of_many_runs_a_profile_has_few_steps() -> None:
     frame = pl.DataFrame({"scenario": ["a"] * 5000, "seed": list(range(5000)), "success": [True] * 5000, "path_ratio": np.arange(5000.0)})
-    tau, share, n = profile(ComparisonResults(frame).controllers[0], Metric.of("path_ratio"))
+    tau, share, n = profile(ComparisonResults(frame).controllers[0], Metric.named("path_ratio"))
     assert len(tau) == STEPS and n == 5000 and share[-1] == 1 and (tau[0], tau[-1]) == (0, 4999)
     np.testing.assert_allclose(share, (tau + 1) / 5000)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from vstestbed.report.comparison.statistics import holm, improvement, paired_difference, paired_success, spread, success_rate, wilson
+from vstestbed.report.comparison.statistics import holm, improvement, paired_difference, paired_success, quartiles, success_rate, wilson
 
 SEEDS = 20
 
@@ -20,20 +20,19 @@ SEEDS = 20
 )
 def test_wilson_intervals_are_those_of_newcombe_1998_table_1(successes: int, n: int, low: float, high: float) -> None:
     rate = success_rate(successes, n)
-    assert (rate.rate, rate.successes, rate.n) == (successes / n, successes, n)
+    assert (rate.mean, rate.n) == (successes / n, n)
     assert (rate.low, rate.high) == pytest.approx((low, high), abs=6e-5)  # four digits are printed
 
 
 def test_a_rate_of_nothing_says_nothing() -> None:
     rate = success_rate(0, 0)
-    assert math.isnan(rate.rate) and (rate.low, rate.high, rate.n) == (0.0, 1.0, 0)
+    assert math.isnan(rate.mean) and (rate.low, rate.high, rate.n) == (0.0, 1.0, 0)
 
 
-def test_a_spread_leaves_out_what_is_unknown() -> None:
-    found = spread([4.0, None, 1.0, math.nan, 2.0, 3.0, math.inf, 5.0])
-    assert (found.q1, found.median, found.q3, found.n) == (2.0, 3.0, 4.0, 5)
-    assert spread([7.0]).q1 == spread([7.0]).q3 == 7.0
-    assert spread([None, math.nan]).n == 0 and math.isnan(spread([]).median)
+def test_quartiles_leave_out_what_is_unknown() -> None:
+    assert quartiles([4.0, None, 1.0, math.nan, 2.0, 3.0, math.inf, 5.0]) == (2.0, 3.0, 4.0, 5)
+    assert quartiles([7.0]) == (7.0, 7.0, 7.0, 1)
+    assert quartiles([None, math.nan])[3] == 0 and math.isnan(quartiles([])[1])
 
 
 def test_a_known_effect_is_recovered() -> None:
@@ -229,12 +228,12 @@ def test_the_probability_of_improvement_counts_seeds() -> None:
     a = [5.0, 5.0, math.inf, math.inf, 3.0, math.nan, 2.0, 1.0]
     b = [4.0, 5.0 + 1e-12, 9.0, math.inf, 4.0, 1.0, 1.0, 0.5]
     found = improvement(a, b)  # better, tied, better, tied, worse, unknown, better, better
-    assert (found.share, found.n) == (5 / 7, 7)
+    assert (found.mean, found.n) == (5 / 7, 7)
     assert found.p == stats.binomtest(4, 5).pvalue
     assert (found.low, found.high) == pytest.approx([float(end) for end in wilson(5 / 7, 7)])
     turned = improvement(b, a)
-    assert (turned.share, turned.low, turned.p) == pytest.approx((1 - found.share, 1 - found.high, found.p))
-    assert math.isnan(improvement([], []).share) and improvement([1.0], [1.0]).p == 1.0
+    assert (turned.mean, turned.low, turned.p) == pytest.approx((1 - found.mean, 1 - found.high, found.p))
+    assert math.isnan(improvement([], []).mean) and improvement([1.0], [1.0]).p == 1.0
 
 
 def test_the_sign_test_holds_for_skewed_times_and_holm_for_many() -> None:

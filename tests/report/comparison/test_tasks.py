@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 from tests.report.html import checked
+from vstestbed.report.canvas import style
 from vstestbed.report.comparison import tasks
-from vstestbed.report.html.canvas import style
 
 LAWS = [f"law_{i}" for i in range(11)]
 

@@ -9,7 +9,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective, SphericalCamera
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
-from vstestbed.report.run.tracks import GroundTask, ideal_bicycle_path, largest_deviation, visible_region
+from vstestbed.report.run.tracks import ideal_bicycle_path, largest_deviation, visible_region
 
 AHEAD = np.array([[0, 0, 1.0, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """T_world_camera of a camera that looks along x, upright, 0 m up."""
@@ -53,24 +53,22 @@ def test_a_camera_that_sees_everything_sees_all_of_a_plane():
 
 
 def test_only_what_drives_has_a_ride():
-    assert GroundTask.of(vs.load("arm_ibvs")) is None
-    ground_task = GroundTask.of(vs.load("omni_via_points"))
-    assert ground_task is not None and len(ground_task.goals) == 4 and ground_task.band_m is None and ground_task.expected_path is None
-    ground_task = GroundTask.of(vs.load("car_pursuit"))
-    assert (
-        ground_task is not None and ground_task.band_m == pytest.approx(0.25) and ground_task.settle_s == 8 and not len(ground_task.goals)
-    )
-    assert np.ptp(ground_task.reference_path, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
+    assert not Setting.of(vs.load("arm_ibvs")).planar
+    setting = Setting.of(vs.load("omni_via_points"))
+    assert setting.planar and len(setting.goals) == 4 and setting.band_m is None and setting.expected_path is None
+    setting = Setting.of(vs.load("car_pursuit"))
+    assert setting.planar and setting.band_m == pytest.approx(0.25) and setting.settle_s == 8 and not len(setting.goals)
+    assert np.ptp(setting.reference_path, axis=0) == pytest.approx([14, 14], abs=4)  # a figure of eight of 14 by 8 m, turned
 
 
 def test_lines_on_the_floor_are_the_route():
     s = vs.load("omni_line", {"target.pose": {"xyz": [1, 2, 0], "rpy_deg": [0, 0, 90]}})
-    ground_task = GroundTask.of(s)
-    assert ground_task is not None and ground_task.band_m == 0.05
-    start, first = s.target.route.start, ground_task.reference_path[1] - ground_task.reference_path[0]
-    assert ground_task.reference_path[0] == pytest.approx([1 - start.y, 2 + start.x])
+    setting = Setting.of(s)
+    assert setting.band_m == 0.05
+    start, first = s.target.route.start, setting.reference_path[1] - setting.reference_path[0]
+    assert setting.reference_path[0] == pytest.approx([1 - start.y, 2 + start.x])
     assert np.arctan2(*first[::-1]) == pytest.approx(np.pi / 2 + start.heading)
-    assert Setting.of(s).points is None  # what moves along with the camera is no landmark
+    assert setting.points is None  # what moves along with the camera is no landmark
 
 
 @pytest.mark.parametrize("name", ["car_pbvs", "car_parking"])

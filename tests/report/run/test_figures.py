@@ -8,7 +8,7 @@ import pytest
 
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
-from vstestbed.report.run import figures
+from vstestbed.report.run import figures, space
 from vstestbed.report.run.tracks import Tracks
 
 T = 50
@@ -49,7 +49,7 @@ def test_of_a_region_the_outlines_at_start_end_and_goal_are_drawn() -> None:
     for i, corner in enumerate(corners):
         for name, x, way in zip("uv", corner, (s, 0 * s), strict=True):
             columns |= {f"{name}_{i}": x + way, f"{name}_true_{i}": x + way, f"{name}_goal_{i}": x + 0 * s}
-    chart = figures.features(Tracks(pl.DataFrame(columns), Setting(outlined=True)))
+    chart = space.features(Tracks(pl.DataFrame(columns), Setting(outlined=True)))
     assert chart is not None
     lines = {line.label: line for line in chart.panels[0].curves if line.label in ("start", "end", "goal")}
     for label, way in (("start", 0.0), ("end", 40.0), ("goal", 0.0)):

@@ -9,8 +9,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.loop.recording import Recording
 from vstestbed.report import Setting
-from vstestbed.report.html.chart import ChartPanel
-from vstestbed.report.run import figures, robots
+from vstestbed.report.chart import ChartPanel
+from vstestbed.report.run import figures
 from vstestbed.report.run.tracks import Tracks
 
 
@@ -31,7 +31,7 @@ def lines(panel: ChartPanel) -> list[np.ndarray]:
 
 
 def test_velocity_follows_what_is_ordered(tracks: Tracks):
-    chart = robots.velocity(tracks)
+    chart = figures.velocity(tracks)
     assert chart is not None and len(chart.panels) == 3
     flown, commanded = max((lines(panel) for panel in chart.panels[:2]), key=lambda pair: np.abs(pair[1]).max())
     assert np.abs(commanded).max() > 1.0 and abs(flown[0]) < 0.1  # a step from rest
@@ -40,7 +40,7 @@ def test_velocity_follows_what_is_ordered(tracks: Tracks):
 
 
 def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Recording):
-    chart = robots.tilt(tracks)
+    chart = figures.tilt(tracks)
     assert chart is not None
     true, told, asked = lines(chart.panels[0])[:3]  # roll
     assert np.abs(true - told).max() < 1.5  # degrees; the estimate under noise and bias
@@ -51,7 +51,7 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Reco
 
 
 def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
-    chart = robots.rates(tracks)
+    chart = figures.rates(tracks)
     assert chart is not None and [panel.labels[1] for panel in chart.panels] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
     flown, asked = lines(chart.panels[0])
     delayed = [np.abs(flown[k:] - asked[: len(asked) - k]).mean() for k in range(12)]
@@ -60,7 +60,7 @@ def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
 
 
 def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
-    chart = robots.rotors(tracks)
+    chart = figures.rotors(tracks)
     assert chart is not None
     speeds, wind = chart.panels
     assert len(lines(speeds)) == 4
@@ -78,4 +78,4 @@ def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step
 
 def test_what_does_not_fly_has_none(tracks: Tracks):
     bare = Tracks(pl.DataFrame({"t": np.arange(3.0)}), tracks.setting)
-    assert [make(bare) for make in (robots.velocity, robots.tilt, robots.rates, robots.rotors)] == [None] * 4
+    assert [make(bare) for make in (figures.velocity, figures.tilt, figures.rates, figures.rotors)] == [None] * 4

@@ -12,19 +12,18 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.report import Setting
-from vstestbed.report.run import robots as plane
 from vstestbed.report.run import space
-from vstestbed.report.run.tracks import GroundTask, Tracks
+from vstestbed.report.run.tracks import Tracks
 
 ARC = np.linspace(0, np.pi / 2, 60)
 PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
 """A quarter turn to the left on a circle of 3 m, from the origin along x."""
 MOUNT = np.array([[0, 0, 1.0, 0.2], [-1, 0, 0, 0], [0, -1, 0, 0.5], [0, 0, 0, 1]])
 POINTS = np.array([[5, 4, 2], [-1, 4.5, 1.5]])
-GROUND_TASK = GroundTask(goals=np.array([[3, 3, np.pi / 2]]), reference_path=np.empty((0, 2)), camera=Perspective())
+VEHICLE = Setting(points=POINTS, camera=Perspective(), planar=True, goals=np.array([[3, 3, np.pi / 2]]))
 
 
-def tracks(ground_task: GroundTask | None, places: Array = PLACES, moving: bool = False) -> Tracks:
+def tracks(setting: Setting = VEHICLE, places: Array = PLACES, moving: bool = False) -> Tracks:
     """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or carried along."""
     n = len(places)
     T = pose_on_ground(places) @ MOUNT
@@ -37,11 +36,11 @@ def tracks(ground_task: GroundTask | None, places: Array = PLACES, moving: bool 
     target = np.c_[places[:, :2] + 1, np.zeros(n)] if moving else np.zeros((n, 3))
     columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {"tgt_qw": np.ones(n)}
     columns |= {f"tgt_q{a}": np.zeros(n) for a in "xyz"}
-    return Tracks(pl.DataFrame(columns), Setting(points=POINTS, ground_task=ground_task))
+    return Tracks(pl.DataFrame(columns), setting)
 
 
 def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
-    chart = plane.plane(tracks(GROUND_TASK))
+    chart = space.plane(tracks())
     assert chart is not None
     (panel,) = chart.panels
     assert panel.equal
@@ -53,9 +52,9 @@ def test_a_metre_is_as_long_both_ways_and_everything_is_inside():
 
 
 def test_headings_point_where_the_vehicle_did():
-    chart = plane.plane(tracks(GROUND_TASK))
+    chart = space.plane(tracks())
     assert chart is not None
-    darts = [np.stack([c.x, c.y], axis=1) for c in chart.panels[0].curves if len(c.x) == len(plane.DART) + 1]
+    darts = [np.stack([c.x, c.y], axis=1) for c in chart.panels[0].curves if len(c.x) == len(space.DART) + 1]
     assert len(darts) > 8
     for xy in darts:
         tip, notch = xy[0], xy[2]
@@ -67,28 +66,29 @@ def test_headings_point_where_the_vehicle_did():
 
 def test_the_difference_from_the_ideal_is_told_in_words():
     ideal = np.stack([3.05 * np.sin(ARC), 3 - 3.05 * np.cos(ARC)], axis=1)  # 5 cm outside all along
-    chart = plane.plane(tracks(replace(GROUND_TASK, expected_path=ideal)))
+    chart = space.plane(tracks(replace(VEHICLE, expected_path=ideal)))
     assert chart is not None
     words = list(chart.legend())
-    assert "ideal bicycle: at most 5.0 cm off" in words
+    assert "ideal bicycle: at most 50.0 mm off" in words
 
 
 def test_a_route_and_a_target_that_moves_are_drawn():
-    chart = plane.plane(tracks(replace(GROUND_TASK, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
+    chart = space.plane(tracks(replace(VEHICLE, goals=np.empty((0, 3)), reference_path=PLACES[:, :2] + 1), moving=True))
     assert chart is not None
     words = list(chart.legend())
     assert {"route", "target"} <= set(words) and "goal" not in words
 
 
 def test_a_vehicle_that_stands_and_one_that_is_lost_are_drawn_too():
-    still = plane.plane(tracks(GROUND_TASK, np.tile(PLACES[:1], (5, 1))))
+    still = space.plane(tracks(VEHICLE, np.tile(PLACES[:1], (5, 1))))
     assert still is not None and still.svg("Way").startswith("<svg")
     gone = PLACES.copy()
     gone[20:30] = np.nan
-    broken = plane.plane(tracks(GROUND_TASK, gone))
+    broken = space.plane(tracks(VEHICLE, gone))
     assert broken is not None and broken.svg("Way").startswith("<svg")
 
 
 def test_vehicles_have_the_plane_and_others_the_space():
-    assert plane.plane(tracks(None)) is None and space.camera_path(tracks(None)) is not None
-    assert space.camera_path(tracks(GROUND_TASK)) is None
+    other = tracks(Setting(points=POINTS))
+    assert space.plane(other) is None and space.camera_path(other) is not None
+    assert space.camera_path(tracks()) is None

@@ -19,8 +19,7 @@ from vstestbed.core.errors import RunFolderError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, quaternion_wxyz, rigid_error, transform
 from vstestbed.loop.log_file import Log
 from vstestbed.report import Setting, render_page, write_report
-from vstestbed.report.html.canvas import marker_colors
-from vstestbed.report.html.template import number
+from vstestbed.report.marks import marker_colors, number
 from vstestbed.report.run import page
 from vstestbed.report.run.tracks import MOST_ROWS, Tracks
 
@@ -143,7 +142,7 @@ def summary(**changes: object) -> dict[str, Any]:
 OF_ANGLES = ("polar", "spherical", "on_sphere")  # figures of two features alone
 OF_VEHICLES = ("plane", "task_error", "localisation_error", "wheels", "slip")
 OF_FLIGHTS = ("velocity", "tilt", "rates", "rotors")
-EVERY_FIGURE = [title for draw, (title, _) in page.PLOTS.items() if draw.__name__ not in (*OF_ANGLES, *OF_VEHICLES, *OF_FLIGHTS)]
+EVERY_FIGURE = [title for draw, title, _ in page.FIGURES if draw.__name__ not in (*OF_ANGLES, *OF_VEHICLES, *OF_FLIGHTS)]
 
 
 def test_the_page_stands_alone_and_has_it_all(tmp_path: Path) -> None:
@@ -313,7 +312,7 @@ def test_marker_colours_show_on_white_and_on_black() -> None:
         (0.0, "0"),
         (None, "–"),
         (float("nan"), "–"),
-        (1.5e-7, "1.50·10<sup>-7</sup>"),
+        (1.5e-7, "1.50·10^-7"),
     ],
 )
 def test_numbers_are_short(value: object, text: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.report import Setting
-from vstestbed.report.html.chart import ChartPanel, Space
+from vstestbed.report.chart import ChartPanel, Space
 from vstestbed.report.run import space as path3d
 from vstestbed.report.run.tracks import Tracks
 

@@ -12,8 +12,8 @@ from vstestbed.camera import Camera, Perspective, SphericalCamera
 from vstestbed.core.geometry import Array, direction
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report import Setting, render_page
-from vstestbed.report.html.canvas import marker_colors
-from vstestbed.report.html.chart import Chart, Space
+from vstestbed.report.chart import Chart, Space
+from vstestbed.report.marks import marker_colors
 from vstestbed.report.run import space as angles
 from vstestbed.report.run.space import drawn, towards_viewer
 from vstestbed.report.run.tracks import Tracks

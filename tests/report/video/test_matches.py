@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 import vstestbed as vs
-from vstestbed.report.run.figures import features
+from vstestbed.report.run.space import features
 from vstestbed.report.run.tracks import Setting, Tracks
 from vstestbed.report.video.overlay import GOAL, MEASURED, MatchOverlay, Overlay, overlay_of
 

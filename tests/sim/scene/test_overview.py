@@ -12,7 +12,7 @@ import vstestbed as vs
 from vstestbed.core.geometry import FLIP, Array, transform
 from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import moved
-from vstestbed.report.run.tracks import GroundTask, ideal_bicycle_path
+from vstestbed.report.run.tracks import Setting, ideal_bicycle_path
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.attach import extent_of
 from vstestbed.sim.scene.compose import Parts, compose
@@ -60,9 +60,7 @@ def way(s: Scenario) -> Array:
     if ideal is not None:
         return ideal
     if isinstance(s.target, GroundLines):
-        ground_task = GroundTask.of(s)
-        assert ground_task is not None
-        return np.concatenate([[start[:2]], ground_task.reference_path[::4]])
+        return np.concatenate([[start[:2]], Setting.of(s).reference_path[::4]])
     if not goals:
         return np.concatenate([[start[:2]], s.target.motion.route.samples.xy[::20]])
     corners = np.array([start[:2], *(g[:2] for g in goals)])

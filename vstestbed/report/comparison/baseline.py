@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,10 +13,11 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import RunFolderError
-from vstestbed.report.comparison.results import ControllerResults, Metric
+from vstestbed.report.comparison.results import ControllerResults
 from vstestbed.report.comparison.statistics import paired_difference, paired_success
-from vstestbed.report.comparison.tables import below, real, signed
-from vstestbed.report.html.template import Cell, number, table
+from vstestbed.report.marks import number, signed
+from vstestbed.report.pages import NO_CELL, Cell
+from vstestbed.tasks.metrics import Metric
 
 FILE: Final = "baseline.json"  # File of a comparison's folder that holds its `BaselineChanges`
 TOLERANCE: Final = 0.02
@@ -26,8 +26,6 @@ digits of pixels, and lets a run converge a frame earlier or later, and 40 ms ar
 fault of a law."""
 LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
 FEWEST: Final = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
-NEUTRAL: Final = ("sim_time_s", "frames", "max_rotation_deg", "peak_speed_mps", "peak_rate_radps")
-"""Numbers that describe a run and do not judge it."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,7 @@ def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metri
     used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
     d = paired_difference(y[used], x[used])
     before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
-    better = 0 if metric.name in NEUTRAL else 1 if metric.higher else -1
-    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.real, better)
+    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.real, metric.better)
 
 
 def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:
@@ -212,11 +209,11 @@ def _named(words: Sequence[str]) -> str:
     return ", ".join(words[:MOST]) + (f" and {len(words) - MOST} more" if len(words) > MOST else "")
 
 
-def section(folder: Path) -> str:
-    """The section of a comparison's page; empty where it was not compared with an earlier one."""
+def section(folder: Path) -> dict[str, Any] | None:
+    """The section of a comparison's page (`baseline.html`); None where it was not compared with an earlier one."""
     changes = read_changes(folder)
     if changes is None:
-        return ""
+        return None
     note = (
         f"{changes.matched} runs are in both. The numbers: the mean now minus the mean then over the runs that reached the goal both "
         "times (what a run has on its way: over all runs), its 95 % interval below. Bold with a dot: the interval excludes zero. "
@@ -224,25 +221,24 @@ def section(folder: Path) -> str:
     )
     notes = [note] + [f"Only now: {words}." for words in changes.only_now] + [f"Only then: {words}." for words in changes.only_before]
     notes += [f"{c.label}: its scenario differs in {', '.join(c.settings)}." for c in changes.controllers if c.settings]
-    verdict = "".join(f"<li>{escape(words)}</li>" for words in changes.regressions() or ["Nothing got worse."])
     names = dict.fromkeys((m.title, m.unit) for c in changes.controllers for m in c.metrics)
-    heads = ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for title, unit in names)]
-    numbers = table(heads, [[(c.label, escape(c.label)), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers])
-    small = "".join(f'<p class="soft">{escape(words)}</p>' for words in notes)
-    head = f"<h2>Against {escape(changes.place)}</h2><p>With a tolerance of {100 * TOLERANCE:g} %:</p><ul>{verdict}</ul>"
-    return f"<section>{head}{numbers}{small}</section>"
+    return {
+        "place": changes.place,
+        "tolerance": f"{100 * TOLERANCE:g}",
+        "verdict": changes.regressions() or ["Nothing got worse."],
+        "heads": ["Controller", "Reached the goal", *(f"{title} [{unit}]" if unit else title for title, unit in names)],
+        "lines": [[(c.label, c.label, False, []), _goals(c), *map(_cell, c.metrics)] for c in changes.controllers],
+        "notes": notes,
+    }
 
 
 def _goals(c: ControllerChange) -> Cell:
     change = c.reached_now - c.reached_before
-    words = [f"{c.reached_now} of {c.runs}, before {c.reached_before}", *(f"lost {run}" for run in c.lost)]
-    small = "".join(below(escape(one)) for one in [*words, *(f"gained {run}" for run in c.gained)])
-    return change, real(signed(change), c.fails_more) + small
+    small = [f"{c.reached_now} of {c.runs}, before {c.reached_before}", *(f"lost {run}" for run in c.lost)]
+    return change, signed(change), c.fails_more, [*small, *(f"gained {run}" for run in c.gained)]
 
 
 def _cell(m: MetricChange) -> Cell:
-    if not m.n:
-        return None, "–"
-    interval = below(f"[{signed(m.low)},<br>{signed(m.high)}]") if math.isfinite(m.low) else ""
-    mean = real(signed(m.difference), bool(m.real and m.difference))
-    return m.difference, f"{mean} {interval}{below(f'before {number(m.before)}')}"
+    interval = [f"[{signed(m.low)},", f"{signed(m.high)}]"] if math.isfinite(m.low) else []
+    small = [*interval, f"before {number(m.before)}"]
+    return (m.difference, signed(m.difference), bool(m.real and m.difference), small) if m.n else NO_CELL

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,10 +14,13 @@ from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
-from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, Metric, Pair
-from vstestbed.report.comparison.statistics import LEAST, spread, wilson
-from vstestbed.report.html.canvas import INK, LINE_COLORS, LOST, RULE, new_figure, panels, printable
+from vstestbed.report.canvas import new_figure, panels, plain, wrapped
+from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, Pair
+from vstestbed.report.comparison.statistics import LEAST, wilson
+from vstestbed.report.marks import FAILED, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look
+from vstestbed.report.marks import TIME as TIME_LABEL
 from vstestbed.report.run.tracks import MeasuredError
+from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,14 +37,21 @@ _FAR = 1e30  # Error that stands for a lost target: larger than any real one, bu
 
 
 @dataclass(frozen=True)
-class Series:
-    """RMS image error of every run over time."""
+class Data:
+    """Everything the figures draw: the results, and the RMS image error of every run over time."""
 
-    t: Array  # the common time grid, shape (G,) [s]
+    comparison: ComparisonResults
+    pairs: Sequence[Pair] = ()
+    t: Array = field(default_factory=lambda: np.zeros(1))  # the common time grid, shape (G,) [s]
     # of each controller, shape (runs, G) [unit of `measured`]; NaN while the target is lost and for runs without a log
-    errors: tuple[NDArray[np.float32], ...]
-    sampled: int | None = None  # of so many first runs of each controller; None: of all
+    errors: tuple[NDArray[np.float32], ...] = ()
+    sampled: int | None = None  # the errors are of so many first runs of each controller; None: of all
     measured: tuple[MeasuredError, ...] = ()  # which error it is of each controller, with the threshold
+
+    @cached_property
+    def labels(self) -> list[str]:
+        """The controllers' labels, as matplotlib takes them."""
+        return [plain(c.label) for c in self.comparison.controllers]
 
     def units(self) -> dict[MeasuredError, list[int]]:
         """The controllers that are measured in the same, by number."""
@@ -62,8 +72,8 @@ class Series:
         return np.where(quartiles < 1e-3 * _FAR, quartiles, np.inf)  # also where _FAR was only a part of the interpolation
 
 
-def read_series(folder: Path, comparison: ComparisonResults, measured: Sequence[MeasuredError] = ()) -> Series:
-    """The errors of the runs, of very many the first of each controller; after its end a run holds its last value.
+def read_series(folder: Path, comparison: ComparisonResults, pairs: Sequence[Pair] = (), measured: Sequence[MeasuredError] = ()) -> Data:
+    """The data of the figures; of very many runs the errors of the first of each controller; after its end a run holds its last value.
 
     `measured`: which error of each controller, by default that of markers. RunFolderError: a log is damaged.
     """
@@ -80,7 +90,7 @@ def read_series(folder: Path, comparison: ComparisonResults, measured: Sequence[
             errors[i] = _resampled(folder / str(place) / "log.parquet", error.column, t)
         of_controllers.append(errors)
     sampled = most if any(len(c.runs) > most for c in comparison.controllers) else None
-    return Series(t, tuple(of_controllers), sampled, measured)
+    return Data(comparison, pairs, t, tuple(of_controllers), sampled, measured)
 
 
 def _resampled(path: Path, column: str, t: Array) -> Array:
@@ -93,65 +103,34 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
     return np.where(frame >= 0, error[np.maximum(frame, 0)], np.nan) if len(error) else np.full(len(t), np.nan)
 
 
-THRESHOLD: dict[str, Any] = {"color": INK, "linestyle": (0, (2, 2)), "linewidth": 0.8, "alpha": 0.7}
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
 BANDS = 4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
 PANELS = 24  # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
 LINES, EACH_LEAST, EACH_MOST = 200, 5, 30  # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
 LEAST_DIFFERENCE = 1e-9  # Differences below this, in any display unit, are rounding
 
 
-@dataclass(frozen=True)
-class Data:
-    """Everything the figures draw."""
-
-    comparison: ComparisonResults
-    series: Series
-    pairs: list[Pair]
-
-    @property
-    def labels(self) -> list[str]:
-        """The controllers' labels, escaped for matplotlib."""
-        return [_plain(c.label) for c in self.comparison.controllers]
-
-
-def _plain(name: str) -> str:
-    """A name escaped for matplotlib: no control characters, no mathtext, and no leading underscore, which the legend would hide."""
-    return printable(name).replace("$", r"\$").lstrip("_") or "(unnamed)"
-
-
-def look(i: int) -> dict[str, Any]:
-    """Line style of controller i: the eight colours with solid lines first, then the same colours dashed."""
-    return {"color": LINE_COLORS[i % len(LINE_COLORS)], "linestyle": DASHES[i // len(LINE_COLORS) % len(DASHES)]}
-
-
-def wrapped(label: str, width: int = 20) -> str:
-    """A long label broken into several lines."""
-    return textwrap.fill(label, width)
-
-
 def medians(data: Data, width_in: float) -> Figure:
     """Median error of each controller over time with its quartile band, in one panel for each unit."""
-    units = data.series.units()
+    units = data.units()
     figure = new_figure((0.58 + 0.4 * (len(units) - 1)) * width_in + legend_height_in(data), width_in)
     grid = panels(figure, len(units), 1, sharex=True)
     for axes, (error, those) in zip(grid, units.items(), strict=True):
-        quartiles = [data.series.quartiles(i) for i in those]
+        quartiles = [data.quartiles(i) for i in those]
         for i, quartile in zip(those, quartiles, strict=True):
-            _draw_quartiles(axes, data.series.t, quartile, look(i), band=len(data.labels) <= BANDS)
-        _error_axes([axes], data.series.t[-1], error, [*quartiles, *(data.series.errors[i] for i in those)])
+            _draw_quartiles(axes, data.t, quartile, look(i), band=len(data.labels) <= BANDS)
+        _error_axes([axes], data.t[-1], error, [*quartiles, *(data.errors[i] for i in those)])
         axes.set_ylabel(wrapped(error.label, 16))
         if error.threshold and axes.get_yscale() == "log":
             words, at = f"{error.threshold:g} {error.unit}", (1, error.threshold)
             axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
-    grid[-1].set_xlabel("time [s]")
+    grid[-1].set_xlabel(TIME_LABEL)
     legend(figure, data)
     return figure
 
 
 def each_run(data: Data, width_in: float) -> Figure:
     """One panel per controller: its runs, its median and quartile band, and in grey the medians of the others in the same unit."""
-    n, units = len(data.labels), data.series.units()
+    n, units = len(data.labels), data.units()
     columns = -(-n // -(-n // 4))  # at most 4, and rows of equal length: 5 panels are 3 + 2, not 4 + 1
     figure = new_figure(width_in / max(columns, 3) * 0.8 * -(-n // columns) + 0.3, width_in)
     grid = panels(figure, n, columns, sharex=True, sharey=len(units) == 1)
@@ -161,7 +140,7 @@ def each_run(data: Data, width_in: float) -> Figure:
     for error, those in units.items():
         _draw_each({i: grid[i] for i in those}, data, error)
     size = grid[0].xaxis.label.get_size()
-    figure.supxlabel("time [s]", fontsize=size)
+    figure.supxlabel(TIME_LABEL, fontsize=size)
     if len(units) == 1:
         figure.supylabel(next(iter(units)).label, fontsize=size)
         return figure
@@ -173,30 +152,30 @@ def each_run(data: Data, width_in: float) -> Figure:
 
 def _draw_each(panels: Mapping[int, Axes], data: Data, error: MeasuredError) -> None:
     """The controllers of one unit, each in its panel, by number."""
-    quartiles = {i: data.series.quartiles(i) for i in panels}
+    quartiles = {i: data.quartiles(i) for i in panels}
     for i, axes in panels.items():
         for k in panels:
             if k != i:
-                axes.plot(data.series.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
+                axes.plot(data.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
         _draw_runs(axes, data, i)
-        _draw_quartiles(axes, data.series.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
-    _error_axes([*panels.values()], data.series.t[-1], error, [*quartiles.values(), *(data.series.errors[i] for i in panels)])
+        _draw_quartiles(axes, data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+    _error_axes([*panels.values()], data.t[-1], error, [*quartiles.values(), *(data.errors[i] for i in panels)])
 
 
 def _draw_runs(axes: Axes, data: Data, i: int) -> None:
     """The first runs of a controller; failed ones in red, with a cross where the target was last seen."""
     most = min(max(LINES // len(data.labels), EACH_LEAST), EACH_MOST)
     success = data.comparison.controllers[i].success
-    for error, reached in zip(data.series.errors[i][:most], success, strict=False):
+    for error, reached in zip(data.errors[i][:most], success, strict=False):
         line = _shown(error.astype(float))
         color, alpha, order = (look(i)["color"], 0.45, 2) if reached else (LOST, 0.9, 4)  # failures on top: they are few
-        axes.plot(data.series.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
+        axes.plot(data.t, line, color=color, linewidth=0.5, alpha=alpha, zorder=order)
         seen = np.flatnonzero(np.isfinite(line))
         if not reached and len(seen):
-            axes.plot(data.series.t[seen[-1]], line[seen[-1]], "x", color=LOST, markersize=4)
+            axes.plot(data.t[seen[-1]], line[seen[-1]], **FAILED)
 
 
-def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: dict[str, Any], band: bool) -> None:
+def _draw_quartiles(axes: Axes, t: Array, quartile: Array, style: Look, band: bool) -> None:
     """Median (line) and band between the quartiles (3, G) over the times t (G,)."""
     low, middle, high = quartile
     if band:
@@ -347,10 +326,10 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
     reached = shown & controller.success
     axes.plot(values[reached], row - 0.08 + jitter[reached], ".", color=color, markersize=3.5, alpha=0.6, markeredgewidth=0)
     _draw_failures(axes, values[shown & ~controller.success], row + 0.27, limits)
-    summary = spread(controller.counted(metric))
-    if summary.n:
-        axes.plot([summary.q1, summary.q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
-        axes.plot(summary.median, row - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
+    q1, median, q3, n = controller.quartiles(metric)
+    if n:
+        axes.plot([q1, q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
+        axes.plot(median, row - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
     missing = int((~known).sum())
     if missing:
         axes.text(1.01, row + 0.27, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
@@ -360,10 +339,11 @@ def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, flo
     """Failed runs in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies."""
     low, high = limits
     inside = values[(values >= low) & (values <= high)]
-    axes.plot(inside, [y] * len(inside), "x", color=LOST, markersize=3.5, markeredgewidth=0.9)
+    axes.plot(inside, [y] * len(inside), **FAILED)
     for beyond, mark, at in ((values > high, ">", 0.97), (values < low, "<", 0.03)):  # [1] of the panel's width
         if beyond.any():
-            axes.plot(at, y, mark, color=LOST, markersize=3.5, transform=axes.get_yaxis_transform())
+            arrow: Look = FAILED | {"marker": mark}
+            axes.plot(at, y, transform=axes.get_yaxis_transform(), **arrow)
 
 
 # Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
@@ -386,16 +366,16 @@ def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array
     ordered = np.sort(ranked[np.isfinite(ranked)])
     last = np.flatnonzero(np.diff(ordered, append=np.inf) > 0)  # of equal values the last: its share is that of all of them
     kept = last if len(last) <= STEPS else last[np.linspace(0, len(last) - 1, STEPS).round().astype(int)]
-    return (-ordered if metric.higher else ordered)[kept], (kept + 1) / max(n, 1), n
+    return (-ordered if metric.better > 0 else ordered)[kept], (kept + 1) / max(n, 1), n
 
 
 def success(data: Data, width_in: float) -> Figure:
     """Performance profile of the time to converge: the share of runs that have converged, over time, with its band."""
     figure = new_figure(0.58 * width_in + legend_height_in(data), width_in)
     axes = figure.add_subplot()
-    end = float(data.series.t[-1])
+    end = float(data.t[-1])
     _draw(axes, data, TIME, (0.0, end))
-    axes.set_xlabel("time [s]")
+    axes.set_xlabel(TIME_LABEL)
     axes.set_ylabel("converged [%]")
     legend(figure, data)
     return figure
@@ -440,7 +420,7 @@ def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
     else:
         margin = 0.04 * (high - low or abs(high) or 1.0)
         low, high = low - margin, high + margin
-    return (high, low) if metric.higher else (low, high)
+    return (high, low) if metric.better > 0 else (low, high)
 
 
 def _draw(axes: Axes, data: Data, metric: Metric, ends: tuple[float, float]) -> None:

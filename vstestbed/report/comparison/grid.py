@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from vstestbed.report.comparison.figures import Data, wrapped
-from vstestbed.report.comparison.results import CHANCE, TIME, ComparisonResults, ControllerResults, Metric, value_text
-from vstestbed.report.comparison.statistics import FEWEST_PAIRS, Difference, holm, paired_difference, spread
-from vstestbed.report.html.canvas import GOAL, LINE_COLORS, LOST, new_figure
+from vstestbed.report.canvas import new_figure, wrapped
+from vstestbed.report.comparison.figures import Data
+from vstestbed.report.comparison.results import CHANCE, TIME, ComparisonResults, ControllerResults, value_text
+from vstestbed.report.comparison.statistics import FEWEST_PAIRS, IntervalEstimate, holm, paired_difference
+from vstestbed.report.marks import GOAL, LINE_COLORS, LOST
+from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ERROR = Metric.of("final_position_error_m")
+ERROR = Metric.named("final_position_error_m")
 LEAST = 3  # Fewest values of the first axis of which a grid is drawn
 STRONGEST = 0.55  # Opacity of the strongest colour: the numbers are read through it
 LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
@@ -51,11 +53,11 @@ class Grid:
         }
         return cls(rows, columns, at)
 
-    def changes(self, metric: Metric) -> dict[tuple[int, int], Difference]:
+    def changes(self, metric: Metric) -> dict[tuple[int, int], IntervalEstimate]:
         """Paired differences of each row to the first by cell, over the starts from which both reached the goal."""
         return {at: _mean([found]) for at, found in self._by_start(metric).items()}
 
-    def overall(self, metric: Metric) -> dict[int, Difference]:
+    def overall(self, metric: Metric) -> dict[int, IntervalEstimate]:
         """Paired differences of each row to the first: of each start the mean over the columns in which both reached the goal from it."""
         found = self._by_start(metric)
         return {i: _mean([cell for (row, _), cell in found.items() if row == i]) for i in dict.fromkeys(i for i, _ in found)}
@@ -66,7 +68,7 @@ class Grid:
         return {(i, j): _changes(self.cells[0, j], cell, metric) for (i, j), cell in cells if i > 0 and (0, j) in self.cells}
 
 
-def real(changes: Mapping[Place, Difference]) -> set[Place]:
+def real(changes: Mapping[Place, IntervalEstimate]) -> set[Place]:
     """Which changes have p <= CHANCE after Holm's correction over all of them, from FEWEST starts or more.
 
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
@@ -81,7 +83,7 @@ def _changes(before: ControllerResults, now: ControllerResults, metric: Metric) 
     return {s: float(second[s][0] - first[s][0]) for s in both}
 
 
-def _mean(columns: list[dict[tuple[str, int], float]]) -> Difference:
+def _mean(columns: list[dict[tuple[str, int], float]]) -> IntervalEstimate:
     """Of the changes from each start the mean over the columns, and of these the mean over the starts with its test."""
     starts = dict.fromkeys(start for column in columns for start in column)
     values = [[column[start] for column in columns if np.isfinite(column.get(start, np.nan))] for start in starts]
@@ -131,12 +133,12 @@ def _times(axes: Axes, found: Grid) -> None:
     marked: set[Any] = real(changes) | real(overall)
     largest = max((abs(d.mean) for d in changes.values() if np.isfinite(d.mean)), default=0.0) or 1.0
 
-    def change(at: Any, d: Difference) -> Look:
+    def change(at: Any, d: IntervalEstimate) -> Look:
         sign = "" if not abs(d.mean) >= LEAST_SHOWN_S else "+" if d.mean > 0 else "\N{MINUS SIGN}"
         size = abs(d.mean) / largest if np.isfinite(d.mean) else 0.0
         return sign + _short(abs(d.mean)), LINE_COLORS[1] if d.mean > 0 else LINE_COLORS[0], size**0.5, at in marked
 
-    looks: dict[tuple[int, int], Look] = {at: (_short(_median(c, TIME)), LINE_COLORS[7], 0.15, False) for at, c in found.cells.items()}
+    looks: dict[tuple[int, int], Look] = {at: (_short(c.quartiles(TIME)[1]), LINE_COLORS[7], 0.15, False) for at, c in found.cells.items()}
     looks |= {at: change(at, d) for at, d in changes.items()}
     if len(found.columns) > 1:
         looks |= {(i, len(found.columns)): change(i, d) for i, d in overall.items()}
@@ -145,7 +147,7 @@ def _times(axes: Axes, found: Grid) -> None:
 
 def _errors(axes: Axes, found: Grid) -> None:
     axes.set_title("final error, median [mm]")
-    values = {at: _median(c, ERROR) for at, c in found.cells.items()}
+    values = {at: c.quartiles(ERROR)[1] for at, c in found.cells.items()}
     known = np.log([v for v in values.values() if np.isfinite(v) and v > 0] or [1.0])
     low, span = known.min(), float(np.ptp(known)) or 1.0
     strength = {at: float(np.log(v) - low) / span if np.isfinite(v) and v > 0 else 0.0 for at, v in values.items()}
@@ -160,10 +162,6 @@ def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> Non
         axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.9, color=color, alpha=STRONGEST * strength, linewidth=0))
         style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size, "fontweight": "bold" if bold else "normal"}
         axes.text(j, i, words, **style)
-
-
-def _median(controller: ControllerResults, metric: Metric) -> float:
-    return spread(controller.counted(metric)).median
 
 
 def _short(value: float) -> str:

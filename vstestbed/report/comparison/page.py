@@ -8,22 +8,20 @@ import shlex
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
-from html import escape
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.core.files import make_folder, write_whole
+from vstestbed.core.files import make_folder
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.shares import Call, at_once, result_of
+from vstestbed.report.canvas import save_paper, style, to_svg
 from vstestbed.report.comparison import baseline, figures, tables
 from vstestbed.report.comparison import grid as effects
-from vstestbed.report.comparison.figures import PANELS, Data, Series, read_series
+from vstestbed.report.comparison.figures import PANELS, Data, read_series
 from vstestbed.report.comparison.results import (
     DEFAULT_METRICS,
     ComparisonResults,
@@ -35,9 +33,8 @@ from vstestbed.report.comparison.results import (
     value_text,
     write_records,
 )
-from vstestbed.report.html.canvas import WIDTH_IN, save, style, to_svg
-from vstestbed.report.html.template import SCRIPT, cell, data_url, figure, film, page
-from vstestbed.report.run import numbers
+from vstestbed.report.marks import WIDTH_IN, counted
+from vstestbed.report.pages import cell, data_url, film_of, page, write_page
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.load import GIVEN, RESOLVED
@@ -117,19 +114,17 @@ def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
 
 
 FILM_BYTES: Final = 8_000_000  # A film up to this size is embedded (base64 makes it 4/3 as large); the page then stays under 20 MB
-BROAD_IN: Final = 2 * WIDTH_IN  # Width of a figure over both columns of the page [in]
 NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
 COLUMN_IN: Final = {1: 3.5, 2: 7.16}  # Width of a paper's figure over one and two columns (IEEE) [in]
-DPI: Final = 300
 
-# Of each figure: key (file name, SVG identifiers), title, caption, columns that it takes, function that draws it.
+# The figures of a comparison in their order: key (of files and identifiers), title, caption, columns that it takes, function that draws it.
 Plot = tuple[str, str, str, int, Callable[[Data, float], "Figure | None"]]
 PLOTS: Final[tuple[Plot, ...]] = (
     (
         "error",
         "Error over time",
         "Median over the runs, with the band from the first to the third quartile for up to four controllers. A run that has ended holds "
-        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dotted: the threshold.",
+        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dashed: the threshold.",
         1,
         figures.medians,
     ),
@@ -145,7 +140,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
         "runs",
         "Error of single runs",
         "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
-        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians in the same unit. Dotted: the threshold.",
+        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians in the same unit. Dashed: the threshold.",
         2,
         figures.each_run,
     ),
@@ -211,90 +206,82 @@ def write_comparison_report(
     all_pairs, means = pairs(comparison), interquartiles(comparison)
     write_records(folder, comparison, means, all_pairs)
     drawn = _all_figures(folder, comparison, all_pairs, plugins, call)
-    body = [
-        *_found(folder, comparison, means, all_pairs, baseline.section(folder)),
-        f"<section><h2>Figures</h2>{drawn}</section>",
-        _film(result_of(film) if isinstance(film, Future) else film),
-        failures_section(folder, comparison),
-        _provenance(comparison, command),
-        SCRIPT,
-    ]
+    filmed = result_of(film) if isinstance(film, Future) else film
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
-    n, seeds = len(comparison.controllers), table["seed"].n_unique()
-    plan = f"{n} controller{'s' * (n != 1)}, {seeds} seed{'s' * (seeds != 1)}, {tables.runs(len(table))}; "
-    plan += "the same seed gives each the same start and noise."
-    about = (f"<p>{escape(description)}</p>" if description else "") + f'<p class="soft">{escape(plan)}</p>'
-    return write_whole(folder / "report.html", page(heading, body, about, f"{heading}: comparison"))
+    counts = (len(comparison.controllers), "controller"), (table["seed"].n_unique(), "seed"), (len(table), "run")
+    return write_page(
+        folder,
+        "comparison.html",
+        heading,
+        title=f"{heading}: comparison",
+        description=description,
+        plan=f"{', '.join(counted(*each) for each in counts)}; the same seed gives each the same start and noise.",
+        **_found(folder, comparison, means, all_pairs),
+        baseline=baseline.section(folder),
+        figures=drawn,
+        film=_film(filmed),
+        failures=failures(folder, comparison),
+        command=command,
+        **_made_of(comparison),
+    )
 
 
 def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...]) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
     comparison = ComparisonResults(table, axes, metrics or shown_by_default(table))
-    paired = pairs(comparison)
-    body = [*_found(folder, comparison, interquartiles(comparison), paired), SCRIPT]
-    where = f'<p class="soft">Figures and films: {escape(str(folder / "report.html"))}</p>'
-    return cell(page("Comparison", body, where), NOTEBOOK_PX)
+    paired, where = pairs(comparison), f"Figures and films: {folder / 'report.html'}"
+    found = _found(folder, comparison, interquartiles(comparison), paired)
+    return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, **found), NOTEBOOK_PX)
 
 
-def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair], against: str = "") -> tuple[str, ...]:
-    """Who is better, what differs from an earlier comparison, the controllers' numbers and how they differ."""
-    return (
-        tables.headline(comparison, all_pairs, gains_alone(folder, comparison)),
-        against,
-        tables.controllers(comparison),
-        tables.interquartile_means(comparison, means),
-        tables.differences(comparison, all_pairs),
-        tables.improvements(comparison, all_pairs),
-    )
+def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> dict[str, Any]:
+    """Who is better, the controllers' numbers and how they differ, for the page."""
+    verdict, look, sentences, others = tables.headline(comparison, all_pairs, gains_alone(folder, comparison))
+    sections = [tables.controllers(comparison), *tables.sections(comparison, means, all_pairs)]
+    return {"verdict": verdict, "look": look, "sentences": sentences, "others": others, "sections": sections}
 
 
 def _paper(data: Data, plot: int, place: Path) -> None:
-    """A figure in the size and style of a paper, as PDF with embedded fonts and as PNG."""
+    """A figure in the size and style of a paper."""
     key, _, _, columns, draw = PLOTS[plot]
     with style(paper=True):
         drawn = draw(data, COLUMN_IN[columns])
         if drawn is not None:
-            save(drawn, place / f"{key}.pdf")
-            drawn.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
-            save(drawn, place / f"{key}.png", DPI)
+            save_paper(drawn, place, key)
 
 
 def _on_page(data: Data, plot: int) -> str:
-    key, title, caption, columns, draw = PLOTS[plot]
+    key, title, _, columns, draw = PLOTS[plot]
     with style():
-        drawn = draw(data, {1: WIDTH_IN, 2: BROAD_IN}[columns])
-        return "" if drawn is None else figure(title, to_svg(drawn, key, title), caption)
+        drawn = draw(data, columns * WIDTH_IN)
+        return "" if drawn is None else to_svg(drawn, key, title)
 
 
-def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> str:
+def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> dict[str, Any]:
     """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
     n, place = len(comparison.controllers), make_folder(folder / "figures")
     if n > PANELS and effects.Grid.of(comparison) is not None:
         words = f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."
-        return _soft(words) + _figures(Data(comparison, Series(np.zeros(1), ()), all_pairs), (GRID,), place, call)
+        return _figures(Data(comparison, all_pairs), (GRID,), place, call, [words])
     shown = comparison if n <= PANELS else comparison.first(PANELS)
     chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
-    data = Data(shown, read_series(folder, shown, _measured(folder, shown, plugins)), chosen)
-    words = _soft(f"The figures show the first {PANELS} of {n} controllers.") if n > PANELS else ""
-    return words + _figures(data, range(len(PLOTS)), place, call)
+    data = read_series(folder, shown, chosen, _measured(folder, shown, plugins))
+    notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
+    if data.sampled:
+        notes.append(f"Errors over time are of the first {data.sampled:,} runs of each controller, all else of all runs.")
+    return _figures(data, range(len(PLOTS)), place, call, notes)
 
 
-def _soft(words: str) -> str:
-    return f'<p class="soft">{words}</p>'
-
-
-def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call) -> str:
+def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call, notes: list[str]) -> dict[str, Any]:
     """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
     on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
-    drawn = [(PLOTS[i][3], result_of(made)) for i, made in zip(numbers, on_page, strict=True)]
-    narrow, broad = ([f for columns, f in drawn if columns == wanted and f] for wanted in (1, 2))
+    drawn = [(PLOTS[i][3], (PLOTS[i][1], result_of(made), PLOTS[i][2])) for i, made in zip(numbers, on_page, strict=True)]
+    narrow, broad = ([f for columns, f in drawn if columns == wanted and f[1]] for wanted in (1, 2))
     for paper in papers:
         result_of(paper)
-    most = data.series.sampled
-    above = _soft(f"Errors over time are of the first {most:,} runs of each controller, all else of all runs.") if most else ""
-    return f'{above}<div class="plots">{"".join(narrow)}</div>' + "".join(f'<div class="broad">{f}</div>' for f in broad)
+    return {"notes": notes, "narrow": narrow, "broad": broad}
 
 
 def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str]) -> list[MeasuredError]:
@@ -309,25 +296,21 @@ def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str
     return [error._replace(threshold=agreed.get(error.unit)) for error in (one or MeasuredError() for one in found)]
 
 
-def _film(path: Path | None) -> str:
+def _film(path: Path | None) -> tuple[str, str, str] | None:
     if path is None or not path.is_file():
-        return ""
-    content = film("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
-    return f'<section class="films"><h2>Film</h2>{content}</section>'
+        return None
+    return film_of("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
 
 
-def _provenance(comparison: ComparisonResults, command: str) -> str:
+def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
+    """What was compared, and the versions of the software that did it."""
     table = comparison.table
-    repeat = f"<p>Made again by<br><code>{escape(command)}</code></p>" if command else ""
-    plan = {"scenario": _values(table["scenario"].to_list())}
-    plan |= {axis: _values(table[axis].to_list()) for axis in comparison.axes}
+    plan = {"scenario": _values(table["scenario"].to_list())} | {axis: _values(table[axis].to_list()) for axis in comparison.axes}
     plan |= {"seeds": _seeds(table["seed"].to_list()), "runs": str(len(table)), "numbers": ", ".join(comparison.metrics)}
-    lines = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in plan.items())
     names = [c for c in table.columns if c.startswith("versions.")]
     # more than one version of a package if the comparison was resumed after an update
-    versions = {name.removeprefix("versions."): _values([v for v in table[name].to_list() if v is not None]) for name in names}
-    software = numbers.provenance({"versions": versions})
-    return f'<section><h2>How it was made</h2>{repeat}<dl class="plan">{lines}</dl>{software}</section>'
+    versions = [(name.removeprefix("versions."), _values([v for v in table[name].to_list() if v is not None]), "") for name in names]
+    return {"made_of": plan, "versions": versions}
 
 
 def _values(values: Sequence[object]) -> str:
@@ -351,79 +334,64 @@ ERRORS: Final = 24
 ERROR_CHARACTERS: Final = 4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A run that did not reach the goal; place: its folder."""
-
-    controller: str
-    seed: int
-    outcome: str
-    reason: str
-    place: Path
-
-    @property
-    def command(self) -> str:
-        """The command that repeats the run, from the directory in which the comparison was started."""
-        return f"vstestbed run {shlex.quote((self.place / 'scenario.yaml').as_posix())}"
-
-    @property
-    def kind(self) -> tuple[str, str]:
-        """Outcome, and the reason with its numbers masked: reasons that differ in numbers only are one kind of failure."""
-        return self.outcome, re.sub(r"\d[\d.e+-]*", "#", self.reason)  # numbers such as times and pixels
+Failure = dict[str, Any]  # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
 
 
-def failures(folder: Path, comparison: ComparisonResults) -> list[Failure]:
-    """All runs without success, by controller and seed."""
-    found = []
+def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
+    """Failed runs by kind, and runs that were repeated because their worker process died, for `failures.html`."""
+    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
     for controller in comparison.controllers:
         for row in controller.runs.filter(~controller.success).iter_rows(named=True):
             outcome, reason = str(row.get("outcome") or "no outcome"), str(row.get("reason") or "")
-            found.append(Failure(controller.label, int(row["seed"]), outcome, reason, folder / str(row["folder"])))
-    return found
-
-
-def failures_section(folder: Path, comparison: ComparisonResults) -> str:
-    """The section of the page on failed runs, and on runs that were repeated because their worker process died."""
-    failed = failures(folder, comparison)
-    kinds: dict[tuple[str, str], list[Failure]] = defaultdict(list)
-    for failure in failed:
-        kinds[failure.kind].append(failure)
+            failure = {"controller": controller.label, "seed": int(row["seed"]), "outcome": outcome, "reason": reason}
+            # reasons that differ in numbers (times, pixels) only are one kind of failure
+            kinds[outcome, re.sub(r"\d[\d.e+-]*", "#", reason)].append(failure | {"place": folder / str(row["folder"])})
     groups = sorted(kinds.values(), key=len, reverse=True)
     # tracebacks of every kind of crash in turn, since there is room for only a few
-    with_error = {id(f) for f in _in_turn([g for g in groups if g[0].outcome == "crashed"], ERRORS)}
-    with_command = {id(f) for f in _in_turn(groups, LISTED)}
-    listed = "".join(_group(group, with_command, with_error) for group in groups)
-    those = "them" if len(failed) <= LISTED else f"{LISTED} of them, every kind in turn,"
-    words = f"{tables.runs(len(failed))} of {len(comparison.table)} did not reach the goal; "
-    words += f"each line opens to the commands that run {those} again."
-    if not failed:
-        words = f"All {tables.runs(len(comparison.table))} reached the goal."
-    return f'<section><h2>Failures</h2><p class="soft">{words}</p>{listed}{_gallery(groups)}{_repeated(comparison)}</section>'
+    for failure in _in_turn([g for g in groups if g[0]["outcome"] == "crashed"], ERRORS):
+        failure["error"] = _error_text(failure["place"])
+    for failure in _in_turn(groups, LISTED):
+        failure["command"] = rerun_command(failure["place"])
+    pictured, pictures = _gallery(groups)
+    return {
+        "failed": sum(map(len, groups)),
+        "runs": len(comparison.table),
+        "listed": LISTED,
+        "kinds": [_kind(group) for group in groups],
+        "pictured": pictured,
+        "pictures": pictures,
+        "repeated": [
+            f"{c.label}, seed {row['seed']} ({str(row['outcome']).replace('_', ' ')})"
+            for c in comparison.controllers
+            for row in c.runs.iter_rows(named=True)
+            if (row.get("attempts") or 1) > 1
+        ],
+    }
 
 
-def _group(group: list[Failure], with_command: set[int], with_error: set[int]) -> str:
-    """One kind of failure: number of runs, seeds of each controller, and, folded, each run's command."""
-    outcome, first = group[0].outcome.replace("_", " ").capitalize(), group[0].reason
-    same = all(f.reason == first for f in group)
-    reason = first if same else f"{first}, and the like"
+def rerun_command(place: Path) -> str:
+    """The command that repeats a run, from the directory in which the comparison was started."""
+    return f"vstestbed run {shlex.quote((place / 'scenario.yaml').as_posix())}"
+
+
+def _error_text(place: Path) -> str:
+    with contextlib.suppress(OSError):
+        return (place / "error.txt").read_text(encoding="utf-8", errors="replace")[-ERROR_CHARACTERS:].strip()
+    return ""
+
+
+def _kind(group: list[Failure]) -> dict[str, Any]:
+    """One kind of failure: number of runs, seeds of each controller, and those runs whose command is shown."""
+    first = group[0]["reason"]
+    same = all(failure["reason"] == first for failure in group)
     seeds: dict[str, list[str]] = defaultdict(list)
     for failure in group:
-        seeds[failure.controller].append(str(failure.seed))
+        seeds[failure["controller"]].append(str(failure["seed"]))
     more = {name: f" and {len(s) - SEEDS:,} more" if len(s) > SEEDS else "" for name, s in seeds.items()}
     who = "; ".join(f"{name}: seed{'s' * (len(s) > 1)} {', '.join(s[:SEEDS])}{more[name]}" for name, s in seeds.items())
-    head = f'<b>{escape(outcome)}</b> {tables.runs(len(group))}: {escape(reason)}<br><span class="soft">{escape(who)}</span>'
-    shown = "".join(_run(f, same, id(f) in with_error) for f in group if id(f) in with_command)
-    return f'<details class="failure"><summary>{head}</summary>{shown}</details>'
-
-
-def _run(failure: Failure, same: bool, with_error: bool) -> str:
-    reason = "" if same else f": {escape(failure.reason)}"
-    error = ""
-    if with_error:
-        with contextlib.suppress(OSError):
-            text = (failure.place / "error.txt").read_text(encoding="utf-8", errors="replace")
-            error = f"<pre>{escape(text[-ERROR_CHARACTERS:].strip())}</pre>"
-    return f"<p>{escape(failure.controller)}, seed {failure.seed}{reason}<br><code>{escape(failure.command)}</code></p>{error}"
+    shown = [{"error": "", **failure} for failure in group if "command" in failure]
+    reason = first if same else f"{first}, and the like"
+    return {"outcome": group[0]["outcome"], "runs": len(group), "reason": reason, "who": who, "same": same, "shown": shown}
 
 
 def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
@@ -431,35 +399,15 @@ def _in_turn(groups: list[list[Failure]], most: int) -> list[Failure]:
     return [f for row in zip_longest(*groups) for f in row if f is not None][:most]
 
 
-def _gallery(groups: list[list[Failure]]) -> str:
-    """The last pictures of failed runs (`end.png`), every kind of failure in turn."""
-    with_picture = [[f for f in group if (f.place / "end.png").is_file()] for group in groups]
+def _gallery(groups: list[list[Failure]]) -> tuple[int, list[tuple[str, str]]]:
+    """How many failed runs have a picture of their end (`end.png`), and the first of these with words, every kind of failure in turn."""
+    with_picture = [[f for f in group if (f["place"] / "end.png").is_file()] for group in groups]
     room, pictures = PICTURE_BYTES, []
     for failure in _in_turn(with_picture, PICTURES):
-        size = (failure.place / "end.png").stat().st_size
-        if size > room:
+        path = failure["place"] / "end.png"
+        if (size := path.stat().st_size) > room:
             continue  # a smaller one may still fit
         room -= size
-        source = data_url("image/png", (failure.place / "end.png").read_bytes())
-        words = escape(f"{failure.controller}, seed {failure.seed}: {failure.outcome.replace('_', ' ')}")
-        pictures.append(f'<figure><img src="{source}" alt="{words}" loading="lazy"><figcaption>{words}</figcaption></figure>')
-    total = sum(map(len, with_picture))
-    if not total:
-        return ""
-    some = f" ({len(pictures)} of {total}, every kind in turn)" if len(pictures) < total else ""
-    return f'<h2>How they ended{some}</h2><div class="gallery">{"".join(pictures)}</div>'
-
-
-def _repeated(comparison: ComparisonResults) -> str:
-    """The runs that took a second attempt, because their worker process died in the first."""
-    if "attempts" not in comparison.table.columns:
-        return ""
-    repeated = [
-        f"<li>{escape(c.label)}, seed {row['seed']} ({escape(str(row['outcome']).replace('_', ' '))})</li>"
-        for c in comparison.controllers
-        for row in c.runs.iter_rows(named=True)
-        if (row["attempts"] or 1) > 1
-    ]
-    if not repeated:
-        return ""
-    return f'<h2>Done again</h2><p>Its worker died once; done again:</p><ul class="runs again">{"".join(repeated)}</ul>'
+        words = f"{failure['controller']}, seed {failure['seed']}: {failure['outcome'].replace('_', ' ')}"
+        pictures.append((data_url("image/png", path.read_bytes()), words))
+    return sum(map(len, with_picture)), pictures

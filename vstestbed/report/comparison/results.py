@@ -17,27 +17,10 @@ from numpy.typing import NDArray
 from vstestbed.core.files import write_table
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import statistics as stats
-from vstestbed.report.run import numbers
-from vstestbed.tasks.metrics import SOME_FIGURES, own_titles
+from vstestbed.tasks.metrics import EVERY_RUN, SOME_FIGURES, Metric, own_metrics
 
 TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
-DEFAULT_METRICS: Final = (
-    "time_to_converge_s",
-    "final_error_px",
-    "final_position_error_m",
-    "final_rotation_error_deg",
-    "path_ratio",
-    "max_retreat_m",
-    "max_feature_excursion_px",
-    "min_border_margin_px",
-    "peak_speed_mps",
-    "saturated_fraction",
-)
-
-_SCALES: Final = {"final_position_error_m": ("mm", 1e3), "saturated_fraction": ("%", 1e2)}
-_FINAL: Final = ("final_error_px", "final_error_grey", "final_position_error_m", "final_rotation_error_deg")
-_ON_THE_WAY: Final = ("feature_overshoot", "worst_task_error_m", *numbers.OF_SOME_RUNS)
-_HIGHER: Final = ("min_border_margin_px",)
+DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.compared)
 
 
 def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
@@ -45,39 +28,7 @@ def shown_by_default(table: pl.DataFrame) -> tuple[str, ...]:
     # all laws work on grey levels, so that no run measured markers
     grey = {"final_error_grey", "final_error_px"} <= set(table.columns) and table["final_error_px"].is_null().all()
     usual = [name for name in DEFAULT_METRICS if name != "final_error_px" or not grey]
-    return (*usual, *(name for name in (*SOME_FIGURES, *own_titles()) if name in table.columns))
-
-
-@dataclass(frozen=True)
-class Metric:
-    """A number of `summary.json` with its title and display unit."""
-
-    name: str  # key in `summary.json`
-    title: str  # title, unit: as printed
-    unit: str = ""
-    scale: float = 1.0  # factor from the summary's unit to the printed one
-    every_run: bool = False  # the median is over all runs that have the number, not only over those that reached the goal
-    every_pair: bool = False  # paired differences are over all common seeds, too: the number means the same for a run that failed
-    higher: bool = False  # a higher value is better; of all other numbers (times, errors, paths, speeds) the lower
-
-    @classmethod
-    def of(cls, name: str) -> Metric:
-        """The metric of a key of `summary.json`; a key without a title in the run's report is its own title."""
-        own = own_titles()
-        title, unit = numbers.TITLES.get(name) or own.get(name, (name, ""))
-        unit, scale = _SCALES.get(name, (unit, 1.0))
-        on_the_way = name in _ON_THE_WAY or name in own  # measured while the run goes on: meaningful whatever its outcome
-        return cls(name, title, unit, scale, on_the_way or name in _FINAL, on_the_way, name in _HIGHER)
-
-    @property
-    def label(self) -> str:
-        """Title and unit: `Final error [px]`."""
-        return f"{self.title} [{self.unit}]" if self.unit else self.title
-
-    @property
-    def over(self) -> str:
-        """Which runs the median is of."""
-        return "all runs" if self.every_run else "the runs that reached the goal"
+    return (*usual, *(name for name in (*SOME_FIGURES, *own_metrics()) if name in table.columns))
 
 
 @dataclass(frozen=True)
@@ -127,12 +78,21 @@ class ControllerResults:
         """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
         return self.values(metric) if metric.every_run else np.where(self.success, self.values(metric), np.nan)
 
+    def quartiles(self, metric: Metric) -> tuple[float, float, float, int]:
+        """First quartile, median, third quartile and number of the `counted` values."""
+        return stats.quartiles(self.counted(metric))
+
+    @property
+    def rate(self) -> stats.IntervalEstimate:
+        """The share of the runs that reached the goal."""
+        return stats.success_rate(int(self.success.sum()), len(self.success))
+
     def ranked(self, metric: Metric) -> Array:
         """As `values`, but less is better, and a run that failed is worse than any that did not: infinity.
 
         With `every_pair` a failed run has its own value, and infinity only without one (it crashed). NaN: reached the goal, value unknown.
         """
-        values = self.values(metric) * (-1.0 if metric.higher else 1.0)
+        values = self.values(metric) * (-1.0 if metric.better > 0 else 1.0)
         failed = ~self.success & (np.isnan(values) if metric.every_pair else True)
         return np.where(failed, np.inf, values)
 
@@ -150,7 +110,7 @@ class ComparisonResults:
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
         """The metrics with titles and units."""
-        return tuple(Metric.of(name) for name in self.metrics)
+        return tuple(map(Metric.named, self.metrics))
 
     @cached_property
     def controllers(self) -> tuple[ControllerResults, ...]:
@@ -205,7 +165,7 @@ CHANCE = 0.05  # Significance level of all tests together
 SUCCESS = "success"  # Key of the test on successes among those of a pair
 Of = Literal["difference", "improvement"]
 Test = tuple[str, Of]  # A test of a pair: of which metric (or of success), and of what
-TIME = Metric.of("time_to_converge_s")
+TIME = Metric.named("time_to_converge_s")
 
 
 @dataclass(frozen=True)
@@ -216,10 +176,10 @@ class Pair:
     b: int
     success: stats.SuccessDifference  # on how many seeds only a, only b, both, neither reached the goal
     # b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`)
-    differences: dict[str, stats.Difference]
+    differences: dict[str, stats.IntervalEstimate]
     means: dict[str, float]  # mean of a by metric over the same seeds, the reference of relative differences
     # probability by metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`)
-    improvements: dict[str, stats.Improvement]
+    improvements: dict[str, stats.IntervalEstimate]
     adjusted: dict[Test, float] = field(default_factory=dict)  # `tests` after Holm's correction over all tests of all pairs
 
     @property
@@ -230,6 +190,15 @@ class Pair:
             found[name, "difference"] = difference.p
             found[name, "improvement"] = self.improvements[name].p
         return found
+
+    def estimates(self, name: str) -> tuple[stats.IntervalEstimate, stats.IntervalEstimate]:
+        """The difference b - a of a metric or of the success rates, and the probability that b is better."""
+        if name != SUCCESS:
+            return self.differences[name], self.improvements[name]
+        s, n = self.success, self.seeds
+        if not n:
+            return stats.NOTHING, stats.NOTHING
+        return stats.IntervalEstimate((s.only_b - s.only_a) / n, n=n), stats.share_of((s.only_b + (s.both + s.neither) / 2) / n, n)
 
     def is_real(self, name: str, of: Of = "difference") -> bool:
         """Whether the difference of a metric or of success, or the improvement of a metric, is significant after Holm's correction."""
@@ -259,7 +228,7 @@ class Pair:
         differences = {k: d.turned() for k, d in self.differences.items()}
         # the mean of b over the common seeds is the mean of a plus the mean difference
         means = {k: m + self.differences[k].mean for k, m in self.means.items()}
-        improvements = {k: replace(i, share=1 - i.share, low=1 - i.high, high=1 - i.low) for k, i in self.improvements.items()}
+        improvements = {k: i.turned(1.0) for k, i in self.improvements.items()}
         return Pair(self.b, self.a, success, differences, means, improvements, self.adjusted)
 
 
@@ -300,7 +269,7 @@ def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
     return Pair(a, b, stats.paired_success(first.success[rows_a], second.success[rows_b]), differences, means, improvements)
 
 
-Means = list[dict[str, stats.Interquartile]]  # of each controller, by metric
+Means = list[dict[str, stats.IntervalEstimate]]  # of each controller, by metric
 
 
 def interquartiles(comparison: ComparisonResults) -> Means:
@@ -312,33 +281,28 @@ def interquartiles(comparison: ComparisonResults) -> Means:
     return [{metric.name: _interquartile(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
 
 
-def _interquartile(controller: ControllerResults, metric: Metric) -> stats.Interquartile:
+def _interquartile(controller: ControllerResults, metric: Metric) -> stats.IntervalEstimate:
     known, reached = np.isfinite(controller.values(metric)), controller.success
     if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
         return stats.NOTHING
     found = stats.interquartile_mean(controller.ranked(metric), controller.tasks)
-    return replace(found, mean=-found.mean, low=-found.high, high=-found.low) if metric.higher else found
+    return found.turned() if metric.better > 0 else found
 
 
 # The statistics of a comparison as two tables for other programs: of each controller, and of each pair, with one row per metric.
 CONTROLLERS: Final = "controllers"
 PAIRS: Final = "pairs"  # File names without suffix; each table is written as Parquet and as CSV
-_NUMBER, _TEXT, _COUNT = pl.Float64(), pl.String(), pl.Int64()
-_OF_CONTROLLER: Final[dict[str, Any]] = (
-    dict.fromkeys(("controller", "metric", "title", "unit", "better"), _TEXT)
-    | dict.fromkeys(("runs", "succeeded"), _COUNT)
-    | dict.fromkeys(("success", "success_low", "success_high", "median", "q1", "q3"), _NUMBER)
-    | {"median_runs": _COUNT}
-    | dict.fromkeys(("iqm", "iqm_low", "iqm_high"), _NUMBER)
-    | {"iqm_runs": _COUNT}
+_OF_CONTROLLER: Final = (
+    *("controller", "metric", "title", "unit", "better", "runs", "succeeded", "success", "success_low", "success_high"),
+    *("median", "q1", "q3", "median_runs", "iqm", "iqm_low", "iqm_high", "iqm_runs"),
 )
-_OF_PAIR: Final[dict[str, Any]] = (
-    dict.fromkeys(("controller", "against", "metric", "title", "unit", "better"), _TEXT)
-    | dict.fromkeys(("difference", "low", "high"), _NUMBER)
-    | {"pairs": _COUNT, "skewness": _NUMBER, "p": _NUMBER, "p_holm": _NUMBER, "significant": pl.Boolean()}
-    | dict.fromkeys(("improvement", "improvement_low", "improvement_high"), _NUMBER)
-    | {"improvement_pairs": _COUNT, "improvement_p": _NUMBER, "improvement_p_holm": _NUMBER, "improvement_significant": pl.Boolean()}
+_OF_PAIR: Final = (
+    *("controller", "against", "metric", "title", "unit", "better", "difference", "low", "high", "pairs", "skewness"),
+    *("p", "p_holm", "significant", "improvement", "improvement_low", "improvement_high", "improvement_pairs"),
+    *("improvement_p", "improvement_p_holm", "improvement_significant"),
 )
+_COUNTS: Final = ("runs", "succeeded", "median_runs", "iqm_runs", "pairs", "improvement_pairs")
+_WORDS: Final = ("controller", "against", "metric", "title", "unit", "better")
 
 
 def write_records(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: Sequence[Pair]) -> None:
@@ -351,16 +315,16 @@ def controller_records(comparison: ComparisonResults, means: Means) -> pl.DataFr
     """A row for each controller and metric in display units; an infinite `iqm` or end: a quarter of the runs failed, or could have."""
     rows: list[dict[str, Any]] = []
     for controller, found in zip(comparison.controllers, means, strict=True):
-        rate = stats.success_rate(int(controller.success.sum()), len(controller.success))
+        rate = controller.rate
         for metric in comparison.shown:
-            middle, mean = stats.spread(controller.counted(metric)), found[metric.name]
+            q1, median, q3, n = controller.quartiles(metric)
             rows.append(
-                {"controller": controller.label, **_named(metric), "runs": rate.n, "succeeded": rate.successes}
-                | {"success": rate.rate, "success_low": rate.low, "success_high": rate.high}
-                | {"median": middle.median, "q1": middle.q1, "q3": middle.q3, "median_runs": middle.n}
-                | {"iqm": mean.mean, "iqm_low": mean.low, "iqm_high": mean.high, "iqm_runs": mean.n}
+                {"controller": controller.label, **_named(metric), "runs": rate.n, "succeeded": int(controller.success.sum())}
+                | {"success": rate.mean, "success_low": rate.low, "success_high": rate.high}
+                | {"median": median, "q1": q1, "q3": q3, "median_runs": n}
+                | _estimate(found[metric.name], "iqm", "iqm_low", "iqm_high", "iqm_runs")
             )
-    return pl.DataFrame(rows, schema=_OF_CONTROLLER).with_columns(pl.col(pl.Float64).fill_nan(None))
+    return _records(rows, _OF_CONTROLLER)
 
 
 def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl.DataFrame:
@@ -371,46 +335,39 @@ def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl
     labels = [c.label for c in comparison.controllers]
     rows: list[dict[str, Any]] = []
     for pair in all_pairs:
-        names: dict[str, Any] = {"controller": labels[pair.b], "against": labels[pair.a]}
-        rows.append(names | _success_of(pair))
-        for metric in comparison.shown:
-            d = pair.differences[metric.name]
+        for metric in (_SUCCESS, *comparison.shown):
+            d, i = pair.estimates(metric.name)
             rows.append(
-                names
-                | _named(metric)
-                | {"difference": d.mean, "low": d.low, "high": d.high, "pairs": d.n, "skewness": d.skewness}
-                | _tested(pair, metric.name)
-                | _improved(pair.improvements[metric.name])
-                | {"improvement_p_holm": pair.adjusted[metric.name, "improvement"]}
-                | {"improvement_significant": pair.is_real(metric.name, "improvement")}
+                {"controller": labels[pair.b], "against": labels[pair.a], **_named(metric)}
+                | _estimate(d, "difference", "low", "high", "pairs")
+                | {"skewness": d.skewness if metric is not _SUCCESS else None}
+                | _tested(pair, metric.name, "difference")
+                | _estimate(i, "improvement", "improvement_low", "improvement_high", "improvement_pairs")
+                | _tested(pair, metric.name, "improvement", "improvement_")
             )
-    return pl.DataFrame(rows, schema=_OF_PAIR).with_columns(pl.col(pl.Float64).fill_nan(None))
+    return _records(rows, _OF_PAIR)
+
+
+_SUCCESS: Final = Metric(SUCCESS, "Reached the goal", better=1)
 
 
 def _named(metric: Metric) -> dict[str, Any]:
-    return {"metric": metric.name, "title": metric.title, "unit": metric.unit, "better": "higher" if metric.higher else "lower"}
+    return {"metric": metric.name, "title": metric.title, "unit": metric.unit, "better": "higher" if metric.better > 0 else "lower"}
 
 
-def _tested(pair: Pair, name: str) -> dict[str, Any]:
-    test = (name, "difference")
-    return {"p": pair.tests[test], "p_holm": pair.adjusted[test], "significant": pair.is_real(name)}
+def _estimate(found: stats.IntervalEstimate, *names: str) -> dict[str, Any]:
+    return dict(zip(names, (found.mean, found.low, found.high, found.n), strict=True))
 
 
-def _improved(found: stats.Improvement) -> dict[str, Any]:
-    names = ("improvement", "improvement_low", "improvement_high", "improvement_pairs", "improvement_p")
-    return dict(zip(names, (found.share, found.low, found.high, found.n, found.p), strict=True))
+def _tested(pair: Pair, name: str, of: Of, prefix: str = "") -> dict[str, Any]:
+    p, adjusted = (tests.get((name, of)) for tests in (pair.tests, pair.adjusted))
+    return {f"{prefix}p": p, f"{prefix}p_holm": adjusted, f"{prefix}significant": None if adjusted is None else adjusted <= CHANCE}
 
 
-def _success_of(pair: Pair) -> dict[str, Any]:
-    s, n = pair.success, pair.seeds
-    named = {"metric": SUCCESS, "title": "Reached the goal", "unit": "", "better": "higher", "pairs": n}
-    if not n:
-        return named | _tested(pair, SUCCESS) | {"improvement_pairs": 0}
-    share = (s.only_b + (s.both + s.neither) / 2) / n
-    low, high = stats.wilson(share, n)
-    return (
-        named
-        | {"difference": (s.only_b - s.only_a) / n}
-        | _tested(pair, SUCCESS)
-        | _improved(stats.Improvement(share, float(low), float(high), n))
-    )
+def _records(rows: list[dict[str, Any]], names: Sequence[str]) -> pl.DataFrame:
+    """Rows as a table of these columns: words, counts, truths, and numbers, of which NaN is null."""
+
+    def kind(name: str) -> Any:
+        return pl.String if name in _WORDS else pl.Int64 if name in _COUNTS else pl.Boolean if "significant" in name else pl.Float64
+
+    return pl.DataFrame(rows, schema={name: kind(name) for name in names}).with_columns(pl.col(pl.Float64).fill_nan(None))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from statistics import NormalDist
 from typing import Final
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from vstestbed.core.geometry import Array
 
 CONFIDENCE: Final = 0.95  # of all intervals
+SKEWED: Final = 2.0  # Skewness of the differences above which a report marks that few pairs make the mean
 ROUNDING: Final = 1e-9
 """Relative difference under which two values count as equal: the same number reached by another order of operations, of which a closed
 loop has made the 1e-16 of one frame larger."""
@@ -25,24 +26,32 @@ LEAST: Final = 1e-12  # The same of values near 0, in the unit in which they are
 
 
 @dataclass(frozen=True, slots=True)
-class Rate:
-    """A success rate with its confidence interval, all in 0..1; `rate` is NaN for zero runs."""
+class IntervalEstimate:
+    """A mean over `n` runs or pairs with its confidence interval, in the unit of the values; NaN where it is unknown."""
 
-    rate: float
-    low: float
-    high: float
-    successes: int
-    n: int
+    mean: float
+    low: float = math.nan
+    high: float = math.nan
+    n: int = 0
+    p: float = math.nan  # two-sided p-value of no difference, of a test of two controllers
+    skewness: float = 0.0  # of paired differences (adjusted Fisher-Pearson) [1], 0 where there is none
+
+    @property
+    def real(self) -> bool:
+        """Whether the interval excludes zero."""
+        return self.low > 0 or self.high < 0
+
+    @property
+    def skewed(self) -> bool:
+        """Whether few pairs make the mean. The interval is no worse for it: it misses the truth where rare differences are *not* seen."""
+        return abs(self.skewness) > SKEWED
+
+    def turned(self, whole: float = 0.0) -> IntervalEstimate:
+        """The opposite: the difference b - a of a - b; with `whole` = 1 the probability of the contrary."""
+        return replace(self, mean=whole - self.mean, low=whole - self.high, high=whole - self.low, skewness=-self.skewness)
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Median and quartiles of `n` known values, in the unit of the values; NaN where there are none."""
-
-    median: float
-    q1: float
-    q3: float
-    n: int
+NOTHING: Final = IntervalEstimate(math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,27 +65,21 @@ class SuccessDifference:
     p: float
 
 
-@dataclass(frozen=True, slots=True)
-class Improvement:
-    """Probability in 0..1 that one controller is better than another on the same of `n` seeds, with its interval; NaN for none."""
-
-    share: float
-    low: float
-    high: float
-    n: int
-    p: float = math.nan  # two-sided, of the exact sign test: either is better equally often
-
-
-def success_rate(successes: int, n: int) -> Rate:
+def success_rate(successes: int, n: int) -> IntervalEstimate:
     """Successes among n runs, with the Wilson score interval, which keeps its coverage at 0 and at n of n, too.
 
     Reference: Wilson 1927, doi:10.1080/01621459.1927.10502953; Newcombe 1998, method 3,
         doi:10.1002/(SICI)1097-0258(19980430)17:8<857::AID-SIM777>3.0.CO;2-E.
     """
     if n == 0:
-        return Rate(math.nan, 0.0, 1.0, 0, 0)  # no run excludes no rate
-    low, high = wilson(successes / n, n)
-    return Rate(successes / n, float(low), float(high), int(successes), int(n))
+        return IntervalEstimate(math.nan, 0.0, 1.0)  # no run excludes no rate
+    return share_of(successes / n, n)
+
+
+def share_of(share: float, n: int, p: float = math.nan) -> IntervalEstimate:
+    """A share of n with its Wilson interval."""
+    low, high = wilson(share, n)
+    return IntervalEstimate(share, float(low), float(high), n, p)
 
 
 def wilson(share: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> tuple[Array, Array]:
@@ -94,14 +97,14 @@ def wilson(share: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> tu
     return low, np.where(p >= 1, 1.0, (middle + half) / (1 + z * z / n))
 
 
-def spread(values: Iterable[float | None]) -> Spread:
-    """Median and quartiles (linear between neighbours) of the finite values; NaN, infinity and None are left out."""
+def quartiles(values: Iterable[float | None]) -> tuple[float, float, float, int]:
+    """First quartile, median, third quartile (linear between neighbours) and number of the finite values; NaN where there are none."""
     known = np.array(list(values), dtype=float)
     known = known[np.isfinite(known)]
     if not len(known):
-        return Spread(math.nan, math.nan, math.nan, 0)
-    q1, median, q3 = (float(q) for q in np.quantile(known, (0.25, 0.5, 0.75)))
-    return Spread(median, q1, q3, len(known))
+        return math.nan, math.nan, math.nan, 0
+    q1, median, q3 = np.quantile(known, (0.25, 0.5, 0.75)).tolist()
+    return q1, median, q3, len(known)
 
 
 def paired_success(a: ArrayLike, b: ArrayLike) -> SuccessDifference:
@@ -125,7 +128,7 @@ def _sign_test(one: int, other: int) -> float:
     return min(1.0, 2 * float(bdtr(min(one, other), one + other, 0.5)))  # both tails are equal
 
 
-def improvement(a: ArrayLike, b: ArrayLike) -> Improvement:
+def improvement(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
     """Probability that b is better (less) than a, both (N,), on the same seed; ties count one half, NaN leaves a pair out.
 
         P(b < a) + P(b = a) / 2,        p = P(|K - m/2| >= |#{b < a} - m/2|),   K ~ Binomial(m, 1/2), m: seeds without a tie
@@ -141,15 +144,14 @@ def improvement(a: ArrayLike, b: ArrayLike) -> Improvement:
     known = ~np.isnan(a) & ~np.isnan(b)
     a, b = a[known], b[known]
     if not len(a):
-        return Improvement(math.nan, math.nan, math.nan, 0)
+        return NOTHING
     finite = np.isfinite(a) & np.isfinite(b)
     rounding = max(ROUNDING * float(np.abs([a[finite], b[finite]]).max(initial=0.0)), LEAST)
     tied = a == b
     tied[finite] |= np.abs(a[finite] - b[finite]) <= rounding
     share = float(np.where(tied, 0.5, b < a).mean())
-    low, high = wilson(share, len(a))
     better, worse = int((~tied & (b < a)).sum()), int((~tied & (b > a)).sum())
-    return Improvement(share, float(low), float(high), len(a), _sign_test(better, worse))
+    return share_of(share, len(a), _sign_test(better, worse))
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -194,46 +196,16 @@ def remembered(sizes: tuple[int, ...], resamples: int) -> Array:
 
 # Mean of paired differences with a confidence interval and a p-value, by a studentised bootstrap.
 FEWEST_PAIRS: Final = 5  # Fewest pairs for the bootstrap: with 4, one resample in 64 is 4 times the same pair and has no spread
-
 MOST_PAIRS: Final = 2000
 """Most pairs for the bootstrap: of more, Student's t has the same interval to a few hundredths of its width, at no cost."""
-
 REMEMBERED: Final = 200  # Most pairs whose resamples are remembered for the next sample of that size; of more they are made in parts
-
 CHUNK: Final = 1_000_000  # Values resampled at a time: bounds the memory (about 8 MB an array) whatever the number of pairs
-
 FLAT: Final = 1e-13  # Variance of a resample, relative to the largest squared deviation, under which it counts as having no spread
-
 COUNTED: Final = 10  # Fewest resamples beyond the found value for a p-value that is their share; smaller p-values are extrapolated
-
 DECADE: Final = 10  # How many times as many resamples give the slope of the extrapolation
 
-SKEWED: Final = 2.0  # Skewness of the differences above which a report marks that few pairs make the mean
 
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """Mean of a - b over `n` pairs and its interval, in the unit of the values."""
-
-    mean: float  # mean, low, high: in the unit of the values
-    low: float
-    high: float
-    n: int  # pairs
-    real: bool  # the interval excludes zero
-    p: float = math.nan  # two-sided p-value of a mean of zero
-    skewness: float = 0.0  # of the differences (adjusted Fisher-Pearson) [1], 0 where there is none
-
-    @property
-    def skewed(self) -> bool:
-        """Whether few pairs make the mean. The interval is no worse for it: it misses the truth where rare differences are *not* seen."""
-        return abs(self.skewness) > SKEWED
-
-    def turned(self) -> Difference:
-        """The difference b - a."""
-        return Difference(-self.mean, -self.high, -self.low, self.n, self.real, self.p, -self.skewness)
-
-
-def paired_difference(a: ArrayLike, b: ArrayLike, resamples: int = 9999) -> Difference:
+def paired_difference(a: ArrayLike, b: ArrayLike, resamples: int = 9999) -> IntervalEstimate:
     """Mean of d = a - b over the pairs that have both values, with a studentised bootstrap interval and its p-value.
 
         t* = (mean(d*) - mean(d)) / (s* / sqrt(n))        of resamples d*
@@ -266,16 +238,16 @@ def paired_difference(a: ArrayLike, b: ArrayLike, resamples: int = 9999) -> Diff
     d = _differences(a, b)
     n = len(d)
     if n == 0:
-        return Difference(math.nan, math.nan, math.nan, 0, False)
+        return NOTHING
     if n == 1:
-        return Difference(float(d[0]), math.nan, math.nan, 1, False)
+        return IntervalEstimate(float(d[0]), n=1)
     if d[0] == d[-1]:  # sorted: all differences are equal, and their standard deviation of 0 is no divisor
         mean = float(d[0])
-        return Difference(mean, mean, mean, n, mean != 0, float(mean == 0))
+        return IntervalEstimate(mean, mean, mean, n, float(mean == 0))
     mean, error = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n)
     below, above, p = _reaches(d, mean / error, resamples)
     low, high = mean - above * error, mean + below * error
-    return Difference(mean, low, high, n, low > 0 or high < 0, p, _skewness(d))
+    return IntervalEstimate(mean, low, high, n, p, _skewness(d))
 
 
 def _differences(a: ArrayLike, b: ArrayLike) -> Array:
@@ -358,26 +330,11 @@ def _t_of(drawn: Array, centred: Array) -> Array:
 
 # Interquartile mean with its stratified bootstrap interval: as robust as a median against few wild runs, and less noisy.
 FEWEST_RUNS: Final = 5  # Fewest runs for an interval: of four, the mean of two has hardly any other values
-
 MOST_RUNS: Final = 200  # Most runs for the bootstrap: of more, the normal approximation is within a few hundredths of it, at no cost
-
 RESAMPLES: Final = 1999
 
 
-@dataclass(frozen=True, slots=True)
-class Interquartile:
-    """Interquartile mean of `n` runs with its interval, in the unit of the values; infinite where too many runs have no number."""
-
-    mean: float
-    low: float
-    high: float
-    n: int
-
-
-NOTHING: Final = Interquartile(math.nan, math.nan, math.nan, 0)
-
-
-def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resamples: int = RESAMPLES) -> Interquartile:
+def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resamples: int = RESAMPLES) -> IntervalEstimate:
     """Mean of the middle half of all values, with a stratified bootstrap interval.
 
         IQM = mean of x_(k+1), ..., x_(n-k),        x_(1) <= ... <= x_(n),   k = floor(n / 4)
@@ -409,15 +366,15 @@ def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resam
     mean = float(np.sort(x)[n // 4 : n - n // 4].mean())
     freedom = n - len(sizes)
     if n < FEWEST_RUNS or freedom < 1:
-        return Interquartile(mean, math.nan, math.nan, n)
+        return IntervalEstimate(mean, n=n)
     lost = float(np.isinf(x).mean())
     # so far from a quarter that it is on the same side in practically every resample
     if n > MOST_RUNS and (lost == 0 or abs(lost - 0.25) > 5 * math.sqrt(lost * (1 - lost) / n)):
         half = NormalDist().inv_cdf((1 + CONFIDENCE) / 2) * _error(x, stratum)
-        return Interquartile(mean, mean - half, mean + half, n)
+        return IntervalEstimate(mean, mean - half, mean + half, n)
     means = _resampled(x, sizes, resamples if n <= MOST_RUNS else max(199, resamples * MOST_RUNS // n))
     low, high = np.quantile(means, _levels(n, freedom), method="inverted_cdf")
-    return Interquartile(mean, float(low), float(high), n)
+    return IntervalEstimate(mean, float(low), float(high), n)
 
 
 def _levels(n: int, freedom: int) -> tuple[float, float]:

@@ -1,10 +1,9 @@
-"""A comparison in sentences, HTML tables and lines for the terminal."""
+"""A comparison in sentences, as tables of its page, and in lines for the terminal."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,14 +18,18 @@ from vstestbed.report.comparison.results import (
     ComparisonResults,
     ControllerResults,
     Means,
-    Metric,
     Of,
     Pair,
     against,
     tests,
 )
-from vstestbed.report.comparison.statistics import Interquartile, spread, success_rate
-from vstestbed.report.html.template import Cell, number, plain, table
+from vstestbed.report.comparison.statistics import IntervalEstimate
+from vstestbed.report.marks import counted, number, signed
+from vstestbed.report.pages import NO_CELL, Cell
+from vstestbed.tasks.metrics import Metric
+
+Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]], str]
+"""Of the page: title; tables, each with the name of the controller that it is against ("": none), heads and lines; what the numbers are."""
 
 # The result in sentences: which controller is better, by how much, and whether the difference is significant.
 
@@ -34,13 +37,16 @@ MOST_OTHERS = 4  # Other metrics with a significant difference that a sentence n
 MOST_SENTENCES = 3  # Up to this many pairs have their sentence in the box itself: those of three controllers
 
 
-def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> str:
-    """The result as a box, green where one controller beats all others; `gains`: those in which controllers differ and in nothing else."""
+def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> tuple[str, str, list[str], list[str]]:
+    """Verdict, look of its box (`good` where one controller beats all others, else `open`), sentences on the best, and on the other pairs.
+
+    `gains`: those in which controllers differ and in nothing else.
+    """
     if len(comparison.controllers) == 1:
         (one,) = comparison.controllers
-        rate = success_rate(int(one.success.sum()), len(one.success))
-        interval = f"{100 * rate.rate:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
-        return _box(f"{one.label} reached the goal in {rate.successes} of {runs(rate.n)} ({interval}).", [], decided=False)
+        rate = one.rate
+        interval = f"{100 * rate.mean:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+        return f"{one.label} reached the goal in {int(one.success.sum())} of {counted(rate.n, 'run')} ({interval}).", "open", [], []
     labels = [c.label for c in comparison.controllers]
     verdict, decided = _overall(labels, all_pairs)
     caution = []
@@ -51,15 +57,8 @@ def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = 
     wins = _wins(labels, all_pairs)
     best = wins.index(max(wins))
     shown = all_pairs if len(all_pairs) <= MOST_SENTENCES else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
-    rest = "".join(f"<li>{escape(pair_text(p, labels))}</li>" for p in all_pairs if p not in shown)
-    folded = f"<details><summary>The other pairs in words</summary><ul>{rest}</ul></details>" if rest else ""
-    return _box(verdict, [*caution, *(pair_text(p, labels) for p in shown)], decided) + folded
-
-
-def _box(verdict: str, sentences: list[str], decided: bool) -> str:
-    listed = "".join(f"<li>{escape(s)}</li>" for s in sentences)
-    words = f"<strong>{escape(verdict)}</strong>" + (f"<ul>{listed}</ul>" if listed else "")
-    return f'<div class="outcome {"good" if decided else "open"}">{words}</div>'
+    sentences = [*caution, *(pair_text(p, labels) for p in shown)]
+    return verdict, "good" if decided else "open", sentences, [pair_text(p, labels) for p in all_pairs if p not in shown]
 
 
 def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
@@ -80,7 +79,7 @@ def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
     if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
         return "None of them is better: who reaches the goal more often does so later.", False
     what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
-    return f"No difference {what} that {runs(max(p.seeds for p in all_pairs))} each could show.", False
+    return f"No difference {what} that {counted(max(p.seeds for p in all_pairs), 'run')} each could show.", False
 
 
 def _wins(labels: list[str], all_pairs: list[Pair]) -> list[int]:
@@ -96,7 +95,7 @@ def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) ->
         return "None of them is better than all the others."
     which = "neither" if len(ahead) == 2 else "none"
     seeds = max(p.seeds for p in all_pairs)
-    return f"{_list([labels[i] for i in ahead])} are better than the rest; {runs(seeds)} each show {which} of them ahead."
+    return f"{_list([labels[i] for i in ahead])} are better than the rest; {counted(seeds, 'run')} each show {which} of them ahead."
 
 
 def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
@@ -106,9 +105,9 @@ def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
             other = pair.a + pair.b - often
             return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
         if others := [m.title.lower() for m in _others(pair)][:MOST_OTHERS]:
-            words = f"Neither reaches the goal more often or sooner, as far as {runs(pair.seeds)} each could show"
+            words = f"Neither reaches the goal more often or sooner, as far as {counted(pair.seeds, 'run')} each could show"
             return f"{words}; they differ in {_list(others)}.", False
-        return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {runs(pair.seeds)} each could show.", False
+        return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {counted(pair.seeds, 'run')} each could show.", False
     pair = pair if pair.better == pair.b else pair.turned()
     return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_advantages(pair)}.", True
 
@@ -131,7 +130,7 @@ def _against_first(labels: list[str], all_pairs: list[Pair]) -> str:
     named = f" ({_list(better)})" if 0 < len(better) <= 4 else ""
     rest = len(all_pairs) - len(better) - worse
     counts = f"{len(better)} of {len(all_pairs)} are better{named}, {worse} worse"
-    return f"Against {labels[0]}: {counts}; for {rest}, {runs(seeds)} each do not tell."
+    return f"Against {labels[0]}: {counts}; for {rest}, {counted(seeds, 'run')} each do not tell."
 
 
 def pair_text(pair: Pair, labels: list[str]) -> str:
@@ -146,7 +145,7 @@ def pair_text(pair: Pair, labels: list[str]) -> str:
         goal = f"{b} and {a} reached the goal {where}."
     else:
         p = p_text(pair.adjusted[SUCCESS, "difference"])
-        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {runs(n)} could show ({p})"
+        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {counted(n, 'run')} could show ({p})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
     return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
 
@@ -178,29 +177,21 @@ def _by_how_much(pair: Pair, metric: Metric) -> str:
     """The mean difference `+1.2 px`; where that is not significant, from how many of the starts b is better, or worse."""
     if pair.is_real(metric.name):
         return f"{signed(pair.differences[metric.name].mean)} {metric.unit}".strip()
-    share = pair.improvements[metric.name].share
+    share = pair.improvements[metric.name].mean
     return f"{'better' if share > 0.5 else 'worse'} from {100 * max(share, 1 - share):.0f} % of the starts"
 
 
 def _others(pair: Pair) -> list[Metric]:
     """The metrics other than time whose difference or improvement is significant."""
-    return [Metric.of(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))]
+    return [
+        Metric.named(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))
+    ]
 
 
 def _share(pair: Pair) -> str:
     """The difference of times relative to the mean of a: ` (12 %)`."""
     mean, time = pair.means[TIME.name], pair.differences[TIME.name].mean
     return f" ({number(abs(100 * time / mean))} %)" if mean > 0 else ""
-
-
-def signed(value: float) -> str:
-    """A difference with its sign and three significant figures."""
-    return ("+" if value > 0 else "\N{MINUS SIGN}" if value < 0 else "") + plain(abs(value))
-
-
-def runs(n: int) -> str:
-    """`1 run`, `20 runs`."""
-    return f"{n} run" if n == 1 else f"{n} runs"
 
 
 def p_text(p: float) -> str:
@@ -214,63 +205,65 @@ def _list(words: list[str]) -> str:
     return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
 
 
-# HTML tables. Medians and differences count the runs that reached the goal; interquartile means and improvements count every run.
-FAILED = "A run that did not reach the goal counts as worse than any that did"
-NEVER = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
-NO_CELL: Final[Cell] = (None, "–")
+# Tables. Medians and differences count the runs that reached the goal; interquartile means and improvements count every run.
+FAILED: Final = "A run that did not reach the goal counts as worse than any that did"
+NEVER: Final = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
 
 
-def controllers(comparison: ComparisonResults) -> str:
+def sections(comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> list[Section]:
+    """The tables over all runs, with what their numbers are: interquartile means, paired differences, probability of improvement."""
+    return [
+        interquartile_means(comparison, means),
+        *([differences(comparison, all_pairs), improvements(comparison, all_pairs)] if len(comparison.controllers) > 1 else []),
+    ]
+
+
+def controllers(comparison: ComparisonResults) -> Section:
     """One row per controller: success rate with its interval, and each metric's median with its quartiles."""
     heads = ["Controller", "Reached the goal", *(m.label for m in comparison.shown)]
-    lines = [[(c.label, escape(c.label)), _rate(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
+    lines = [[_name(c.label), rate_cell(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
     note = (
         "Success rate with its 95 % interval (Wilson). Of each number the median and, below it, the quartiles: final errors of "
         "every run that has one, and what a run has on its way whatever its end (overshoot, tracking), the others of the runs that "
         "reached the goal. A count stands below where it is not all runs. Click on a head to sort."
     )
-    return _section("Controllers", table(heads, lines), note)
+    return "Controllers", [("", heads, lines)], note
 
 
-def interquartile_means(comparison: ComparisonResults, means: Means) -> str:
+def interquartile_means(comparison: ComparisonResults, means: Means) -> Section:
     """One row per controller: the interquartile mean of each metric over all its runs, with its interval; means: `interquartiles`."""
     heads = ["Controller", *map(_with_arrow, comparison.shown)]
     every = zip(comparison.controllers, means, strict=True)
-    lines = [[(c.label, escape(c.label)), *(_iqm(found[m.name], len(c.runs)) for m in comparison.shown)] for c, found in every]
+    lines = [[_name(c.label), *(_iqm(found[m.name], len(c.runs)) for m in comparison.shown)] for c, found in every]
     strata = ", resampled within each task" if any(any(c.tasks) for c in comparison.controllers) else ""
     note = (
         f"Mean of the middle half of all runs, with its 95 % bootstrap interval{strata}; ↓: less is better, ↑: more is better. "
         f"{FAILED}{_but(comparison)}: where more than a quarter of the runs failed, the mean “{NEVER}”, and where so many could have, "
         "an end of its interval does. A run that reached the goal without having the number is left out."
     )
-    return _section("Interquartile means", table(heads, lines), note)
+    return "Interquartile means", [("", heads, lines)], note
 
 
-def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """Paired differences against each reference controller, which the reader picks; empty for a single controller."""
+def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> Section:
+    """Paired differences against each reference controller, which the reader picks."""
     names = ", ".join(m.title for m in comparison.shown if m.every_pair)
     every_seed = f" ({names}: over all seeds)" if names else ""
-    skewed = any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown)
     note = (
         "Reached the goal: on how many more seeds (McNemar's test). The numbers: the mean of this line minus the other over the seeds on "
         f"which both reached the goal{every_seed}, its 95 % bootstrap interval "
         f"and the p-value below. All p-values are corrected for the {tests(all_pairs)} tests of this page (Holm). Bold with a dot: p is at "
         "most 0.05, the difference is real. An interval that excludes zero without a dot is what chance gives in one of twenty tests. "
     )
-    if skewed:
-        note += (
-            "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for skewed "
-        )
-        note += "numbers, too."
+    if any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown):
+        note += "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for "
+        note += "skewed numbers, too."
     heads = ["Reached the goal", *(m.label for m in comparison.shown)]
     tables = _against_each(comparison, all_pairs, "Against", heads, lambda p: [_goals(p), *(_difference(p, m) for m in comparison.shown)])
-    options = "".join(f'<option value="{i}">{escape(c.label)}</option>' for i, c in enumerate(comparison.controllers[: len(tables)]))
-    chooser = f'<p><label>Compared with <select id="reference">{options}</select></label></p>' if len(tables) > 1 else ""
-    return _section("Paired differences", chooser + "".join(tables), note) if tables else ""
+    return "Paired differences", tables, note
 
 
-def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
-    """The probability of improvement over each reference controller; empty for a single controller."""
+def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> Section:
+    """The probability of improvement over each reference controller."""
     note = (
         "How probably the controller of the line is better than the other from the same start: the share of the common seeds on which it "
         f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal. "
@@ -278,23 +271,18 @@ def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> str:
     )
     heads = [*map(_with_arrow, comparison.shown)]
     tables = _against_each(comparison, all_pairs, "Better than", heads, lambda p: [_improvement(p, m) for m in comparison.shown])
-    return _section("Probability of improvement", "".join(tables), note) if tables else ""
-
-
-def _section(title: str, content: str, note: str) -> str:
-    return f'<section><h2>{title}</h2>{content}<p class="soft">{note}</p></section>'
+    return "Probability of improvement", tables, note
 
 
 def _against_each(
     comparison: ComparisonResults, all_pairs: list[Pair], title: str, heads: Sequence[str], cells: Callable[[Pair], Sequence[Cell]]
-) -> list[str]:
-    """A table for each reference controller (each of few, the first of many), of which the page shows one; none for a single controller."""
+) -> list[tuple[str, list[str], list[list[Cell]]]]:
+    """A table for each reference controller (each of few, the first of many), of which the page shows one."""
     labels = [c.label for c in comparison.controllers]
-    found = []
-    for i in range(len(labels) if len(labels) <= MOST_CONTROLLERS else 1) if len(labels) > 1 else ():
-        lines = [[(labels[p.b], escape(labels[p.b])), *cells(p)] for p in against(all_pairs, i)]
-        found.append(f'<div class="against" data-reference="{i}">{table([f"{title} {labels[i]}", *heads], lines)}</div>')
-    return found
+    return [
+        (label, [f"{title} {label}", *heads], [[_name(labels[p.b]), *cells(p)] for p in against(all_pairs, i)])
+        for i, label in enumerate(labels if len(labels) <= MOST_CONTROLLERS else labels[:1])
+    ]
 
 
 def _but(comparison: ComparisonResults) -> str:
@@ -304,59 +292,64 @@ def _but(comparison: ComparisonResults) -> str:
 
 
 def _with_arrow(metric: Metric) -> str:
-    return f"{metric.label} {'↑' if metric.higher else '↓'}"
+    return f"{metric.label} {'↑' if metric.better > 0 else '↓'}"
 
 
-def _rate(controller: ControllerResults) -> Cell:
-    if not len(controller.success):
-        return NO_CELL
-    rate = success_rate(int(controller.success.sum()), len(controller.success))
-    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
-    return rate.rate, f"{100 * rate.rate:.0f} % {below(interval)}{below(f'{rate.successes} of {rate.n}')}"
+def _name(label: str) -> Cell:
+    return label, label, False, []
+
+
+def rate_cell(controller: ControllerResults) -> Cell:
+    """The success rate with its interval."""
+    rate = controller.rate
+    small = [f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}]", f"{int(controller.success.sum())} of {rate.n}"]
+    return (rate.mean, f"{100 * rate.mean:.0f} %", False, small) if rate.n else NO_CELL
 
 
 def _spread(controller: ControllerResults, metric: Metric) -> Cell:
-    summary = spread(controller.counted(metric))
-    if summary.n == 0:
-        return NO_CELL
-    quartiles = below(f"[{number(summary.q1)}, {number(summary.q3)}]")
-    return summary.median, f"{number(summary.median)} {quartiles}{_count(summary.n, len(controller.runs))}"
+    q1, median, q3, n = controller.quartiles(metric)
+    small = [f"[{number(q1)}, {number(q3)}]", *_count(n, len(controller.runs))]
+    return (median, number(median), False, small) if n else NO_CELL
 
 
-def _iqm(found: Interquartile, n: int) -> Cell:
-    if not found.n:
-        return NO_CELL
+def _iqm(found: IntervalEstimate, n: int) -> Cell:
     interval = "no interval" if math.isnan(found.low) else f"[{_bound(found.low)}, {_bound(found.high)}]"
-    return found.mean if math.isfinite(found.mean) else None, f"{_bound(found.mean)} {below(interval)}{_count(found.n, n)}"
+    key = found.mean if math.isfinite(found.mean) else None
+    return (key, _bound(found.mean), False, [interval, *_count(found.n, n)]) if found.n else NO_CELL
 
 
 def _goals(pair: Pair) -> Cell:
     s, more = pair.success, pair.success.only_b - pair.success.only_a
     counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
-    return more, f"{real(signed(more), pair.is_real(SUCCESS))} {''.join(map(below, (_corrected(pair, SUCCESS), *counts)))}"
+    return more, signed(more), pair.is_real(SUCCESS), [_corrected(pair, SUCCESS), *counts]
 
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
     d = pair.differences[metric.name]
-    if d.n == 0:
-        return NO_CELL
-    interval = f"[{signed(d.low)},<br>{signed(d.high)}]" if math.isfinite(d.low) else "no interval"
-    p = below(_corrected(pair, metric.name)) if math.isfinite(d.p) else ""
-    skewed = below("skewed") if d.skewed else ""
-    return d.mean, f"{real(signed(d.mean), pair.is_real(metric.name))} {below(interval)}{p}{_count(d.n, pair.success.both)}{skewed}"
+    small = interval_lines(d) or ["no interval"]
+    small += [_corrected(pair, metric.name)] if math.isfinite(d.p) else []
+    small += [*_count(d.n, pair.success.both), *["skewed"] * d.skewed]
+    return (d.mean, signed(d.mean), pair.is_real(metric.name), small) if d.n else NO_CELL
+
+
+def interval_lines(found: IntervalEstimate) -> list[str]:
+    """The interval of a difference in two lines, since columns are narrow; none where it is unknown."""
+    return [f"[{signed(found.low)},", f"{signed(found.high)}]"] if math.isfinite(found.low) else []
 
 
 def _improvement(pair: Pair, metric: Metric) -> Cell:
     found = pair.improvements[metric.name]
-    if not found.n:
-        return NO_CELL
-    share, interval = f"{100 * found.share:.0f} %", below(f"[{100 * found.low:.0f}, {100 * found.high:.0f}]")
-    p = below(_corrected(pair, metric.name, "improvement"))
-    return found.share, f"{real(share, pair.is_real(metric.name, 'improvement'))} {interval}{p}{_count(found.n, pair.seeds)}"
+    small = [f"[{_percent(found.low)}, {_percent(found.high)}]", _corrected(pair, metric.name, "improvement")]
+    words, real = f"{_percent(found.mean)} %", pair.is_real(metric.name, "improvement")
+    return (found.mean, words, real, [*small, *_count(found.n, pair.seeds)]) if found.n else NO_CELL
 
 
-def _count(n: int, of: int) -> str:
-    return below(f"n = {n}") if n < of else ""
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f}"
+
+
+def _count(n: int, of: int) -> list[str]:
+    return [f"n = {n}"] if n < of else []
 
 
 def _bound(value: float) -> str:
@@ -365,17 +358,7 @@ def _bound(value: float) -> str:
 
 def _corrected(pair: Pair, name: str, of: Of = "difference") -> str:
     p = pair.adjusted[name, of]
-    return "no test" if math.isnan(p) else escape(p_text(p))
-
-
-def real(text: str, significant: bool) -> str:
-    """A number, marked if it differs significantly."""
-    return f'<b class="real">● {text}</b>' if significant else text
-
-
-def below(text: str) -> str:
-    """Small print below a cell's number."""
-    return f"<small>{text}</small>"
+    return "no test" if math.isnan(p) else p_text(p)
 
 
 # The statistics in a few lines for the terminal: success, interquartile mean, difference from the first controller.
@@ -413,7 +396,7 @@ def _star(row: dict[str, Any] | None) -> str:
 def _plain_mean(row: dict[str, Any]) -> str:
     if row["iqm"] is None:
         return "-"
-    mean, low, high = (plain(v) if v is not None and math.isfinite(v) else NEVER for v in (row["iqm"], row["iqm_low"], row["iqm_high"]))
+    mean, low, high = (number(v) if v is not None and math.isfinite(v) else NEVER for v in (row["iqm"], row["iqm_low"], row["iqm_high"]))
     return mean if row["iqm_low"] is None else f"{mean} [{low}, {high}]"
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,12 +14,14 @@ import polars as pl
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once, result_of
+from vstestbed.report.canvas import new_figure, save_paper, style, to_svg
 from vstestbed.report.comparison import baseline, tables
-from vstestbed.report.comparison.page import failures_section
-from vstestbed.report.comparison.results import TASK, ComparisonResults, ControllerResults, Metric, interquartiles, pairs, write_records
-from vstestbed.report.comparison.statistics import spread, success_rate
-from vstestbed.report.html.canvas import LINE_COLORS, LOST, new_figure, save, style, to_svg
-from vstestbed.report.html.template import SCRIPT, figure, made_by, page, plain_table
+from vstestbed.report.comparison.page import failures
+from vstestbed.report.comparison.results import TASK, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
+from vstestbed.report.comparison.results import TIME as TIME_METRIC
+from vstestbed.report.marks import FAILED, MARKERS, Look, line_color
+from vstestbed.report.pages import write_page
+from vstestbed.tasks.metrics import Metric
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,7 +33,6 @@ DRAWN: Final = (TIME, "max_retreat_m")  # Metrics that are drawn where a compari
 MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
 MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
 ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
-MARKERS: Final = "os^DvX*P<h>pd"  # One marker a law, which tells them apart where colours do not: in grey, and with more laws than colours
 DPI: Final = 200
 
 
@@ -61,7 +61,7 @@ class Cell:
     @property
     def time_s(self) -> float:
         """Median time to converge [s], NaN if no run converged."""
-        return spread(self.controller.counted(Metric.of(TIME))).median
+        return self.controller.quartiles(TIME_METRIC)[1]
 
     def spread(self, metric: Metric) -> str:
         """Median and largest value of a metric over the runs that count (`Metric.every_run`), as text; empty if none has it."""
@@ -109,29 +109,24 @@ def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
 
     def lines(text: Callable[[Cell], str]) -> str:
         heads, rows = _grid(found, text)
-        top = ["| | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
-        return "\n".join([*top, *(f"| `{law}` | {' | '.join(cells)} |" for law, cells in rows)]) + "\n"
+        top = [f"| {' | '.join(heads)} |".replace("|  |", "| |"), "|---" * len(heads) + "|"]
+        return "\n".join([*top, *(f"| `{law}` | {' | '.join(cells)} |" for law, *cells in rows)]) + "\n"
 
     first = lines(lambda cell: "; ".join(cell.summary_lines()))
     return "\n".join([first, *(f"{title}\n\n{lines(text)}" for title, text in _spreads(metrics))])
 
 
-def _html(found: Sequence[Cell], text: Callable[[Cell], str]) -> str:
-    heads, rows = _grid(found, text)
-    return plain_table(["", *heads], [[escape(law), *cells] for law, cells in rows])
-
-
 def _spreads(metrics: Sequence[str]) -> list[tuple[str, Callable[[Cell], str]]]:
     """Title and cells of a table for each metric but the time, which stands in the first table already."""
-    shown = [Metric.of(name) for name in metrics if name != TIME]
+    shown = [Metric.named(name) for name in metrics if name != TIME]
     return [(f"{m.label}: median and largest of {m.over}", lambda cell, m=m: cell.spread(m)) for m in shown]
 
 
-def _grid(found: Sequence[Cell], text: Callable[[Cell], str]) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """The tasks, and each law with a text for each task, empty where it has no runs."""
+def _grid(found: Sequence[Cell], text: Callable[[Cell], Any]) -> tuple[list[str], list[list[Any]]]:
+    """Heads and lines of a table: the tasks, and each law with a text for each task, empty where it has no runs."""
     tasks, laws = _tasks_and_laws(found)
     of = {(c.law, c.task): text(c) for c in found}
-    return tasks, [(law, [of.get((law, task), "") for task in tasks]) for law in laws]
+    return ["", *tasks], [[law, *(of.get((law, task), "") for task in tasks)] for law in laws]
 
 
 def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
@@ -139,18 +134,18 @@ def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
     return list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
 
 
-def _summary_cell(cell: Cell) -> str:
-    first, *failures = map(escape, cell.summary_lines())
-    rate = success_rate(int(cell.controller.success.sum()), len(cell.controller.success))
-    interval = f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %"
-    return first + "".join(map(tables.below, (interval, *failures)))
+def _summary_cell(cell: Cell) -> list[str]:
+    """Successes with their median time; below, the interval of the rate and the failures."""
+    first, *failures = cell.summary_lines()
+    rate = cell.controller.rate
+    return [first, f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %", *failures]
 
 
 def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
     """One column per task, one row per metric: each law's values over the amounts; red crosses at the top: failed runs."""
     tasks, laws = _tasks_and_laws(found)
     by_task = [[c for c in found if c.task == task] for task in tasks]
-    shown = [Metric.of(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
+    shown = [Metric.named(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
     drawn = new_figure(1.3 + 0.19 * width_in * len(shown), width_in)
     grid = drawn.subplots(len(shown), len(tasks), sharey="row", sharex="col", squeeze=False)
     for row, metric in zip(grid, shown, strict=True):
@@ -174,7 +169,8 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
     commanded = bool(_unit(here))
     for cell in here:
         i = laws.index(cell.law)
-        look: dict[str, Any] = {"color": LINE_COLORS[i % len(LINE_COLORS)], "marker": MARKERS[i % len(MARKERS)], "label": cell.law}
+        # a marker a law, which tells them apart where colours do not: in grey, and with more laws than colours
+        look: Look = {"color": line_color(i), "marker": MARKERS[i % len(MARKERS)], "label": cell.law}
         value, good = cell.controller.values(metric), cell.controller.success
         amount = np.array([float(a.partition(" ")[0]) for a in cell.amounts])
         if commanded:
@@ -193,7 +189,7 @@ def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
     if len(at):
         # in axes coordinates, just below the top
         height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
-        axes.plot(at, height, "x", markersize=3.5, markeredgewidth=0.9, color=LOST, transform=axes.get_xaxis_transform())
+        axes.plot(at, height, transform=axes.get_xaxis_transform(), **FAILED)
 
 
 def write_task_report(
@@ -203,50 +199,33 @@ def write_task_report(
 
     As `page.write_comparison_report`; the table has the columns `task` and `amount`, and the first three metrics are drawn.
     """
-    found = cells(table, axes)
+    found, laws = cells(table, axes), over_all_tasks(table, axes, metrics)
     drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics)
     write_whole(folder / "tasks.md", markdown(found, metrics))
-    n, good = len(table), int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum())
-    numbers = "".join(f"<h3>{escape(title)}</h3>{_html(found, lambda c, text=text: escape(text(c)))}" for title, text in _spreads(metrics))
-    caption = "Numbers of the runs that reached the goal; red crosses at the top: runs that did not, each law at its own height."
-    body = [
-        f"<p>{good} of {n} runs reached the goal. Each cell: how many, the median time to converge, the 95 % interval of the rate, "
-        "and each failure by its outcome.</p>",
-        _html(found, _summary_cell),
-        baseline.section(folder),
-        f'<section><h2>Figure</h2><div class="broad">{figure("Over the amounts", result_of(drawn[0]), caption)}</div></section>',
-        f"<section><h2>In numbers</h2>{numbers}</section>" if numbers else "",
-        *_statistics(folder, over_all_tasks(table, axes, metrics)),
-        failures_section(folder, ComparisonResults(table, axes, metrics)),
-        made_by(command),
-    ]
-    heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
-    result_of(drawn[1])
-    return write_whole(folder / "report.html", page(f"{heading}: tasks", body, f"<p>{escape(description)}</p>", heading))
-
-
-def _statistics(folder: Path, laws: ComparisonResults) -> tuple[str, ...]:
-    """The laws over all tasks, as HTML and as tables for other programs."""
     all_pairs, means = pairs(laws), interquartiles(laws)
     write_records(folder, laws, means, all_pairs)
-    words = (
-        "Intervals and p-values are those of starts that are a random sample of each task; where the amounts were chosen, "
-        "they say how far other amounts of that kind could change the result."
-    )
-    return (
-        f"<section><h2>Over all tasks</h2><p>{words}</p></section>",
-        tables.interquartile_means(laws, means),
-        tables.differences(laws, all_pairs),
-        tables.improvements(laws, all_pairs),
-        SCRIPT,
+    heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
+    result_of(drawn[1])
+    return write_page(
+        folder,
+        "tasks.html",
+        f"{heading}: tasks",
+        title=heading,
+        description=description,
+        reached=(int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum()), len(table)),
+        overview=_grid(found, _summary_cell),
+        baseline=baseline.section(folder),
+        figure=result_of(drawn[0]),
+        numbers=[(title, *_grid(found, text)) for title, text in _spreads(metrics)],
+        sections=tables.sections(laws, means, all_pairs),
+        failures=failures(folder, ComparisonResults(table, axes, metrics)),
+        command=command,
     )
 
 
 def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:
     with style(paper=True):
-        drawn = draw(found, metrics, 8.2)
-        save(drawn, folder / "tasks.pdf")
-        save(drawn, folder / "tasks.png", DPI)
+        save_paper(draw(found, metrics, 8.2), folder, "tasks", DPI)
 
 
 def _on_page(found: Sequence[Cell], metrics: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The figures of one run: features in the image, error, twist, depth, pose error, joints.
+"""The figures of one run over time: errors, twist, depth, joints; of vehicles wheels and slip; of craft velocity, attitude, rotors.
 
 Each function takes the run's tracks and returns a Chart, or None if the run has no such data. True values are wide pale bands,
 measured or commanded values are thin lines over them: where they agree, the line lies in its band.
@@ -6,102 +6,32 @@ measured or commanded values are thin lines over them: where they agree, the lin
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from vstestbed.core.geometry import Array
-from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, LOST, marker_colors
-from vstestbed.report.html.chart import Chart, ChartPanel
+from vstestbed.core.geometry import Array, adjoint, inverse
+from vstestbed.core.planar import wrapped
+from vstestbed.report.chart import Chart, ChartPanel
+from vstestbed.report.marks import AXIS_COLORS, BAND, GOAL, INK, LINE, LINE_COLORS, LOST, THRESHOLD, TIME, line_color, marker_colors
 from vstestbed.report.run.tracks import MeasuredError, Tracks
 
-BAND: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.28}
-START: dict[str, Any] = {"marker": "o", "markersize": 5, "linestyle": "none"}
-END: dict[str, Any] = {"marker": "x", "markersize": 6, "linewidth": 1.6, "linestyle": "none"}
-AIM: dict[str, Any] = {"marker": "D", "markersize": 8, "linestyle": "none"}
-OUTLINES: tuple[dict[str, Any], ...] = (
-    {"label": "start", "color": INK, "linewidth": 1.0, "linestyle": ":"},
-    {"label": "end", "color": INK, "linewidth": 1.6},
-    {"label": "goal", "color": GOAL, "linewidth": 1.0},
-)
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
-PARTS = (("v", "translation [m/s]"), ("w", "rotation [rad/s]"))
+LIMIT_RADPS = 1000.0  # Speed limit of a rotor [rad/s], from models/quadrotor.xml
+JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]"}
+ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
+"""Where a vehicle believes to be: columns, words, colour."""
 
 
-def features(tracks: Tracks) -> Chart | None:
-    """Marker trajectories in the image, true and measured, with start, end, goal and the image border."""
-    if tracks.markers == 0:
-        return None
-    width, height = tracks.setting.width, tracks.setting.height
-    chart = Chart()
-    (panel,) = chart.panels
-    measured, true, goal = (tracks.pixels(suffix) for suffix in ("", "_true", "_goal"))
-    if tracks.setting.changing:  # a row goes on with another point where its goal is another
-        other = np.zeros(goal.shape[:2], dtype=bool)
-        other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
-        measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
-    draw = draw_outlines if tracks.setting.outlined else draw_trails
-    draw(panel, measured, true, goal, tracks.names)
-    _frame_picture(panel, width, height)
-    chart.fit(2.1, 5.4)
+def over_time(tracks: Tracks, height_in: float, *labels: str) -> Chart:
+    """A chart with a panel for each label over the time of the log; the intervals in which the target was lost are shaded."""
+    chart, t = Chart(height_in, len(labels)), tracks.t[np.isfinite(tracks.t)]
+    for panel, label in zip(chart.panels, labels, strict=True):
+        panel.labels = TIME, label
+        if len(t) and t[-1] > t[0]:
+            panel.xlim = float(t[0]), float(t[-1])
+        for start, end in tracks.lost_intervals():
+            panel.area((start, end), (-np.inf, np.inf), LOST, 0.16, "target lost")
     return chart
-
-
-def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
-    """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal, names, and the legend."""
-    for i, color in enumerate(marker_colors(measured.shape[1])):
-        panel.plot(*true[:, i].T, color=color, **BAND)
-        panel.plot(*measured[:, i].T, color=color, linewidth=1.0)
-        for at, look in trail_marks(measured[:, i], goal[:, i], color):
-            panel.plot(*at, **look)
-        at = _edge(goal[:, i], -1)
-        if names and at.size:
-            panel.words.append((float(at[0, 0]), float(at[1, 0]), f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}", "start", color))
-    trail_keys(panel)
-
-
-def draw_outlines(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
-    """The outline of a region (T, N, 2) at start, end and goal, and the trail of its middle, measured and true, with the legend."""
-    color = marker_colors(1)[0]
-    panel.plot(*true.mean(axis=1).T, color=color, **BAND)
-    panel.plot(*measured.mean(axis=1).T, color=color, linewidth=1.0)
-    seen = measured[np.isfinite(measured).all(axis=(1, 2))]
-    for outline, look in zip((seen[:1], seen[-1:], goal[-1:]), OUTLINES, strict=True):
-        if len(outline):
-            panel.plot(*np.vstack([outline[0], outline[0, :1]]).T, **look)
-    panel.plot([], [], label="measured", color=INK, linewidth=1.0)
-    panel.plot([], [], label="true", color=INK, **BAND)
-
-
-def trail_marks(measured: Array, goal: Array, color: str) -> list[tuple[Array, dict[str, Any]]]:
-    """Start, end and goal of a trail (T, k): points (k, 1) and their looks; only the start's is filled."""
-    start, end, aim = _edge(measured, 0), _edge(measured, -1), _edge(goal, -1)
-    return [(start, {"color": color, "fill": color} | START), (end, {"color": color} | END), (aim, {"color": color} | AIM)]
-
-
-def trail_keys(panel: ChartPanel) -> None:
-    """Legend entries for the marks and lines of `draw_trails`."""
-    looks = [look for _, look in trail_marks(np.empty((0, 2)), np.empty((0, 2)), INK)]
-    for look, label in zip((*looks, {"linewidth": 1.0}, BAND), ("start", "end", "goal", "measured", "true"), strict=True):
-        panel.plot([], [], label=label, **look)
-
-
-def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> None:
-    """Pixel axes as in the image (v down), with the image border if the size is known."""
-    panel.equal, panel.labels = True, ("u [px]", "v [px]")
-    (x0, x1), (y0, y1) = panel.limits()
-    if not (width and height):
-        panel.ylim = y1, y0
-        return
-    # pixel centres are integers, so that the image begins at -0.5
-    left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
-    panel.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color=INK, linewidth=1.0, alpha=0.6, zorder=1)
-    # markers that leave the image are shown, up to half an image away
-    left, right = min(left, max(x0, -0.5 * width)), max(right, min(x1, 1.5 * width))
-    top, bottom = min(top, max(y0, -0.5 * height)), max(bottom, min(y1, 1.5 * height))
-    margin = 0.015 * width
-    panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
 
 
 def error(tracks: Tracks) -> Chart:
@@ -112,40 +42,40 @@ def error(tracks: Tracks) -> Chart:
     modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
     both = tracks.setting.image_errors
     shown = [one for one in both if (tracks.column(one.column) > 0).any()] or both[:1]
-    chart = Chart(3.1 + 1.6 * (len(shown) - 1) + 0.5 * modes, len(shown) + modes)
+    labels = [*(one.label for one in shown), *["mode"] * modes]
+    chart = over_time(tracks, 3.1 + 1.6 * (len(shown) - 1) + 0.5 * modes, *labels)
     for panel, one in zip(chart.panels, shown, strict=False):
         _draw_error(panel, tracks, one)
         _mark_views(panel, tracks)
     if modes:
         _mark_modes(chart.panels[-1], tracks)
-    return over_time(chart, tracks)
+    return chart
 
 
 def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None:
     """One error in the image over time, with its threshold."""
-    panel.log, panel.labels = True, ("", error.label)
     value, level = tracks.column(error.column), tracks.column("level_error_px")
     tilted = error.unit == "px" and bool((level > 0).any())
+    panel.log = True
     if (value > 0).any():
         panel.plot(tracks.t, value, color=LINE_COLORS[0], **({"label": "in the picture", "alpha": 0.4} if tilted else {}))
+    elif not tilted:
+        panel.title = "no frame with a measured error"
     if tilted:
         panel.plot(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
-    if not panel.curves:
-        panel.title = "no frame with a measured error"
     if error.threshold:
-        words = f"threshold {error.threshold:g} {error.unit}"
-        panel.rule(error.threshold, color=GOAL, linestyle="--", linewidth=1.2, label=words)
+        panel.rule(error.threshold, **THRESHOLD, label=f"threshold {error.threshold:g} {error.unit}")
 
 
 def _mark_modes(panel: ChartPanel, tracks: Tracks) -> None:
     """A strip with the mode of the law over time, a colour for each."""
-    panel.share, panel.ylim, panel.labels, panel.in_words = 0.22, (0.0, 1.0), ("", "mode"), (None, lambda _: "")
+    panel.share, panel.ylim, panel.in_words = 0.22, (0.0, 1.0), (None, lambda _: "")
     mode, t = tracks.column("law_mode"), tracks.t
     starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0)
     for a, b in zip(starts, [*starts[1:], len(t) - 1], strict=True):
         number = int(np.nan_to_num(mode[a]))
         word = tracks.setting.modes[number] if number < len(tracks.setting.modes) else f"mode {number}"
-        panel.area((t[a], t[b]), (0.0, 1.0), LINE_COLORS[(number + 1) % len(LINE_COLORS)], 0.75, word)
+        panel.area((t[a], t[b]), (0.0, 1.0), line_color(number + 1), 0.75, word)
 
 
 def _mark_views(panel: ChartPanel, tracks: Tracks) -> None:
@@ -156,31 +86,46 @@ def _mark_views(panel: ChartPanel, tracks: Tracks) -> None:
         panel.words.append((tracks.t[i], np.inf, f" view {view[i] + 1:.0f}", "start", INK))
 
 
+def task_error(tracks: Tracks) -> Chart | None:
+    """True error of a continuing task, with its tolerance after the settling time."""
+    value, band, settle = tracks.column("task_error_m"), tracks.setting.band_m, tracks.setting.settle_s
+    if not np.isfinite(value).any():
+        return None
+    chart = over_time(tracks, 3.1, "off [m]")
+    (panel,) = chart.panels
+    if band is not None:
+        last = max(float(np.nanmax(tracks.t)), settle)
+        panel.area((settle, last), (-band, band), GOAL, 0.14, f"band, {band:g} m to each side")
+        later = np.abs(value[(tracks.t >= settle) & np.isfinite(value)])
+        panel.title = f"at most {later.max():.3f} m off once settled" if len(later) else ""
+    panel.rule(0)
+    panel.plot(tracks.t, value, color=LINE_COLORS[0])
+    return chart
+
+
 def pose_error(tracks: Tracks) -> Chart | None:
-    """Distance and angle of the true camera (or vehicle) pose from the goal over time, logarithmic; None for a continuing task."""
-    if tracks.setting.ground_task is not None and tracks.setting.ground_task.band_m is not None:
+    """Distance and angle of the true camera (or vehicle) pose from the goal, logarithmic; None for a vehicle's continuing task."""
+    errors = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
+    if (tracks.setting.planar and tracks.setting.band_m is not None) or not np.isfinite(errors).any():
         return None
-    position, angle = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
-    if not (np.isfinite(position).any() or np.isfinite(angle).any()):
-        return None
-    chart = Chart(3.9, 2)
-    for panel, value, color, label in zip(chart.panels, (position, angle), LINE_COLORS, ("position [m]", "rotation [deg]"), strict=False):
-        panel.plot(tracks.t, value, color=color)
-        panel.log, panel.labels = True, ("", label)
-    return over_time(chart, tracks)
+    chart = over_time(tracks, 3.9, "position [m]", "rotation [deg]")
+    for i, (panel, value) in enumerate(zip(chart.panels, errors, strict=True)):
+        panel.plot(tracks.t, value, color=line_color(i))
+        panel.log = True
+    return chart
 
 
 def twist(tracks: Tracks) -> Chart:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
-    chart = Chart(4.3, 2)
+    chart = over_time(tracks, 4.3, "translation [m/s]", "rotation [rad/s]")
     t_command = tracks.column("t_cmd")  # a command takes effect when its image has arrived
-    for panel, (part, label) in zip(chart.panels, PARTS, strict=True):
+    for panel, part in zip(chart.panels, "vw", strict=True):
         panel.rule(0)
+        panel.least = LEAST_TWIST
         for axis, color in zip("xyz", AXIS_COLORS, strict=True):
             panel.plot(tracks.t, tracks.column(f"act_{part}{axis}"), color=color, **BAND)
             panel.plot(t_command, tracks.column(f"cmd_{part}{axis}"), color=color, linewidth=1.1, label=f"{part}{axis}")
-        panel.least, panel.labels = LEAST_TWIST, ("", label)
-    return over_time(chart, tracks)
+    return chart
 
 
 def depth(tracks: Tracks) -> Chart | None:
@@ -188,35 +133,28 @@ def depth(tracks: Tracks) -> Chart | None:
     used, true = tracks.numbered("depth"), tracks.true_depth
     if not np.isfinite(used).any():
         return None
-    chart = Chart(3.1)
+    chart = over_time(tracks, 3.1, "depth [m]")
     (panel,) = chart.panels
+    panel.least = LEAST_DEPTH * float(np.nanmedian(np.abs(used)))
     for i, color in enumerate(marker_colors(tracks.markers)):
         if true is not None:
             panel.plot(tracks.t, true[:, i], color=color, **BAND)
-        panel.plot(tracks.t, used[:, i], color=color, linewidth=1.0, **({"label": tracks.names[i]} if tracks.names else {}))
-    panel.least, panel.labels = LEAST_DEPTH * float(np.nanmedian(np.abs(used))), ("", "depth [m]")
-    return over_time(chart, tracks)
-
-
-JOINT_PANELS = (("q", "position [rad, m]"), ("qd", "velocity [rad/s, m/s]"), ("ctrl", "input [own unit]"))
+        panel.plot(tracks.t, used[:, i], color=color, label=tracks.names[i] if tracks.names else "", **LINE)
+    return chart
 
 
 def joints(tracks: Tracks) -> Chart | None:
-    """Joint positions, velocities and actuator inputs, as far as the log has them; None for a ground vehicle (see `vehicle.wheels`)."""
-    if tracks.setting.ground_task is not None:
+    """Joint positions, velocities and actuator inputs, as far as the log has them; None for a ground vehicle (see `wheels`)."""
+    found = {stem: names for stem in JOINT_PANELS if (names := _moving(tracks, stem))}
+    if tracks.setting.planar or not found:
         return None
-    panels = [(s, label) for s, label in JOINT_PANELS if _moving(tracks, s)]
-    if not panels:
-        return None
-    names = list(dict.fromkeys(n for stem, _ in panels for n in _moving(tracks, stem)))
-    chart = Chart(0.6 + 1.45 * len(panels), len(panels))
-    for panel, (stem, label) in zip(chart.panels, panels, strict=True):
-        for name in _moving(tracks, stem):
-            color = LINE_COLORS[names.index(name) % len(LINE_COLORS)]
-            entry = {"label": name} if len(names) <= 16 else {}
-            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color, linewidth=1.2, **entry)
-        panel.labels = "", label
-    return over_time(chart, tracks)
+    every = list(dict.fromkeys(name for names in found.values() for name in names))
+    chart = over_time(tracks, 0.6 + 1.45 * len(found), *(JOINT_PANELS[stem] for stem in found))
+    for panel, (stem, names) in zip(chart.panels, found.items(), strict=True):
+        for name in names:
+            label = name if len(every) <= 16 else ""
+            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=line_color(every.index(name)), linewidth=1.2, label=label)
+    return chart
 
 
 def _moving(tracks: Tracks, stem: str) -> list[str]:
@@ -224,19 +162,123 @@ def _moving(tracks: Tracks, stem: str) -> list[str]:
     return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
-def _edge(trail: Array, which: int) -> Array:
-    """The first (0) or last (-1) finite point of a trail (T, k), as a (k, 1) array; empty where there is none."""
-    finite = trail[np.isfinite(trail).all(axis=1)]
-    return finite[[which]].T if len(finite) else np.empty((trail.shape[1], 0))
+# Of a quadrotor: velocity, attitude and body rates with their references; rotors, wind.
+def velocity(tracks: Tracks) -> Chart | None:
+    """Velocity in the level frame: commanded (thin line) and estimated by the craft (pale band)."""
+    flown, camera = tracks.columns("est_vx", "est_vy", "est_vz"), tracks.setting.camera
+    if camera is None:
+        return None
+    # applied_*: the camera twist in the camera frame after the robot's limits; the mount's adjoint takes it to the craft
+    applied = tracks.columns(*(f"applied_{name}" for name in ("vx", "vy", "vz", "wx", "wy", "wz")))
+    return _three(tracks, flown, applied @ adjoint(camera.mount.T).T, "ahead [m/s]", "left [m/s]", "up [m/s]")
 
 
-def over_time(chart: Chart, tracks: Tracks) -> Chart:
-    """Give all panels the time from the log's first to its last row, and shade the intervals in which the target was lost."""
-    t = tracks.t[np.isfinite(tracks.t)]
-    for panel in chart.panels:
-        panel.labels = "time [s]", panel.labels[1]
-        if len(t) and t[-1] > t[0]:
-            panel.xlim = float(t[0]), float(t[-1])
-        for start, end in tracks.lost_intervals():
-            panel.area((start, end), (-np.inf, np.inf), LOST, 0.16, "target lost")
+def rates(tracks: Tracks) -> Chart | None:
+    """Body rates: reference of the attitude loop (thin line) and gyro less its bias (pale band)."""
+    flown, reference = (np.degrees(tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz")))) for what in ("est", "ref"))
+    return _three(tracks, flown, reference, "roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]")
+
+
+def _three(tracks: Tracks, measured: Array, reference: Array, *labels: str) -> Chart | None:
+    """Three panels with a column each of what was measured (pale band) and its reference (thin line), both (T, 3)."""
+    if not np.isfinite(measured).any():
+        return None
+    chart = over_time(tracks, 4.4, *labels)
+    for i, panel in enumerate(chart.panels):
+        panel.rule(0)
+        panel.plot(tracks.t, measured[:, i], color=line_color(i), **BAND)
+        panel.plot(tracks.t, reference[:, i], color=line_color(i), **LINE)
+    return chart
+
+
+def tilt(tracks: Tracks) -> Chart | None:
+    """Roll and pitch: true (pale band), estimated by the craft (thin line), and the reference of its velocity loop (dotted)."""
+    estimated, reference, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
+    if camera is None or not np.isfinite(estimated).any():
+        return None
+    up = (tracks.poses("cam") @ inverse(camera.mount.T))[:, 2, :3]  # the world's z axis in the base frame: independent of yaw
+    true = np.column_stack([np.arctan2(up[:, 1], up[:, 2]), -np.arcsin(np.clip(up[:, 0], -1, 1))])
+    chart = over_time(tracks, 3.0, "tilt [deg]")
+    (panel,) = chart.panels
+    panel.rule(0)
+    for i, name in enumerate(("roll", "pitch")):
+        panel.plot(tracks.t, np.degrees(true[:, i]), color=line_color(i), **BAND)
+        panel.plot(tracks.t, np.degrees(estimated[:, i]), color=line_color(i), label=name, **LINE)
+        panel.plot(tracks.t, np.degrees(reference[:, i]), color=line_color(i), linestyle=":", **LINE)
+    return chart
+
+
+def rotors(tracks: Tracks) -> Chart | None:
+    """Rotor speeds with their limit (dotted); below them the wind, if there was any."""
+    names, wind = tracks.named("speed"), tracks.columns("wind_x", "wind_y", "wind_z")
+    if not names:
+        return None
+    windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
+    chart = over_time(tracks, 4.2 if windy else 2.8, "rotors [rad/s]", *["wind [m/s]"] * windy)
+    chart.panels[0].rule(LIMIT_RADPS, linewidth=1.4, linestyle=":")
+    for i, name in enumerate(names):
+        chart.panels[0].plot(tracks.t, tracks.column(f"speed_{name}"), color=line_color(i), label=name.removeprefix("rotor_"), **LINE)
+    for i in range(3 * windy):
+        chart.panels[1].plot(tracks.t, wind[:, i], color=line_color(i), label=f"wind {'xyz'[i]}", **LINE)
+    return chart
+
+
+# Of a ground vehicle: wheels, slip, localisation error.
+def wheels(tracks: Tracks) -> Chart | None:
+    """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
+    # column of the measurement, label, measured and commanded: the wheels' speed, and the angle of steering joints
+    panels = [
+        (stem, label, _joints(tracks, stem, steering), _joints(tracks, "ctrl", steering))
+        for stem, steering, label in (("qd", False, "speed [rad/s]"), ("q", True, "angle [rad]"))
+    ]
+    panels = [panel for panel in panels if panel[2] or panel[3]]
+    if not tracks.setting.planar or not panels:
+        return None
+    names = dict.fromkeys(name for _, _, measured, commanded in panels for name in (*measured, *commanded))
+    color = {name: line_color(i) for i, name in enumerate(names)}
+    chart = over_time(tracks, 0.6 + 1.9 * len(panels), *(label for _, label, _, _ in panels))
+    for name in names:  # an entry of full colour, where the first curve may be a pale band
+        chart.panels[0].plot([], [], color=color[name], label=name)
+    for panel, (stem, _, measured, commanded) in zip(chart.panels, panels, strict=True):
+        for name in measured:
+            panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=color[name], **BAND)
+        for name in commanded:
+            panel.plot(tracks.t, tracks.column(f"ctrl_{name}"), color=color[name], **LINE)
+    return chart
+
+
+def _joints(tracks: Tracks, stem: str, steering: bool) -> list[str]:
+    """Names of the steering joints or of the wheels with values in the columns of a stem; the floating base (`root_`) is neither."""
+    return [n for n in _moving(tracks, stem) if not n.startswith("root_") and ("steer" in n) == steering]
+
+
+def localisation_error(tracks: Tracks) -> Chart | None:
+    """Localisation error in position and heading: of the estimate with landmarks, and of odometry alone."""
+    true = tracks.planar_poses("base")
+    errors = [(tracks.planar_poses(stem) - true, label, color) for stem, label, color in ESTIMATES]
+    errors = [found for found in errors if np.isfinite(found[0]).any()]
+    if not tracks.setting.planar or not errors:
+        return None
+    chart = over_time(tracks, 3.9, "position [m]", "heading [deg]")
+    upper, lower = chart.panels
+    upper.lowest = 0  # a distance
+    for error, label, color in errors:
+        upper.plot(tracks.t, np.hypot(error[:, 0], error[:, 1]), color=color, label=label)
+        lower.plot(tracks.t, np.degrees(wrapped(error[:, 2])), color=color)
+    lower.rule(0)
+    return chart
+
+
+def slip(tracks: Tracks) -> Chart | None:
+    """Slip speed and, below, slip in yaw: motion over the floor that the encoders do not measure; older logs lack the latter."""
+    # column, factor to the unit of the label, least span of the axis in that unit, label
+    rows = (("slip_mps", 1e3, 1.0, "slip [mm/s]"), ("slip_radps", 180 / np.pi, 0.1, "in yaw [deg/s]"))
+    panels = [(tracks.column(name) * factor, least, label) for name, factor, least, label in rows]
+    panels = [panel for panel in panels if np.isfinite(panel[0]).any()]
+    if not panels:
+        return None
+    chart = over_time(tracks, 0.9 + 1.7 * len(panels), *(label for _, _, label in panels))
+    for panel, (value, least, _) in zip(chart.panels, panels, strict=True):
+        panel.plot(tracks.t, value, color=LINE_COLORS[0], **LINE)
+        panel.least, panel.lowest = least, 0
     return chart

@@ -1,10 +1,10 @@
-"""Writes `report.html` of one run from the files in the run's folder."""
+"""Writes `report.html` of one run from the files in the run's folder: outcome, numbers, figures, films, where they come from."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
-from html import escape
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,72 +14,85 @@ from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
-from vstestbed.report.html.chart import Chart
-from vstestbed.report.html.template import STYLE, cell, figure, film, folded, page, picture
-from vstestbed.report.run import figures, numbers, robots, space
+from vstestbed.loop.stability import reversal
+from vstestbed.report.chart import Chart
+from vstestbed.report.marks import line_color, number, with_unit
+from vstestbed.report.pages import Film, cell, data_url, film_of, page
+from vstestbed.report.run import figures, space
 from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
+from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, Metric, own_metrics
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Recording
 
+Summary = Mapping[str, Any]
+Item = tuple[str, str, str]  # Title, number, unit
 FARTHEST_M: Final = 1e6  # Positions beyond [m] are no run's, which ends (`diverged`) 200 m away from its target
 EMBED_BYTES: Final = 30_000_000
 """Films up to this size together are embedded in the page; larger ones are linked, so that a browser can still open it."""
-
 NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
-
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
+TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
+ROW_METRICS: Final = tuple(metric for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS) if not metric.tile and metric.name != "judged_error")
+CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
+"""The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
-# Title and caption of each figure, by the function that draws it or gives None.
-PLOTS: Final[dict[Callable[[Tracks], Chart | None], tuple[str, str]]] = {
-    figures.features: (
+# The figures of a run's page in their order: the function that draws one, or gives None; title; caption.
+FIGURES: Final[tuple[tuple[Callable[[Tracks], Chart | None], str, str], ...]] = (
+    (
+        space.features,
         "Features in the image",
         "The path of each marker, or of a region's middle, through the image; the frame is the image border.",
     ),
-    space.polar: (
+    (
+        space.polar,
         "Features in polar coordinates",
         "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the distance from it.",
     ),
-    space.spherical: (
+    (
+        space.spherical,
         "Features in spherical coordinates",
         "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the angle from it.",
     ),
-    space.on_sphere: (
+    (
+        space.on_sphere,
         "Features on the sphere",
         "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
     ),
-    figures.error: (
+    (
+        figures.error,
         "Error in the image",
         "Root mean square of goal minus measured: over the markers' coordinates [px], or over the picture's pixels, with the law's weights "
         "[grey levels].",
     ),
-    space.camera_path: ("Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks."),
-    robots.plane: (
+    (space.camera_path, "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks."),
+    (
+        space.plane,
         "Path on the floor",
         "From above, equal scale. Shaded: the region in the image, at the landmarks' height, at the start and at the end.",
     ),
-    robots.task_error: (
+    (
+        figures.task_error,
         "Error of the task",
         "True error: distance of the camera from its goal or path, gap minus the desired gap, or lateral offset to the left of the line.",
     ),
-    figures.twist: ("Camera twist", "In the camera's frame: commanded (thin line) and true (pale band)."),
-    robots.velocity: (
+    (figures.twist, "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band)."),
+    (
+        figures.velocity,
         "Velocity of the craft",
         "In its level frame: commanded (thin line) and its own estimate of the velocity flown (pale band).",
     ),
-    robots.tilt: ("Tilt", "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted)."),
-    robots.rates: ("Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band)."),
-    robots.rotors: ("Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes."),
-    figures.pose_error: ("Distance from the goal", "True pose against the goal pose."),
-    figures.depth: ("Depth of the markers", "As the law used it (thin line) and true (pale band)."),
-    robots.localisation_error: ("Localisation error", "Estimated minus true position (distance) and heading (counter-clockwise)."),
-    robots.wheels: ("Wheels and steering", "Commanded (thin line) and measured (pale band)."),
-    robots.slip: ("Slip", "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames."),
-    figures.joints: ("Joints and actuators", "Positions [rad or m], velocities, and actuator inputs in the actuators' own units."),
-}
-
-
-TITLES = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
+    (figures.tilt, "Tilt", "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted)."),
+    (figures.rates, "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band)."),
+    (figures.rotors, "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes."),
+    (figures.pose_error, "Distance from the goal", "True pose against the goal pose."),
+    (figures.depth, "Depth of the markers", "As the law used it (thin line) and true (pale band)."),
+    (figures.localisation_error, "Localisation error", "Estimated minus true position (distance) and heading (counter-clockwise)."),
+    (figures.wheels, "Wheels and steering", "Commanded (thin line) and measured (pale band)."),
+    (figures.slip, "Slip", "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames."),
+    (figures.joints, "Joints and actuators", "Positions [rad or m], velocities, and actuator inputs in the actuators' own units."),
+)
 
 
 def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()) -> Path:
@@ -113,7 +126,7 @@ def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: 
 
 def render_page(
     log: Log | pl.DataFrame,
-    summary: Mapping[str, Any],
+    summary: Summary,
     texts: Mapping[str, str],
     videos: Mapping[str, Path],
     setting: Setting | None = None,
@@ -128,23 +141,30 @@ def render_page(
         goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
-    name = str(summary.get("scenario") or "Run")
-    body = [
-        numbers.headline(summary),
-        numbers.tiles(summary),
-        numbers.table(summary),
-        f'<section><h2>Figures</h2><div class="plots">{_figures(Tracks.of(log, setting))}</div></section>',
-        _films(videos),
-        _goal_pictures(goal_pictures),
-        numbers.timing(summary),
-        *(folded(f"{TITLES.get(name, name)} ({name})", text) for name, text in texts.items()),
-        numbers.provenance(summary),
-        folded("All numbers (summary.json)", json.dumps(dict(summary), indent=2, default=str)),
-    ]
-    subtitle = f'<p class="soft">{escape(setting.description)}</p>' if setting.description else ""
-    if setting.changed:
-        subtitle += f'<p class="soft">Changed in this run: {", ".join(f"<code>{escape(one)}</code>" for one in setting.changed)}</p>'
-    return page(name, body, subtitle, f"{name}: {numbers.outcome_text(summary)}", STYLE)
+    tracks, name = Tracks.of(log, setting), str(summary.get("scenario") or "Run")
+    charts = ((title, draw(tracks), caption) for draw, title, caption in FIGURES)
+    timing = [(str(k), float(v)) for k, v in dict(summary.get("time_ms") or {}).items() if _is_number(v) and v >= 0]
+    total_ms = sum(ms for _, ms in timing)
+    return page(
+        "run.html",
+        name,
+        f"{name}: {outcome_text(summary)}",
+        description=setting.description,
+        changed=setting.changed,
+        good=bool(summary.get("success")),
+        outcome=outcome_text(summary),
+        sentences=sentences(summary),
+        tiles=tiles(summary),
+        rows=rows(summary),
+        figures=[(title, chart.svg(title), caption) for title, chart, caption in charts if chart is not None],
+        films=_films(videos),
+        goals=[data_url("image/png", png) for png in goal_pictures],
+        timing=[(part, ms, line_color(i)) for i, (part, ms) in enumerate(timing)] if total_ms > 0 else [],
+        total_ms=total_ms,
+        documents=[(f"{TITLES.get(name, name)} ({name})", text) for name, text in texts.items()],
+        versions=[(str(package), str(version), "") for package, version in dict(summary.get("versions") or {}).items()],
+        everything=json.dumps(dict(summary), indent=2, default=str),
+    )
 
 
 def recording_cell(recording: Recording) -> str:
@@ -155,26 +175,66 @@ def recording_cell(recording: Recording) -> str:
     return cell(render_page(recording.rows, recording.summary(), documents(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
 
 
-def _figures(tracks: Tracks) -> str:
-    charts = ((title, draw(tracks), caption) for draw, (title, caption) in PLOTS.items())
-    return "".join(figure(title, chart.svg(title), caption) for title, chart, caption in charts if chart is not None)
+def outcome_text(summary: Summary) -> str:
+    """The outcome as text: `Target lost` for `target_lost`."""
+    return str(summary.get("outcome") or "no outcome").replace("_", " ").capitalize()
 
 
-def _films(videos: Mapping[str, Path]) -> str:
+def sentences(summary: Summary) -> str:
+    """The reason of the outcome, whether the command swung on the way, and the error that decided."""
+    reason = str(summary.get("reason") or "")
+    reason = reason[:1].upper() + reason[1:].rstrip(".") + "." if reason else ""
+    return " ".join(filter(None, (reason, _swing_text(summary), _judged_text(summary))))
+
+
+def _swing_text(summary: Summary) -> str:
+    """That the command of a run swung for long, whatever its end; "" where it did not, or the outcome says so."""
+    swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
+    if not (_is_number(swung_s) and _is_number(frames)) or summary.get("outcome") == "unstable":
+        return ""
+    return f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s without a break: it is badly damped."
+
+
+def _judged_text(summary: Summary) -> str:
+    """Which error decided the task, and who measured it: `Task error by measured pixels: 0.12 px, limit 0.2 px.`; "" in older summaries."""
+    if (by := summary.get("judged_by")) is None:
+        return ""
+    both = (summary["judged_error"], summary["judged_limit"])
+    shown = [in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both]
+    value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
+    return f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}."
+
+
+def tiles(summary: Summary) -> list[Item]:
+    """The most important numbers; of a law that works on grey levels and measures no markers the error in grey levels."""
+    other = "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
+    ended = [name for name, metric in KNOWN.items() if metric.tile and name not in (f"final_error_{other}", "worst_task_error_m")]
+    return _items((KNOWN[name] for name in (CONTINUING if "worst_task_error_m" in summary else ended)), summary)
+
+
+def rows(summary: Summary) -> list[Item]:
+    """The other numbers, one per line; those of the scenario's own metrics come last."""
+    known = [metric for metric in ROW_METRICS if not metric.where or summary.get(metric.name) is not None]
+    return _items([*known, *(metric for name, metric in own_metrics().items() if name in summary)], summary)
+
+
+def _items(metrics: Iterable[Metric], summary: Summary) -> list[Item]:
+    found = ((m, summary.get(m.name)) for m in metrics)
+    return [(m.title, *with_unit(m.scale * x if isinstance(x, float) else x, m.unit)) for m, x in found]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _films(videos: Mapping[str, Path]) -> list[Film]:
     """The films: embedded in the page as long as they fit, else linked to the files beside it."""
     left, films = EMBED_BYTES, []
-    for name, path in videos.items():
-        # in their order: the camera's film is embedded first
+    for name, path in videos.items():  # in their order: the camera's film is embedded first
         size = path.stat().st_size
-        embedded = size <= left
-        left -= size if embedded else 0
-        films.append(film(FILMS.get(name, name), path, embedded))
-    return f'<section class="films"><h2>Films</h2><div class="grid">{"".join(films)}</div></section>' if films else ""
-
-
-def _goal_pictures(pictures: Sequence[bytes]) -> str:
-    cards = "".join(picture("Goal" if len(pictures) == 1 else f"View {i + 1}", png) for i, png in enumerate(pictures))
-    return f'<section class="films"><h2>Picture of the goal</h2><div class="grid">{cards}</div></section>' if cards else ""
+        films.append(film_of(FILMS.get(name, name), path, size <= left))
+        left -= size if size <= left else 0
+    return films
 
 
 def _in_reach(run_dir: Path, log: Log) -> Log:

@@ -1,4 +1,4 @@
-"""Figures in space: the camera's path, markers in polar and spherical coordinates, the unit sphere."""
+"""The figures of one run in the picture and in space: markers in the image, floor plan, camera path, polar and spherical coordinates."""
 
 from __future__ import annotations
 
@@ -10,13 +10,206 @@ from numpy.typing import ArrayLike
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.features import Polar, Spherical
-from vstestbed.report.html.canvas import AXIS_COLORS, GOAL, INK, LINE_COLORS, RULE, marker_colors
-from vstestbed.report.html.chart import Chart, ChartPanel, Space
-from vstestbed.report.run.figures import BAND, draw_trails, trail_keys, trail_marks
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.chart import Chart, ChartPanel, Space
+from vstestbed.report.marks import AIM, AXIS_COLORS, BAND, END, GOAL, INK, LINE, LINE_COLORS, RULE, START, Look, marker_colors, with_unit
+from vstestbed.report.run.figures import ESTIMATES
+from vstestbed.report.run.tracks import Setting, Tracks, largest_deviation, visible_region
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
+
+
+OUTLINES: tuple[Look, ...] = (
+    {"label": "start", "color": INK, "linewidth": 1.0, "linestyle": ":"},
+    {"label": "end", "color": INK, "linewidth": 1.6},
+    {"label": "goal", "color": GOAL, "linewidth": 1.0},
+)
+
+
+def features(tracks: Tracks) -> Chart | None:
+    """Marker trajectories in the image, true and measured, with start, end, goal and the image border."""
+    if tracks.markers == 0:
+        return None
+    width, height = tracks.setting.width, tracks.setting.height
+    chart = Chart()
+    (panel,) = chart.panels
+    measured, true, goal = (tracks.pixels(suffix) for suffix in ("", "_true", "_goal"))
+    if tracks.setting.changing:  # a row goes on with another point where its goal is another
+        other = np.zeros(goal.shape[:2], dtype=bool)
+        other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
+        measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
+    draw = draw_outlines if tracks.setting.outlined else draw_trails
+    draw(panel, measured, true, goal, tracks.names)
+    _frame_picture(panel, width, height)
+    chart.fit(2.1, 5.4)
+    return chart
+
+
+def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
+    """Marker trajectories in a plane, each (T, N, 2), first coordinate horizontal, with start, end and goal, names, and the legend."""
+    for i, color in enumerate(marker_colors(measured.shape[1])):
+        panel.plot(*true[:, i].T, color=color, **BAND)
+        panel.plot(*measured[:, i].T, color=color, **LINE)
+        for at, look in trail_marks(measured[:, i], goal[:, i], color):
+            panel.plot(*at, **look)
+        at = _edge(goal[:, i], -1)
+        if names and at.size:
+            panel.words.append((float(at[0, 0]), float(at[1, 0]), f"\N{NO-BREAK SPACE}\N{NO-BREAK SPACE}{names[i]}", "start", color))
+    trail_keys(panel)
+
+
+def draw_outlines(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:
+    """The outline of a region (T, N, 2) at start, end and goal, and the trail of its middle, measured and true, with the legend."""
+    color = marker_colors(1)[0]
+    panel.plot(*true.mean(axis=1).T, color=color, **BAND)
+    panel.plot(*measured.mean(axis=1).T, color=color, **LINE)
+    seen = measured[np.isfinite(measured).all(axis=(1, 2))]
+    for outline, look in zip((seen[:1], seen[-1:], goal[-1:]), OUTLINES, strict=True):
+        if len(outline):
+            panel.plot(*np.vstack([outline[0], outline[0, :1]]).T, **look)
+    panel.plot([], [], label="measured", color=INK, **LINE)
+    panel.plot([], [], label="true", color=INK, **BAND)
+
+
+def trail_marks(measured: Array, goal: Array, color: str) -> list[tuple[Array, Look]]:
+    """Start, end and goal of a trail (T, k): points (k, 1) and their looks; only the start's is filled."""
+    start, end, aim = _edge(measured, 0), _edge(measured, -1), _edge(goal, -1)
+    return [(start, {"color": color, "fill": color} | START), (end, {"color": color} | END), (aim, {"color": color} | AIM)]
+
+
+def trail_keys(panel: ChartPanel) -> None:
+    """Legend entries for the marks and lines of `draw_trails`."""
+    looks = [look for _, look in trail_marks(np.empty((0, 2)), np.empty((0, 2)), INK)]
+    for look, label in zip((*looks, LINE, BAND), ("start", "end", "goal", "measured", "true"), strict=True):
+        panel.plot([], [], label=label, **look)
+
+
+def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> None:
+    """Pixel axes as in the image (v down), with the image border if the size is known."""
+    panel.equal, panel.labels = True, ("u [px]", "v [px]")
+    (x0, x1), (y0, y1) = panel.limits()
+    if not (width and height):
+        panel.ylim = y1, y0
+        return
+    # pixel centres are integers, so that the image begins at -0.5
+    left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
+    panel.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color=INK, linewidth=1.0, alpha=0.6, zorder=1)
+    # markers that leave the image are shown, up to half an image away
+    left, right = min(left, max(x0, -0.5 * width)), max(right, min(x1, 1.5 * width))
+    top, bottom = min(top, max(y0, -0.5 * height)), max(bottom, min(y1, 1.5 * height))
+    margin = 0.015 * width
+    panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
+
+
+def _edge(trail: Array, which: int) -> Array:
+    """The first (0) or last (-1) finite point of a trail (T, k), as a (k, 1) array; empty where there is none."""
+    finite = trail[np.isfinite(trail).all(axis=1)]
+    return finite[[which]].T if len(finite) else np.empty((trail.shape[1], 0))
+
+
+# Floor plan of a vehicle's run: true path, estimated path, odometry, landmarks, and the visible region. Equal scale.
+DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
+"""Corners of an arrow head of length about 1 that points along x: the vehicle."""
+HEADING_EVERY = 0.09  # Distance between the headings that are drawn along the path, as a share of the figure's extent
+TRUE = LINE_COLORS[0]
+
+
+def plane(tracks: Tracks) -> Chart | None:
+    """Paths in the plane: true, estimated and by odometry; start, end, goals; landmarks; visible region at both ends."""
+    setting, places = tracks.setting, tracks.planar_poses("base")
+    known = np.isfinite(places).all(axis=1)
+    if not setting.planar or not known.any():
+        return None
+    targets, points = _known(tracks.poses("tgt")), setting.points
+    landmarks = transform(targets[-1], points) if points is not None and len(targets) else np.empty((0, 3))  # where the target was last
+    moved = targets[:, :2, 3] if len(targets) and np.ptp(targets[:, :2, 3], axis=0).max() > 1e-3 else np.empty((0, 2))
+    shown = np.concatenate([places[known, :2], setting.goals[:, :2], landmarks[:, :2], setting.reference_path, moved])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    span = float(max((high - low).max(), 0.5))  # [m]; a vehicle that hardly moves is not magnified further
+    chart = Chart()
+    (panel,) = chart.panels
+    _draw_views(panel, tracks, float(landmarks[:, 2].mean()) if len(landmarks) else 0.0, span)
+    _draw_task(panel, setting, moved, span)
+    _draw_paths(panel, tracks, places[known], span)
+    for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
+        panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
+    panel.equal, panel.labels = True, ("x [m]", "y [m]")
+    panel.xlim, panel.ylim = zip(low - 0.09 * span, high + 0.09 * span, strict=True)
+    chart.fit(1.9, 5.0)
+    return chart
+
+
+def _known(poses: Array) -> Array:
+    """The poses (T, 4, 4) that are known."""
+    return poses[np.isfinite(poses).all(axis=(1, 2))]
+
+
+def _draw_views(panel: ChartPanel, tracks: Tracks, height: float, span: float) -> None:
+    """The region in the image at the start and at the end, in the plane at a height [m], that of the landmarks."""
+    from contourpy import contour_generator  # here: of vehicles alone
+
+    cameras = _known(tracks.poses("cam"))
+    camera = tracks.setting.camera
+    for T, color in ((cameras[0], INK), (cameras[-1], TRUE)) if len(cameras) else ():
+        assert camera is not None  # a vehicle's setting has it
+        x, y, seen = visible_region(camera, T, height, 0.45 * span)
+        if not seen.any():
+            continue
+        generator: Any = contour_generator(x, y, seen, fill_type="OuterOffset")  # Any: its types are unions over all fill types
+        for region, start in zip(*generator.filled(0.5, 1.5), strict=True):
+            # NaN between the outline and its holes, which turn the other way round: in one path they are not filled
+            outlines = np.insert(region, start[1:-1].astype(int), np.nan, axis=0).T
+            panel.plot(*outlines, color=color, fill=color, linewidth=0, alpha=0.07, zorder=1)
+        for line in generator.lines(0.5) if seen.min() < 1 else ():  # else all within reach is visible
+            panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
+
+
+def _draw_task(panel: ChartPanel, setting: Setting, moved: Array, span: float) -> None:
+    """The path to be driven, the path of a moving target (M, 2), and the goals."""
+    if len(setting.reference_path):
+        panel.plot(*setting.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
+    if len(moved):
+        panel.plot(*moved.T, color=GOAL, linewidth=1.2, label="target")
+    for i, goal in enumerate(setting.goals):
+        last = i == len(setting.goals) - 1
+        label = "goal" if last else "goals on the way" if i == 0 else ""
+        _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
+
+
+def _draw_paths(panel: ChartPanel, tracks: Tracks, true: Array, span: float) -> None:
+    """The true path (T, 3) as a pale band with headings, the other paths over it; the vehicle at start and end."""
+    for stem, label, color in reversed(ESTIMATES):
+        path = tracks.planar_poses(stem)
+        if np.isfinite(path).any():
+            panel.plot(path[:, 0], path[:, 1], color=color, linewidth=0.9, label=label, zorder=3)
+    panel.plot(*tracks.planar_poses("base")[:, :2].T, color=TRUE, linewidth=4.0, alpha=0.35, label="true way", zorder=2.5)
+    expected = tracks.setting.expected_path
+    if expected is not None and len(expected) > 1:
+        label = f"ideal bicycle: at most {' '.join(with_unit(largest_deviation(true[:, :2], expected), 'm'))} off"
+        panel.plot(*expected.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
+    for place in true[_evenly(true[:, :2], HEADING_EVERY * span)]:
+        _dart(panel, place, 0.022 * span, "", TRUE, filled=True)
+    _dart(panel, true[0], 0.05 * span, "start", INK, filled=False)
+    _dart(panel, true[-1], 0.05 * span, "end", TRUE, filled=True)
+
+
+def _evenly(xy: Array, distance: float) -> Any:
+    """Indices of points (T, 2) that are spaced evenly along their path, without its ends; at most 30."""
+    # arc length of each point
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+    count = min(int(along[-1] / distance), 30)
+    return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
+
+
+def _dart(panel: ChartPanel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
+    """An arrow head of the given size [m] at a planar pose (x, y, heading), and its entry in the legend."""
+    # rows are points, hence the transposed rotation
+    c, s = np.cos(place[2]), np.sin(place[2])
+    x, y = (size * DART @ np.array([[c, s], [-s, c]]) + place[:2]).T
+    face = color if filled else "none"
+    panel.plot([*x, x[0]], [*y, y[0]], color=color, fill=face, linewidth=0.5 if filled else 1.3, zorder=5)
+    if label:
+        panel.plot([], [], color=color, fill=face, label=label, marker=">", markersize=7)
 
 
 # Camera path in the world, 3-D: path, viewing pyramids, target, goal. Equal scale on all axes.
@@ -27,14 +220,11 @@ PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 
 def camera_path(tracks: Tracks) -> Chart | None:
     """The camera's path in the world, its viewing pyramids, the markers, the goal view; None for a vehicle, which has a floor plan."""
-    if tracks.setting.ground_task is not None:
+    if tracks.setting.planar:
         return None
-    cameras = tracks.poses("cam")
-    cameras = cameras[np.isfinite(cameras).all(axis=(1, 2))]
+    cameras, targets = _known(tracks.poses("cam")), _known(tracks.poses("tgt"))
     if len(cameras) == 0:
         return None
-    targets = tracks.poses("tgt")
-    targets = targets[np.isfinite(targets).all(axis=(1, 2))]
     view = tracks.setting.T_camera_target
     goal = targets[-1] @ inverse(view) if view is not None and len(targets) else None  # for the last pose of the target
     shown = [cameras[:, :3, 3], targets[:, :3, 3]] + ([goal[None, :3, 3]] if goal is not None else [])
@@ -249,7 +439,7 @@ def on_sphere(tracks: Tracks) -> Chart | None:
     space = _ball(chart.panels[0], shown)
     for i, color in enumerate(marker_colors(tracks.markers)):
         draw_curve(space, true[:, i], color=color, **BAND)
-        draw_curve(space, measured[:, i], color=color, linewidth=1.0)
+        draw_curve(space, measured[:, i], color=color, **LINE)
         for at, look in trail_marks(measured[:, i], goal[:, i], color):
             draw_curve(space, at.T, **look)
     trail_keys(space.panel)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,35 +20,7 @@ if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario
 
 
-# Task of a ground vehicle as its figures need it: goals, reference path, tolerance, camera, and the path of an ideal bicycle.
 RINGS, DIRECTIONS = 120, 541  # Polar grid around the camera's foot point on which the visible region of a plane is sampled
-
-
-@dataclass(frozen=True)
-class GroundTask:
-    """Task of a ground vehicle; arrays are empty where the scenario has nothing of the kind."""
-
-    goals: Array  # goal poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
-    reference_path: Array  # path to be driven, by the vehicle itself or by the target that it follows, shape (M, 2) [m]
-    camera: Camera  # the servo camera
-    band_m: float | None = None  # error tolerance of a continuing task after `settle_s` [s], [m]; None for a task with an end
-    settle_s: float = 0.0
-    expected_path: Array | None = None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> GroundTask | None:
-        """The task of a scenario; None for a robot that is no ground vehicle."""
-        if scenario.robot.base != "planar":
-            return None
-        goals = [goal.place for goal in scenario.goal_views if goal.place is not None]
-        return cls(
-            goals=np.array(goals).reshape(-1, 3),
-            reference_path=scenario.target.floor_path[::5],
-            camera=scenario.camera,
-            band_m=scenario.goal.tolerance_m,
-            settle_s=scenario.goal.settle_s,
-            expected_path=ideal_bicycle_path(scenario),
-        )
 
 
 def ideal_bicycle_path(scenario: Scenario) -> Array | None:
@@ -125,7 +97,10 @@ class Setting:
     description: str = ""  # the scenario's description
     feature: Feature | None = None  # the image feature of the law; None for a law without one
     camera: Camera | None = None  # the servo camera
-    ground_task: GroundTask | None = None  # the task of a ground vehicle; None for other robots
+    planar: bool = False  # the robot is a ground vehicle, which has the next three
+    goals: Array = field(default_factory=lambda: np.empty((0, 3)))  # poses (x, y, heading) in their order, shape (K, 3) [m, m, rad]
+    reference_path: Array = field(default_factory=lambda: np.empty((0, 2)))  # to be driven, by it or by what it follows, shape (M, 2) [m]
+    expected_path: Array | None = None  # path of an ideal vehicle from the same start, shape (K, 2) [m]
     band_m: float | None = None  # band_m, settle_s: of a continuing task: error tolerance [m] after this time [s]
     settle_s: float = 0.0
     names: tuple[str, ...] = ()  # of the markers; () where they have none
@@ -146,8 +121,9 @@ class Setting:
         """The setting of a loaded scenario; goal view and thresholds are None for tasks that have none."""
         from vstestbed.scenario.dump import changes  # here: the figures themselves need no scenario
 
-        ground_task, goal, converged = GroundTask.of(scenario), scenario.goal, scenario.stop.converged
+        goal, converged, planar = scenario.goal, scenario.stop.converged, scenario.robot.base == "planar"
         view = getattr(goal, "T_camera_target", None)
+        goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
             width=scenario.camera.width,
             height=scenario.camera.height,
@@ -159,7 +135,10 @@ class Setting:
             description=scenario.description,
             feature=scenario.law.feature,
             camera=scenario.camera,
-            ground_task=ground_task,
+            planar=planar,
+            goals=np.array(goals if planar else []).reshape(-1, 3),
+            reference_path=scenario.target.floor_path[::5] if planar else np.empty((0, 2)),
+            expected_path=ideal_bicycle_path(scenario) if planar else None,
             band_m=goal.tolerance_m,
             settle_s=goal.settle_s,
             changed=changes(scenario),

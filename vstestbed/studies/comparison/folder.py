@@ -22,9 +22,10 @@ from vstestbed.core.files import read_file
 from vstestbed.core.shares import Call, at_once
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.comparison.baseline import BaselineChanges, change_of
-from vstestbed.report.comparison.results import ComparisonResults, Metric, shown_by_default
+from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
+from vstestbed.tasks.metrics import Metric
 
 PLAN = "comparison.yaml"
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
@@ -275,8 +276,6 @@ def _table_in(file: Path) -> pl.DataFrame:
 
 def _with_time(shown: Sequence[Metric]) -> list[Metric]:
     """The metrics that are shown, and the time to converge."""
-    from vstestbed.report.comparison.results import TIME
-
     return list({m.name: m for m in (*shown, TIME)}.values())
 
 

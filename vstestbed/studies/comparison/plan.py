@@ -26,7 +26,7 @@ from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping
-from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, own_titles
+from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, comparable, own_metrics
 
 
 class StartLists(NamedTuple):
@@ -184,11 +184,11 @@ class Comparison:
             raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
         self._check_axes()
         for name, cases in self.cases.items():
-            if name in (*self.axes, *OWN_COLUMNS, *own_titles(), "") or not cases:
+            if name in (*self.axes, *OWN_COLUMNS, *own_metrics(), "") or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         self._check_runs()
         for name in self.metrics:
-            if name not in (known := (*FIGURES, *SOME_FIGURES, *own_titles())):
+            if name not in (known := comparable()):
                 raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_runs(self) -> None:

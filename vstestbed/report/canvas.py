@@ -1,15 +1,11 @@
-"""Matplotlib figures in one style, as inline SVG that follows the page's light or dark colours, and as files.
-
-No pyplot and no global state. Ink and rules are drawn in two colours that nothing else uses; in the SVG they are replaced by the
-page's CSS variables `--ink` and `--rule`. Identifiers get a prefix, because one page holds many figures.
-"""
+"""Matplotlib figures in one style, as inline SVG that follows the page's light or dark colours, and as files; no global state."""
 
 from __future__ import annotations
 
-import colorsys
 import html
 import io
 import re
+import textwrap
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,18 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vstestbed.core.files import write_whole
+from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-INK = "#010203"
-RULE = "#a1b2c3"
-LOST = "#d03040"
-GOAL = "#0a8f6a"
-AXIS_COLORS = ("#d55e00", "#009e73", "#0080d0")  # x, y, z; distinct to colour-blind readers (Okabe & Ito 2008, blue lightened)
-LINE_COLORS = ("#0080d0", "#d55e00", "#009e73", "#b5559a", "#a88700", "#3fa7c4", "#8a6fd1", "#7a7f86")
-WIDTH_IN = 5.2
-
+DPI = 300  # of pictures for papers
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib; the names behind `sans-serif` would be looked up for every word
     "font.size": 9.5,
@@ -113,7 +103,7 @@ def to_svg(figure: Figure, key: str, label: str) -> str:
     text = re.sub(r'\bid="', f'id="{key}-', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
     # the page's colours, which follow light and dark mode
-    text = text.replace(INK, "var(--ink)").replace(RULE, "var(--rule)")
+    text = text.replace(INK, paint(INK)).replace(RULE, paint(RULE))
     return re.sub(r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1).strip()
 
 
@@ -126,6 +116,13 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     return write_whole(path, sink.getvalue())
 
 
+def save_paper(figure: Figure, place: Path, key: str, dpi: int = DPI) -> None:
+    """Write the figure as PDF with embedded fonts and as PNG."""
+    save(figure, place / f"{key}.pdf")
+    figure.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
+    save(figure, place / f"{key}.png", dpi)
+
+
 @contextmanager
 def _without_warnings() -> Iterator[None]:
     """Matplotlib's warnings are for who writes the figure: of a name in a script that its font lacks, a reader can mend nothing."""
@@ -134,24 +131,12 @@ def _without_warnings() -> Iterator[None]:
         yield
 
 
-def printable(name: str) -> str:
-    """A name with its control characters, which no font has and XML does not allow, written as Python escapes them."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)
+def plain(name: str) -> str:
+    """A name for matplotlib: no mathtext, no leading underscore, which a legend would hide; control characters as Python escapes them."""
+    printable = "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in name)  # no font has them, XML does not allow them
+    return printable.replace("$", r"\$").lstrip("_") or "(unnamed)"
 
 
-def marker_colors(n: int) -> list[str]:
-    """One colour per marker, with the hue of its paint and a luminance that contrasts with white and with black."""
-    colors = (_at_luminance(colorsys.hsv_to_rgb(i / n, 1.0, 1.0), 0.23) for i in range(n))
-    return ["#" + "".join(f"{round(255 * part):02x}" for part in color) for color in colors]
-
-
-def _at_luminance(rgb: tuple[float, float, float], target: float) -> tuple[float, float, float]:
-    """The colour darkened, or mixed with white, to a relative luminance (its contrast with white is 1.05 / (target + 0.05))."""
-    linear = [c**2.2 for c in rgb]  # gamma of sRGB, nearly; below: its luminance weights (ITU-R BT.709)
-    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    if luminance > target:
-        linear = [c * target / luminance for c in linear]
-    else:
-        white = (target - luminance) / (1 - luminance)
-        linear = [c + (1 - c) * white for c in linear]
-    return (linear[0] ** (1 / 2.2), linear[1] ** (1 / 2.2), linear[2] ** (1 / 2.2))
+def wrapped(label: str, width: int = 20) -> str:
+    """A long label broken into several lines."""
+    return textwrap.fill(label, width)

@@ -1,8 +1,7 @@
 """Charts of a run's page, written as SVG directly: panels over one horizontal axis, equal scale, and views of space.
 
 A run's page is read once, seconds after the run: these charts take a hundredth of the time of a plotting library, most of which
-measures text that the browser sets again. The names of looks are matplotlib's (`color`, `linewidth`, `linestyle`, `marker`), so that
-`sphere` draws on both. Legends are HTML below the drawing, which the browser wraps as the window is wide.
+measures text that the browser sets again. Looks are those of `marks`. Legends are HTML below the drawing, which the browser wraps.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from vstestbed.core.geometry import Array
-from vstestbed.report.html.canvas import INK, RULE, WIDTH_IN
+from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -121,11 +120,6 @@ class Curve:
         else:
             body = self.drawn(*(np.array([[10.0], [4.5]]) if self.marker else np.array([[2.0, 18.0], [4.5, 4.5]])))
         return f'<svg viewBox="0 0 {20 * POINT} {9 * POINT}" aria-hidden="true"><g stroke-linecap="round">{body}</g></svg>'
-
-
-def paint(color: str) -> str:
-    """A colour for SVG: ink and rules in the page's own, which follow light and dark."""
-    return {INK: "var(--ink)", RULE: "var(--rule)"}.get(color, color)
 
 
 def _path(p: Array) -> str:
@@ -290,9 +284,10 @@ class Chart:
         return f"<svg {look}>{body}</svg>{self._key()}"
 
     def legend(self) -> dict[str, Curve]:
-        """The entries of the legend in their order: the first curve with each label."""
+        """The entries of the legend in their order, areas last: the first curve with each label."""
         found: dict[str, Curve] = {}
-        for curve in (curve for panel in self.panels for curve in panel.curves if curve.label):
+        curves = [curve for panel in self.panels for curve in panel.curves if curve.label]
+        for curve in sorted(curves, key=lambda curve: curve.zorder <= 1):
             found.setdefault(curve.label, curve)
         return found
 

@@ -1,1 +1,0 @@
-"""HTML parts that all pages share: figures as SVG, the page template, cards, films."""

@@ -1,0 +1,76 @@
+"""Pages from the templates in `templates/` (jinja2); a page loads nothing from outside: the same without network and years later."""
+
+from __future__ import annotations
+
+import base64
+import re
+from functools import cache
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from vstestbed.core.files import write_whole
+from vstestbed.report.marks import counted, number
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
+
+# Of a table that sorts: sort key (None sorts last), words, whether the number differs significantly, and small lines below it.
+Cell = tuple[float | str | None, str, bool, list[str]]
+NO_CELL: Final[Cell] = (None, "–", False, [])
+Film = tuple[str, str, str]  # Title, source, and the name of the file beside the page, "" of an embedded one
+
+
+def write_page(folder: Path, template: str, heading: str, **content: Any) -> Path:
+    """Write a page as `report.html` into a folder; returns its path."""
+    return write_whole(folder / "report.html", page(template, heading, **content))
+
+
+def page(template: str, heading: str, title: str = "", **content: Any) -> str:
+    """A whole page; all text in its content is escaped. `title`: of the browser's window, as a rule the heading."""
+    return _environment().get_template(template).render(heading=heading, title=title or heading, **content)
+
+
+def cell(page: str, height_px: int) -> str:
+    """A whole page as the output of a notebook's cell, in a frame of its own: its style sheet touches nothing of the notebook."""
+    look = f"width:100%;height:{height_px}px;border:0;border-radius:10px"
+    return f'<iframe srcdoc="{escape(page)}" style="{look}" sandbox="allow-scripts allow-popups"></iframe>'
+
+
+def film_of(title: str, path: Path, embedded: bool) -> Film:
+    """A film, embedded in the page or linked to the file beside it."""
+    return (title, data_url("video/mp4", path.read_bytes()), "") if embedded else (title, path.name, path.name)
+
+
+def data_url(kind: str, content: bytes) -> str:
+    """The content of a file as a `data:` URL of the given MIME type."""
+    return f"data:{kind};base64," + base64.b64encode(content).decode("ascii")
+
+
+@cache
+def _environment() -> Environment:
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # here: a command that writes no page starts without it
+
+    found = Environment(
+        loader=PackageLoader("vstestbed.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    found.filters |= {"number": number, "powers": _powers, "sort_key": _sort_key, "spoken": _spoken, "counted": counted}
+    return found
+
+
+def _powers(words: str) -> Markup:
+    """Words in which powers of ten, `10^-7`, are raised."""
+    from markupsafe import Markup
+
+    return Markup(re.sub(r"10\^(-?\d+)", r"10<sup>\1</sup>", escape(words)))
+
+
+def _sort_key(key: float | str | None) -> str:
+    # nine digits: values that differ only beyond the shown ones still sort
+    return "" if key is None else str(key) if isinstance(key, str | int) else f"{key:.9g}"
+
+
+def _spoken(outcome: str) -> str:
+    """An outcome as words: `target lost` for `target_lost`."""
+    return outcome.replace("_", " ")
