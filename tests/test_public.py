@@ -6,7 +6,6 @@ import importlib
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -120,9 +119,8 @@ def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:
         vs.run("arm_ibvs")  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
+def test_a_mistake_in_python_has_the_sentence_of_a_file() -> None:
+    for call, words in (
         (lambda: vs.laws.IBVS(gian=1), "IBVS.gian is an unknown field; did you mean 'gain'?"),
         (lambda: vs.laws.IBVS(gain=-1), "IBVS.gain must be > 0, got -1"),
         (lambda: vs.laws.IBVS(gain={"kind": "adaptive", "at_zer": 1}), "IBVS.gain.at_zer is an unknown field; did you mean 'at_zero'?"),
@@ -139,12 +137,10 @@ def test_a_name_in_place_of_a_scenario_is_refused_with_what_to_write() -> None:
         (lambda: vs.targets.Square(side=1, pose={"rpy": (0, 0, 3)}), "Square.pose.rpy is an unknown field; did you mean 'rpy_deg'?"),
         (lambda: vs.Pose(xyz=(0, "1", 3)), "Pose.xyz.1 must be a number, got '1'"),
         (lambda: vs.Scenario(), "Scenario.robot is missing; valid kinds: "),
-    ],
-)
-def test_a_mistake_in_python_has_the_sentence_of_a_file(call: Callable[[], object], words: str) -> None:
-    with pytest.raises(ParameterError) as refused:
-        call()
-    assert str(refused.value).startswith(words) and isinstance(refused.value, ValueError)
+    ):
+        with pytest.raises(ParameterError) as refused:
+            call()
+        assert str(refused.value).startswith(words) and isinstance(refused.value, ValueError)
 
 
 def test_the_readme_has_no_blank_left_to_fill() -> None:

@@ -41,17 +41,14 @@ def test_distortion_that_nobody_knows_of():
     np.testing.assert_allclose(believed.project(P), Fisheye(focal_length_px=150.0).project(P), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("error", "camera", "words"),
-    [
+def test_what_a_lens_does_not_have_is_refused():
+    for error, camera, words in (
         ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with camera spherical"),
         ({"ignores_distortion": True}, Catadioptric(), "lenses perspective and fisheye"),
         ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must lie in the 640 x 480 picture"),
-    ],
-)
-def test_what_a_lens_does_not_have_is_refused(error, camera, words):
-    with pytest.raises(ParameterError, match=words):
-        Calibration(**error).believed(camera)
+    ):
+        with pytest.raises(ParameterError, match=words):
+            Calibration(**error).believed(camera)
 
 
 def test_depths_are_told_wrong_by_the_factor_and_the_spread():

@@ -134,9 +134,8 @@ def test_the_words_for_an_entry(word: str, name: str) -> None:
     assert isinstance(found, Entry) and found.name == name
 
 
-@pytest.mark.parametrize(
-    ("word", "words"),
-    [
+def test_words_that_are_not_one() -> None:
+    for word, words in (
         ("lines", "lines is detector.lines and target.lines; give one of these names"),
         ("pbv", "pbv is no kind, block or field of a scenario; did you mean 'pbvs'?"),
         ("qqqq", "qqqq is no kind, block or field of a scenario; a scenario has name, description, plugins, seed,"),
@@ -147,12 +146,10 @@ def test_the_words_for_an_entry(word: str, name: str) -> None:
         ("camera.optic.defocus", "camera.optic.defocus is no field of a scenario: camera has no optic; did you mean 'optics'?"),
         ("seed.x", "seed.x is no field of a scenario: seed is no block, and has no fields"),
         ("camera.readout_s.x", "camera.readout_s.x is no field of a scenario: camera.readout_s is no block"),
-    ],
-)
-def test_words_that_are_not_one(word: str, words: str) -> None:
-    with pytest.raises(ParameterError) as refused:
-        looked_up(word, entries())
-    assert str(refused.value).startswith(words)
+    ):
+        with pytest.raises(ParameterError) as refused:
+            looked_up(word, entries())
+        assert str(refused.value).startswith(words)
 
 
 def paths_of(rule: dict[str, Any], bare: str = "", full: str = "", within: tuple[str, ...] = ()) -> Iterator[tuple[str, str, str]]:

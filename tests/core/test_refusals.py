@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 import vstestbed as vs
@@ -12,9 +10,8 @@ from vstestbed.core.errors import ScenarioError
 BOX = {"pose": {"xyz": [1, 0, 0]}}
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "sentence"),
-    [
+def test_a_mistake_is_told_with_what_works() -> None:
+    for field, value, sentence in (
         # no list: an example, the default, or what its blocks are of
         ("robot.payload", {"mass_kg": 1, "com_m": 0.1}, "robot.payload.com_m: must be a list, such as [0.0, 0.0, 0.1], got 0.1"),
         ("world.clutter", BOX | {"shapes": "ball"}, "world.clutter.shapes: must be a list, such as ['ball', 'disc', 'box'], got 'ball'"),
@@ -47,9 +44,7 @@ BOX = {"pose": {"xyz": [1, 0, 0]}}
             "world.floor.texture: must be a picture, FILE.png or FILE.jpg, or texture:NAME "
             "(brick, flat, leaves, poster, repetitive, text), got 'brick'",
         ),
-    ],
-)
-def test_a_mistake_is_told_with_what_works(field: str, value: Any, sentence: str) -> None:
-    with pytest.raises(ScenarioError) as refused:
-        vs.load("arm_ibvs", {field: value})
-    assert str(refused.value) == f"overrides: {sentence}"
+    ):
+        with pytest.raises(ScenarioError) as refused:
+            vs.load("arm_ibvs", {field: value})
+        assert str(refused.value) == f"overrides: {sentence}"

@@ -61,9 +61,8 @@ def test_places_on_the_floor() -> None:
     assert block_of("still") == "still"
 
 
-@pytest.mark.parametrize(
-    ("field", "given", "words"),
-    [
+def test_what_is_no_pose_is_refused_with_a_sentence() -> None:
+    for field, given, words in (
         ("pose", SE3.Rx([0.1, 0.2]), "pose must be one pose, and this SE3 holds 2; take one of them"),
         ("pose", SE3.Empty(), "pose must be one pose, and this SE3 holds 0"),
         ("pose", SE2(1, 2, 3), r"pose is a place in the plane \(SE2\), and here a pose in space belongs; its SE3\(\) lifts it"),
@@ -79,11 +78,9 @@ def test_places_on_the_floor() -> None:
         ("place", SE3.Rx(0.1), r"place must be upright, .* the z axis of this pose is \[0.0, -0.1, 0.995\]"),
         ("place", SE2([SE2(), SE2()]), "place must be one pose, and this SE2 holds 2"),
         ("hover", SE3.Ry(np.pi), "hover must be upright"),
-    ],
-)
-def test_what_is_no_pose_is_refused_with_a_sentence(field: str, given: object, words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        Placed(**{field: given})
+    ):
+        with pytest.raises(ParameterError, match=words):
+            Placed(**{field: given})
 
 
 def test_a_rotation_of_six_digits_is_a_rotation() -> None:

@@ -83,9 +83,8 @@ def test_the_factor_of_a_facing_target_does_not_depend_on_its_distance():
     np.testing.assert_allclose(one, -one[0, 0] * np.diag([-1, -1, -1]), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("shape", "rows", "words"),
-    [
+def test_goals_at_which_rows_are_singular():
+    for shape, rows, words in (
         (SQUARE, ("xn", "alpha"), "may not have alpha: the target is as wide as long"),
         (OBLONG, ("xn", "px", "py"), "may not have py: the target is symmetric about its centre in the goal view, where"),
         (OBLONG, ("xn", "c4", "c6"), "may not have c4, c6: the target is symmetric"),
@@ -96,11 +95,9 @@ def test_the_factor_of_a_facing_target_does_not_depend_on_its_distance():
         (OVAL, ("xn", "xg", "an"), "may be an ellipse"),
         (np.array([[-0.1, -0.1], [0.1, 0.1], [0.1, -0.1], [-0.1, 0.1]]), ("xn",), "encloses no area"),
         (OVAL, Moments().rows, "may be an ellipse; use fewer rows, feature ellipse"),
-    ],
-)
-def test_goals_at_which_rows_are_singular(shape, rows, words):
-    with pytest.raises(ParameterError, match=words):
-        Moments(of="region", rows=rows).check_goal(*view(shape))
+    ):
+        with pytest.raises(ParameterError, match=words):
+            Moments(of="region", rows=rows).check_goal(*view(shape))
 
 
 def test_what_suits_is_accepted():

@@ -54,15 +54,12 @@ def test_error_is_now_minus_wanted():
     np.testing.assert_array_equal(Point().error(np.array([1.0, 2]), np.array([0.5, 3])), [0.5, -1])
 
 
-@pytest.mark.parametrize(
-    ("xy", "depth"),
-    [
+def test_shapes_that_do_not_belong_together():
+    for xy, depth in (
         ((4, 3), (4,)),  # not two coordinates
         ((4, 2), (3,)),  # not one depth for each point
         ((4, 2), ()),  # one depth for all must be written out
         ((2, 4, 2), (4,)),  # a batch of points with one set of depths
-    ],
-)
-def test_shapes_that_do_not_belong_together(xy: tuple[int, ...], depth: tuple[int, ...]):
-    with pytest.raises(ParameterError, match=r"\(\.\.\., N\)"):
-        Point().interaction(np.zeros(xy), np.ones(depth))
+    ):
+        with pytest.raises(ParameterError, match=r"\(\.\.\., N\)"):
+            Point().interaction(np.zeros(xy), np.ones(depth))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -42,9 +40,8 @@ def test_the_depth_of_field_is_the_textbooks(allowed_m: float):
         assert abs(circle(z, f_px)) * PITCH == pytest.approx(allowed_m, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("given", "field", "words"),
-    [
+def test_a_lens_without_a_focal_length_or_an_image_is_refused():
+    for given, field, words in (
         ({"optics": Optics(defocus=Defocus(focus_m=0.5, f_number=2))}, "optics.defocus.focal_length_m", "needed"),
         ({"optics": Optics(defocus=LENS), "focal_length_m": F, "pixel_size_m": PITCH}, "optics.defocus.focal_length_m", "leave it out"),
         (
@@ -52,12 +49,10 @@ def test_the_depth_of_field_is_the_textbooks(allowed_m: float):
             "optics.defocus.focus_m",
             "farther than the focal length",
         ),
-    ],
-)
-def test_a_lens_without_a_focal_length_or_an_image_is_refused(given: dict[str, Any], field: str, words: str):
-    with pytest.raises(ParameterError, match=words) as caught:
-        Perspective(**given)
-    assert caught.value.field == field
+    ):
+        with pytest.raises(ParameterError, match=words) as caught:
+            Perspective(**given)
+        assert caught.value.field == field
 
 
 @pytest.mark.parametrize("optics", [Optics(cos4=True), Optics(defocus=LENS)])

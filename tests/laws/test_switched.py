@@ -215,9 +215,8 @@ def test_during_a_run_its_numbers_change_and_its_laws_do_not():
 CONSTANT = {"kind": "ibvs", "depth": {"kind": "constant", "depth_m": 1}}
 
 
-@pytest.mark.parametrize(
-    ("laws", "words"),
-    [
+def test_laws_that_cannot_work_in_turn_are_refused():
+    for laws, words in (
         (["pbvs"], r"law\.laws: must be a list of 2 or more items"),
         (["ibvs", "pbvs"], r"law\.laws\.0\.until: needs a condition, such as \{border_under_px: 30\}"),
         ([{"law": "pursuit", "until": {"error_over_px": 9}}, "pbvs"], r"law\.laws\.0\.law\.kind: may not be pursuit, which takes gap"),
@@ -227,11 +226,9 @@ CONSTANT = {"kind": "ibvs", "depth": {"kind": "constant", "depth_m": 1}}
         ),
         ([{"law": "switched", "until": {"error_over_px": 9}}, "pbvs"], r"law\.laws\.0\.law: is no law; valid kinds"),
         ([{"law": "ibvs", "until": {"border_px": 9}}, "pbvs"], r"until\.border_px: is an unknown field; did you mean 'border_under_px'"),
-    ],
-)
-def test_laws_that_cannot_work_in_turn_are_refused(laws: list[object], words: str):
-    with pytest.raises(ScenarioError, match=words):
-        half_turned({"kind": "switched", "laws": laws})
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            half_turned({"kind": "switched", "laws": laws})
 
 
 def test_what_it_tells_of_itself():

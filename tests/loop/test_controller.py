@@ -269,25 +269,22 @@ class TestWhatIsTold:
         q[0] = controller.scenario.robot.joint_limits[0, 1] + 0.05
         assert controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6))).t == 0.0
 
-    @pytest.mark.parametrize(
-        ("wrong", "words"),
-        [
+    def test_a_crafts_range_and_tilt(self) -> None:
+        for wrong, words in (
             ({"range_m": np.nan}, "range_m must be a distance"),
             ({"range_m": -1.0}, "range_m must be a distance"),
             ({"tilt": None}, "tilt must be"),
-        ],
-    )
-    def test_a_crafts_range_and_tilt(self, wrong: dict[str, Any], words: str) -> None:
-        controller, still = vs.Controller(vs.load("quadrotor_hover")), np.zeros(3)
-        estimate = FlightEstimate(still, still, np.zeros(2), still, 0.0, False, False)
-        right: dict[str, Any] = {"tilt": np.zeros(2), "range_m": np.inf}
-        none = np.zeros(0)
-        assert controller.without_picture(0.0, FlightReading(none, none, estimate=estimate, **right)).stopped
-        with pytest.raises(ParameterError, match=rf"readings\.{words}"):
-            controller.without_picture(0.1, FlightReading(none, none, estimate=estimate, **right | wrong))
-        blown = replace(estimate, velocity=np.full(3, np.nan))
-        with pytest.raises(ParameterError, match=r"readings\.estimate\.velocity must be three finite numbers"):
-            controller.without_picture(0.1, FlightReading(none, none, estimate=blown, **right))
+        ):
+            controller, still = vs.Controller(vs.load("quadrotor_hover")), np.zeros(3)
+            estimate = FlightEstimate(still, still, np.zeros(2), still, 0.0, False, False)
+            right: dict[str, Any] = {"tilt": np.zeros(2), "range_m": np.inf}
+            none = np.zeros(0)
+            assert controller.without_picture(0.0, FlightReading(none, none, estimate=estimate, **right)).stopped
+            with pytest.raises(ParameterError, match=rf"readings\.{words}"):
+                controller.without_picture(0.1, FlightReading(none, none, estimate=estimate, **right | wrong))
+            blown = replace(estimate, velocity=np.full(3, np.nan))
+            with pytest.raises(ParameterError, match=r"readings\.estimate\.velocity must be three finite numbers"):
+                controller.without_picture(0.1, FlightReading(none, none, estimate=blown, **right))
 
     @pytest.mark.parametrize("q", [np.zeros(5), np.full(6, np.nan)])
     def test_a_wrong_reading(self, controller: vs.Controller, q: np.ndarray) -> None:

@@ -185,9 +185,8 @@ class TestPursuit:
 
 
 class TestRefusals:
-    @pytest.mark.parametrize(
-        ("name", "settings", "words"),
-        [
+    def test_words(self):
+        for name, settings, words in (
             ("arm_ibvs", {"goal": {"pose": {"x": 1}}}, "may not be of kind pose with law ibvs, which takes view"),
             ("arm_ibvs", {"goal": {"view_from": {"x": 1}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
             ("car_pbvs", {"goal": {"gap_m": 2}}, "may not be of kind gap with law pose_controller, which takes pose"),
@@ -199,9 +198,7 @@ class TestRefusals:
             ("car_pbvs", {"stop.converged": {"error_px": 0.3}}, "stop.converged: must have position_m or rotation_deg"),
             ("omni_ibvs", {"goal": {}}, "goal: needs one of the fields T_camera_target, view_from, views, pose, gap_m"),
             ("car_pbvs", {"robot.start.nominal.heading": 3}, "did you mean 'heading_deg'?"),
-        ],
-    )
-    def test_words(self, name, settings, words):
-        with pytest.raises((ScenarioError, ParameterError)) as told:
-            vs.load(name, settings)
-        assert words in str(told.value)
+        ):
+            with pytest.raises((ScenarioError, ParameterError)) as told:
+                vs.load(name, settings)
+            assert words in str(told.value)

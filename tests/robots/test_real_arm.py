@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,9 +41,8 @@ class TestPresets:
         assert ideal.payload.mass_kg == 1 and len(ideal.geometry_error.offsets) == 6
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
+def test_what_does_not_fit_is_refused() -> None:
+    for given, words in (
         ({"gears": {"stiffness_nmprad": [1e4, 1e4]}}, "must be one value for all joints, or 6"),
         ({"gears": {**SOFT, "backlash_deg": [0, 0, 0, 0.1, 0, 0]}}, "must be 0 for a rigid joint"),
         ({"gears": {"stiffness_nmprad": [0, 0, 0, 0, 0, 30000]}}, r"at most \d+ for joint_6: it vibrates at \d+ Hz"),
@@ -52,11 +50,9 @@ class TestPresets:
         ({"drives": {}, "actuation": "ideal"}, "is for actuators with limits"),
         ({"geometry_error": {"offsets": [{}]}}, "must be 6, one for each link"),
         ({"encoders": {"counts": [10, 10]}}, "must be one value for all joints"),
-    ],
-)
-def test_what_does_not_fit_is_refused(given: dict[str, Any], words: str) -> None:
-    with pytest.raises(ScenarioError, match=words):
-        vs.load("arm_ibvs", {f"robot.{name}": value for name, value in given.items()})
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("arm_ibvs", {f"robot.{name}": value for name, value in given.items()})
 
 
 def test_a_physics_step_that_is_too_long_is_refused() -> None:

@@ -242,17 +242,14 @@ def test_a_report_names_the_level_and_not_what_it_fills_nor_the_start_that_was_d
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_values_that_would_be_drawn_over_are_refused() -> None:
+    for name, settings, words in (
         ("arm_ibvs", {"robot.geometry_error": {"sigma_m": 0.001, "offsets": [{}] * 6}}, "must be empty with sigma_m"),
         ("omni_ibvs", {"robot.wheel_spread": {"sigma": 0.001, "errors": [0, 0, 0, 0.01]}}, "must be none with sigma > 0"),
         ("arm_ibvs", {"robot.start.random": None, "draw_start": True}, "robot.start.random"),
-    ],
-)
-def test_values_that_would_be_drawn_over_are_refused(name: str, settings: dict[str, object], words: str) -> None:
-    with pytest.raises(ScenarioError, match=words):
-        vs.load(name, settings)
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load(name, settings)
 
 
 def test_a_level_put_into_a_robot_that_has_been_filled_is_refused_with_what_works() -> None:

@@ -494,19 +494,16 @@ class TestContradictions:
         with pytest.raises(ScenarioError, match=r"^overrides: goal"):
             load("arm_ibvs", {"camera.width": 100})
 
-    @pytest.mark.parametrize(
-        ("settings", "words"),
-        [
+    def test_parts_that_do_not_belong_together(self) -> None:
+        for settings, words in (
             ({"stop.duration_s": 1e-3}, "stop.duration_s: must be at least one camera period, 0.04 s"),
             (
                 {"target": {"kind": "points", "at": [[-0.2, 0, 0], [0, 0, 0], [0.2, 0, 0]], "pose": {"xyz": [1.5, 0, 0.7]}}},
                 "law.depth: may not be pnp: all markers lie on one line",
             ),
-        ],
-    )
-    def test_parts_that_do_not_belong_together(self, settings: dict[str, object], words: str) -> None:
-        with pytest.raises(ScenarioError, match=words):
-            load("arm_ibvs", settings)
+        ):
+            with pytest.raises(ScenarioError, match=words):
+                load("arm_ibvs", settings)
 
     def test_a_field_of_another_law_is_told_as_such(self) -> None:
         with pytest.raises(ScenarioError, match=r"^overrides: law.turn_limits_deg: is an unknown field of hybrid; partitioned has it$"):

@@ -70,16 +70,13 @@ def test_a_detector_that_knows_the_picture_knows_the_clean_one(plain: str):
     assert s.target_in_run.source == s.target.source and s.target_in_run.sheet != s.target.sheet
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
+def test_what_has_no_picture_or_changes_none_is_refused():
+    for settings, words in (
         (
             {"target": {"kind": "square", "side": 0.3, "pose": {"xyz": [0, 0, 0]}}},
             "a square has none; works: target picture, or noise.perturb",
         ),
         ({"noise.target.perturb": ["outliers"]}, "works: erasing, color_jitter, shadow"),
-    ],
-)
-def test_what_has_no_picture_or_changes_none_is_refused(settings: dict[str, Any], words: str):
-    with pytest.raises(ScenarioError, match=words):
-        vs.load("camera_vitvs", {"noise.target.image_sigma": 5, **settings})
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("camera_vitvs", {"noise.target.image_sigma": 5, **settings})

@@ -76,20 +76,17 @@ def test_each_line_has_its_hue():
     assert lines.hues_deg == (0, 0, 180, 180) and len(lines.points) == 4
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
+def test_refuses():
+    for wrong, words in (
         ({"pose": Pose(xyz=(0, 0, 0.1))}, "flat on the floor"),
         ({"pose": Pose(rpy_deg=(0, 5, 0))}, "flat on the floor"),
         ({"look_m": (0.3, 0.1)}, "far 0.02 m or more beyond near"),
         ({"offsets_m": (0.0, 0.05)}, "2 stripe widths"),
         ({"offsets_m": (2.0,)}, "tightest radius, 2 m"),
         ({"motion": {"kind": "carried", "route": {"kind": "straight"}}}, "painted on the floor"),
-    ],
-)
-def test_refuses(wrong, words):
-    with pytest.raises(ParameterError, match=words):
-        GroundLines(**{"route": CircularRoute(radius_m=2.0), **wrong})
+    ):
+        with pytest.raises(ParameterError, match=words):
+            GroundLines(**{"route": CircularRoute(radius_m=2.0), **wrong})
 
 
 class TestBeside:

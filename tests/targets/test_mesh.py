@@ -110,14 +110,11 @@ class TestNames:
         assert [target.called(i) for i in (0, 1)] == ["0 (bolt)", "1 (left corner)"] and target.number("left corner") == 1
         assert Points(pose=Pose(), at=((0, 0, 0),)).called(0) == "0" and target.number("nut") == -1 and target.number(1) == 1
 
-    @pytest.mark.parametrize(
-        ("names", "words"),
-        [
+    def test_each_marker_has_one_of_its_own(self):
+        for names, words in (
             (("a",), "names must be 4 names, one for each marker, or none"),
             (("a", "b", "c", "a"), "names must be different: a stands there 2 times"),
             (("a", "b", "c", "3"), "names.3"),
-        ],
-    )
-    def test_each_marker_has_one_of_its_own(self, names: tuple[str, ...], words: str):
-        with pytest.raises(ParameterError, match=words):
-            Square(side=0.4, pose=Pose(), names=names)
+        ):
+            with pytest.raises(ParameterError, match=words):
+                Square(side=0.4, pose=Pose(), names=names)

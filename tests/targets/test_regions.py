@@ -147,9 +147,8 @@ DISC: dict[str, Any] = {
 SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_what_does_not_go_together_is_refused():
+    for name, settings, words in (
         (
             "arm_ball",
             {"law.depth": "pnp"},
@@ -181,11 +180,9 @@ SLANT = {"goal.T_camera_target.rpy_deg": [30, 0, 0]}
         ("arm_region", {"target.names": ["tail"]}, "target.names: are for markers; the points of an outline have none"),
         ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: has no place behind a ball"),
         ("arm_ball", {"goal.T_camera_target.xyz": [0, 0, 0.15]}, "outside the 640 x 480 picture"),
-    ],
-)  # fmt: skip - one case a line
-def test_what_does_not_go_together_is_refused(name: str, settings: dict[str, Any], words: str):
-    with pytest.raises(ScenarioError, match=words):
-        vs.load(name, settings)
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load(name, settings)
 
 
 IDEAL = {"detector": "oracle", "robot.actuation": "ideal", "stop.duration_s": 15.0}

@@ -71,19 +71,16 @@ def test_the_vehicle_must_make_most_of_the_speed_that_the_law_orders():
     assert (speed.who, speed.commanded_mps, speed.least_mps) == ("the vehicle, along its line,", 0.6, pytest.approx(0.48))
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work():
+    for name, settings, words in (
         ("car_line", {"target.route": circle(0.6)}, "target.route: has a bend of 0.6 m where the vehicle shall drive, which turns"),
         ("car_line", {"target.route": circle(2), "goal.offset_m": 1.5}, "has a bend of 0.5 m where the vehicle shall drive"),
         ("car_line", {"law.cruise_mps": 1.5}, "law.cruise_mps: must be at most 1 m/s, which the limits of robot and law allow, got 1.5"),
         ("omni_line", {"law.limits.speed_mps": 0.5}, "law.cruise_mps: must be at most 0.5 m/s"),
-    ],
-)
-def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work(name, settings, words):
-    with pytest.raises((ParameterError, ScenarioError)) as told:
-        vs.load(name, settings)
-    assert words in str(told.value)
+    ):
+        with pytest.raises((ParameterError, ScenarioError)) as told:
+            vs.load(name, settings)
+        assert words in str(told.value)
 
 
 @pytest.mark.parametrize(

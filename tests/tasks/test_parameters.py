@@ -55,19 +55,16 @@ def test_two_to_a_hundred_views(kind: type):
 
 
 class TestMarkersThatCount:
-    @pytest.mark.parametrize(
-        ("markers", "words"),
-        [
+    def test_refused(self):
+        for markers, words in (
             ([0, 1, 4], "must be numbers of markers, 0 to 3"),
             ([0, 1], "must name 3 markers or more for law ibvs"),
             ([0, 0, 1], "must name 3 markers or more for law ibvs"),
             ([-1, 0, 1], "goal.markers"),
             ([], "goal.markers"),
-        ],
-    )
-    def test_refused(self, markers: list[int], words: str):
-        with pytest.raises(ScenarioError, match=words):
-            vs.load("arm_ibvs", {"goal.markers": markers})
+        ):
+            with pytest.raises(ScenarioError, match=words):
+                vs.load("arm_ibvs", {"goal.markers": markers})
 
     def test_accepted(self):
         (view,) = vs.load("arm_ibvs", {"goal.markers": [3, 0, 1]}).goal_views
@@ -98,9 +95,8 @@ class TestConverged:
 
 
 class TestWhatATaskRefuses:
-    @pytest.mark.parametrize(
-        ("name", "settings", "words"),
-        [
+    def test_it_says_what(self):
+        for name, settings, words in (
             (
                 "car_line",
                 {"goal": {"T_camera_target": {"xyz": [0, 0, 2]}}, "law": {"kind": "ibvs"}},
@@ -114,8 +110,6 @@ class TestWhatATaskRefuses:
             ("omni_ibvs", {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}}, "is for a craft that flies"),
             ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
             ("arm_ibvs", {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}}, "of kind views is for a vehicle"),
-        ],
-    )
-    def test_it_says_what(self, name: str, settings: dict[str, Any], words: str):
-        with pytest.raises(ScenarioError, match=words):
-            vs.load(name, settings)
+        ):
+            with pytest.raises(ScenarioError, match=words):
+                vs.load(name, settings)

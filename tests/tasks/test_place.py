@@ -29,18 +29,15 @@ def test_a_place_from_which_nothing_is_seen_is_a_goal_too():
     assert (replace(scenario, goal=turned).goal_view.depth < 0).any()
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_a_place_that_cannot_be_reached_is_refused_with_what_would_work():
+    for name, settings, words in (
         ("car_pbvs", {"law.rest_m": 0.05}, "law.rest_m: must be under stop.converged.position_m = 0.05 m"),
         ("car_pbvs", {"stop.converged": {"error_px": 1}}, "stop.converged: must have position_m or rotation_deg for a goal of kind pose"),
         ("car_pbvs", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "needs a target that stands still"),
-    ],
-)
-def test_a_place_that_cannot_be_reached_is_refused_with_what_would_work(name, settings, words):
-    with pytest.raises((ParameterError, ScenarioError)) as told:
-        vs.load(name, settings)
-    assert words in str(told.value)
+    ):
+        with pytest.raises((ParameterError, ScenarioError)) as told:
+            vs.load(name, settings)
+        assert words in str(told.value)
 
 
 def test_nearer_than_where_the_law_rests_it_is_taken():

@@ -42,9 +42,8 @@ def test_a_run_that_cannot_start_leaves_no_assets(tmp_path: Path, monkeypatch: p
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("scenario", "setting", "words"),
-    [
+def test_what_does_not_belong_together_is_refused() -> None:
+    for scenario, setting, words in (
         (
             "arm_ibvs",
             {"detector": "tags"},
@@ -59,11 +58,9 @@ def test_a_run_that_cannot_start_leaves_no_assets(tmp_path: Path, monkeypatch: p
         ("arm_tags", {"target.marker.first_id": 584}, r"marker.first_id: must be at most 583: family apriltag_36h11 has 587 tags"),
         ("arm_tags", {"target.marker.family": "apriltag_36h12"}, r"target.marker.family"),
         ("arm_tags", {"target.marker.radius": 0.1}, r"target.marker.radius"),
-    ],
-)
-def test_what_does_not_belong_together_is_refused(scenario: str, setting: dict[str, object], words: str) -> None:
-    with pytest.raises(ScenarioError, match=words):
-        vs.load(scenario, setting)
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load(scenario, setting)
 
 
 def test_the_oracle_sees_tags() -> None:

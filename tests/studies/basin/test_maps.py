@@ -33,18 +33,15 @@ def test_a_grid_in_the_frame_of_the_goal_camera():
     assert starts(s, Axis("x", 1, 2, 2), Axis("y", 1, 2, 2), {})[0] == pytest.approx(start_of(s), abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("words", "x", "y", "at"),
-    [
+def test_what_a_grid_refuses():
+    for words, x, y, at in (
         ("--y must be another coordinate than --x", "x", "x", {}),
         ("--at must be one of x, y, z, roll, pitch, yaw that is not on the map, got 'y'", "x", "y", {"y": 1}),
         ("--at must be one of", "x", "y", {"depth": 1}),
         ("--at z must be a finite number, got nan", "x", "y", {"z": math.nan}),
-    ],
-)
-def test_what_a_grid_refuses(words: str, x: str, y: str, at: dict[str, float]):
-    with pytest.raises(ParameterError, match=words):
-        starts(ideal(vs.load("ibvs_book")), Axis(x, 0, 1, 2), Axis(y, 0, 1, 2), at)
+    ):
+        with pytest.raises(ParameterError, match=words):
+            starts(ideal(vs.load("ibvs_book")), Axis(x, 0, 1, 2), Axis(y, 0, 1, 2), at)
 
 
 def test_points_retreat_to_infinity_only_near_the_half_turn():

@@ -14,21 +14,18 @@ from vstestbed.studies.comparison.plan import MOST_RUNS, StartTable, Variants, m
 TENTHS = tuple(i / 10 for i in range(1, 11))
 
 
-@pytest.mark.parametrize(
-    ("comparison", "product"),
-    [
+def test_too_many_are_refused_before_one_is_made():
+    for comparison, product in (
         (Comparison(base=("ibvs_book",), seeds=10**9), r"1,000,000,000 runs \(1,000,000,000 seeds\)"),
         (
             Comparison(base=("ibvs_book", "pbvs_book"), axes={f"a{i}": TENTHS for i in range(9)}),
             r"2,000,000,000 runs \(2 scenarios x 10 of a0",
         ),
         (Comparison(base=("ibvs_book",), tasks={"t": StartTable(seeds=MOST_RUNS + 1)}), r"100,001 starts of the tasks"),
-    ],
-)
-def test_too_many_are_refused_before_one_is_made(comparison: Comparison, product: str):
-    with pytest.raises(ParameterError, match=rf"{product}.*more than 100,000 need --force"):
-        controllers(comparison)
-    must_be_few(comparison, force=True)
+    ):
+        with pytest.raises(ParameterError, match=rf"{product}.*more than 100,000 need --force"):
+            controllers(comparison)
+        must_be_few(comparison, force=True)
 
 
 def test_the_limit_itself_is_allowed():

@@ -83,21 +83,17 @@ class TestPlan:
         found = controllers(Comparison(base=("ibvs_book",), axes={"law": blocks}))
         assert [c.scenario.law.kind for c in found] == ["pbvs", "hybrid"]
 
-    @pytest.mark.parametrize(
-        ("words", "changes"),
-        [
+    def test_what_is_refused(self):
+        for words, changes in (
             ("seeds may not be given together with `tasks`", {"seeds": 3, "tasks": {"a": StartTable(seeds=2)}}),
             ("cases.outcome must have a name of its own", {"cases": {"outcome": {"a": {}}}}),
             ("cases.law must have a name of its own, and one case or more", {"cases": {"law": {}}}),
-        ],
-    )
-    def test_what_is_refused(self, words: str, changes: dict[str, object]):
-        with pytest.raises(ParameterError, match=words):
-            Comparison(**({"base": ("ibvs_book",)} | changes))  # pyright: ignore[reportArgumentType]
+        ):
+            with pytest.raises(ParameterError, match=words):
+                Comparison(**({"base": ("ibvs_book",)} | changes))  # pyright: ignore[reportArgumentType]
 
-    @pytest.mark.parametrize(
-        ("words", "block"),
-        [
+    def test_a_task_that_does_not_add_up(self):
+        for words, block in (
             ("each or camera_from_goal, target_from_goal, seeds or file must say", {}),
             ("give one of the five", {"each": {"a": (1,)}, "seeds": 2}),
             ("give one of the five", {"camera_from_goal": (Pose(),), "target_from_goal": (Pose(),)}),
@@ -105,11 +101,9 @@ class TestPlan:
             ("must have one value or more for each run", {"each": {"a": (1, 2)}, "camera_from_goal": (Pose(),)}),
             ("amounts must name each of the 2 runs", {"each": {"a": (1, 2)}, "amounts": (1.0,)}),
             ("file is not there", {"file": "/nowhere.json"}),
-        ],
-    )
-    def test_a_task_that_does_not_add_up(self, words: str, block: dict[str, object]):
-        with pytest.raises(ParameterError, match=words):
-            StartTable(**block)  # pyright: ignore[reportArgumentType]
+        ):
+            with pytest.raises(ParameterError, match=words):
+                StartTable(**block)  # pyright: ignore[reportArgumentType]
 
 
 class TestFile:
