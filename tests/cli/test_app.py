@@ -37,9 +37,8 @@ class Fails(vs.LawBase):
 class TestBadInput:
     """Exit 2, one message on standard error, and no folder."""
 
-    @pytest.mark.parametrize(
-        ("words", "line"),
-        [
+    def test_of_a_scenario(self, command, quick: Path) -> None:
+        for words, line in (
             (["arm_ibv"], "arm_ibv: no such file, and no bundled scenario of that name; did you mean 'arm_ibvs'?"),
             ([""], "SCENARIO: no such file"),
             (["."], ".: is a folder; give a scenario's YAML file"),
@@ -64,21 +63,19 @@ class TestBadInput:
                 ["quick.yaml", "--plugin", "no_such_module"],
                 "--plugin: there is no module 'no_such_module' on Python's path or in the current folder; ",
             ),
-        ],
-    )
-    def test_of_a_scenario(self, command, quick: Path, words: list[str], line: str) -> None:
-        Path("empty.yaml").write_text("", encoding="utf-8")
-        Path("list.yaml").write_text("- 1\n", encoding="utf-8")
-        before = sorted(Path().iterdir())
-        ended = command("run", *words)
-        assert (ended.code, ended.out) == (2, "")
-        assert line in ended.err
-        assert ended.err.count("\n") == 1
-        assert sorted(Path().iterdir()) == before  # above all no runs/
+        ):
+            Path("empty.yaml").write_text("", encoding="utf-8")
+            Path("list.yaml").write_text("- 1\n", encoding="utf-8")
+            before = sorted(Path().iterdir())
+            ended = command("run", *words)
+            assert (ended.code, ended.out) == (2, "")
+            assert line in ended.err
+            assert ended.err.count("\n") == 1
+            assert sorted(Path().iterdir()) == before  # above all no runs/
 
-    @pytest.mark.parametrize(
-        ("words", "line"),
-        [
+    def test_of_the_words_themselves(self, command, quick: Path) -> None:
+        """Typer raises its own (or click's) exceptions, which have to be met as such."""
+        for words, line in (
             (["run"], "Missing argument"),
             (["run", "quick.yaml", "--foo"], "No such option: --foo"),
             (["run", "quick.yaml", "extra"], "unexpected extra argument"),
@@ -88,20 +85,16 @@ class TestBadInput:
             (["list", "nowhere"], "'scenarios', 'robots', 'effects', 'cameras', 'targets', 'features', 'laws', 'detectors'"),
             (["bench", "quick.yaml", "--repeats", "0"], "Invalid value for '--repeats'"),
             (["arm_ibvs"], "No such command 'arm_ibvs'"),
-        ],
-    )
-    def test_of_the_words_themselves(self, command, quick: Path, words: list[str], line: str) -> None:
-        """Typer raises its own (or click's) exceptions, which have to be met as such."""
-        ended = command(*words)
-        assert (ended.code, ended.out) == (2, "")
-        assert line in " ".join(ended.err.split())
-        assert "Usage: vstestbed" in ended.err
-        assert "Traceback" not in ended.err
-        assert not Path("runs").exists()
+        ):
+            ended = command(*words)
+            assert (ended.code, ended.out) == (2, "")
+            assert line in " ".join(ended.err.split())
+            assert "Usage: vstestbed" in ended.err
+            assert "Traceback" not in ended.err
+            assert not Path("runs").exists()
 
-    @pytest.mark.parametrize(
-        ("words", "line"),
-        [
+    def test_of_the_other_commands(self, command) -> None:
+        for words, line in (
             (["render", "nowhere"], "nowhere: no such folder; a run's folder holds scenario.yaml and log.parquet (or log.part)"),
             (["report", "nowhere"], "nowhere: no such folder; a run's folder holds"),
             (["render", "."], ".: no run here; a run's folder holds"),
@@ -111,13 +104,11 @@ class TestBadInput:
             (["render", ".", "--out", "film"], "--out must end in .mp4, or in .gif with --gif, got 'film'"),
             (["render", ".", "--gif", "--out", "a.mp4"], "--out must end in .gif, or in .mp4 without --gif, got 'a.mp4'"),
             (["bench", "nowhere"], "nowhere: no such file"),
-        ],
-    )
-    def test_of_the_other_commands(self, command, words: list[str], line: str) -> None:
-        ended = command(*words)
-        assert (ended.code, ended.out) == (2, "")
-        assert ended.err.startswith(line)
-        assert ended.err.count("\n") == 1
+        ):
+            ended = command(*words)
+            assert (ended.code, ended.out) == (2, "")
+            assert ended.err.startswith(line)
+            assert ended.err.count("\n") == 1
 
     def test_debug_shows_the_traceback_wherever_it_stands(self, command, quick: Path) -> None:
         for words in (["--debug", "run", "quick.yaml"], ["run", "quick.yaml", "--debug"]):

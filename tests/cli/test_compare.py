@@ -64,9 +64,8 @@ def test_the_first_seed_is_filmed_side_by_side(command, quick: Path):
     assert "<video" in (folder / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
+def test_bad_input(command, quick: Path):
+    for words, line in (
         ([], "SCENARIO is missing: name scenarios to compare, or a comparison"),
         (["nowhere"], "nowhere: no such file, and no bundled scenario"),
         (["quick.yaml", "--vary", "law.gain"], "--vary needs the form a.b=v1,v2, got 'law.gain'"),
@@ -79,14 +78,12 @@ def test_the_first_seed_is_filmed_side_by_side(command, quick: Path):
         (["--resume"], "--resume needs the folder that `vstestbed compare` has made: --out DIR"),
         (["--resume", "--out", "nowhere"], "nowhere: no such folder"),
         (["quick.yaml", "quick.yaml"], "base must name each scenario once"),
-    ],
-)
-def test_bad_input(command, quick: Path, words: list[str], line: str):
-    ended = command("compare", *words, *NO_FILM)
-    assert (ended.code, ended.out) == (2, "")
-    assert line in ended.err
-    assert "Traceback" not in ended.err
-    assert not Path("runs").exists()
+    ):
+        ended = command("compare", *words, *NO_FILM)
+        assert (ended.code, ended.out) == (2, "")
+        assert line in ended.err
+        assert "Traceback" not in ended.err
+        assert not Path("runs").exists()
 
 
 def test_a_folder_that_holds_something_stays_as_it_is(command, quick: Path):

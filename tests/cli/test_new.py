@@ -112,9 +112,8 @@ def test_the_name_is_everywhere_and_the_file_is_short():
 
 
 class TestRefusals:
-    @pytest.mark.parametrize(
-        ("words", "sentence"),
-        [
+    def test_each_with_one_sentence(self, command, tmp_path: Path):
+        for words, sentence in (
             (("law", "My Law"), "NAME must be a word in small letters, digits and _, such as my_law, got 'My Law'"),
             (("law", "class"), "NAME must be a word in small letters"),
             (("law", "ibvs"), "NAME is bundled already (law); take another, such as my_ibvs"),
@@ -125,13 +124,11 @@ class TestRefusals:
             (("law", "mine", "--out", "random.py"), "--out is the name of a module that Python finds already ("),
             (("law", "mine", "--out", "mine.txt"), "--out must be a Python file"),
             (("low", "mine"), "'law', 'feature', 'robot', 'detector'"),
-        ],
-    )
-    def test_each_with_one_sentence(self, command, tmp_path: Path, words, sentence: str):
-        ended = command("new", *words)
-        assert ended.code == 2
-        assert sentence in ended.err
-        assert list(tmp_path.iterdir()) == []
+        ):
+            ended = command("new", *words)
+            assert ended.code == 2
+            assert sentence in ended.err
+            assert list(tmp_path.iterdir()) == []
 
     def test_a_file_is_never_written_over(self, command, tmp_path: Path):
         assert command("new", "law", "mine").code == 0

@@ -103,18 +103,15 @@ class TestMechanics:
         assert robot.servo_kp == pytest.approx([4500 * (inertia() + 0.5), 4500 * (0.001 + 0.2)], rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    for given, words in (
         ({"strain_wave": StrainWave(sizes=(21,)), "gears": Gears()}, "must be 0 or of 8, 11, 14, 17, 20, 25, 32, 40"),
         ({"strain_wave": StrainWave(sizes=(20, 20, 20)), "gears": Gears()}, "must be one value for all joints, or 2"),
         ({"gears": Gears()}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),
         ({"gears": Gears(backlash_deg=(0.1,)), "realism": "lab"}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),
-    ],
-)
-def test_what_does_not_fit_is_refused(tmp_path: Path, given: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        arm(tmp_path, **given)
+    ):
+        with pytest.raises(ParameterError, match=words):
+            arm(tmp_path, **given)
 
 
 def test_too_stiff_a_gear_is_refused(tmp_path: Path) -> None:

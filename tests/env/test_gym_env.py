@@ -350,19 +350,16 @@ class TestMistakes:
             env.render()
         env.close()
 
-    @pytest.mark.parametrize(
-        ("settings", "words"),
-        [
+    def test_of_a_setting(self, quick: Path) -> None:
+        for settings, words in (
             ({"observation": "depth"}, "observation must be one of markers, pixels, both"),
             ({"reward": "dense"}, "reward must be one of potential, negative_error, sparse"),
             ({"discount": 0}, "discount must be over 0"),
             ({"success_bonus": np.nan}, "success_bonus must be finite"),
             ({"render_mode": "human"}, "render_mode must be None or rgb_array"),
-        ],
-    )
-    def test_of_a_setting(self, quick: Path, settings: dict[str, Any], words: str) -> None:
-        with pytest.raises(ParameterError, match=words):
-            GymServo(quick, **settings)
+        ):
+            with pytest.raises(ParameterError, match=words):
+                GymServo(quick, **settings)
 
     def test_of_the_scenario(self) -> None:
         with pytest.raises(ScenarioError, match="did you mean 'arm_ibvs'"):

@@ -161,26 +161,23 @@ class TestMistakes:
         with pytest.raises(ParameterError, match=r"mine\.py:P: P has no method act\(observation\)"):
             vs.run(scenario(written(tmp_path, "class P: pass\n") + ":P"))
 
-    @pytest.mark.parametrize(
-        ("file", "words"),
-        [
+    def test_of_the_file_stand_at_its_place_in_the_scenario(self, tmp_path: Path):
+        for file, words in (
             ("mine.py", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx, got 'mine.py'"),
             ("gone.py:act", "gone.py is not there; give the place of gone.py"),
             ("mine.py:drive", "mine.py has no function or class 'drive'"),
             ("bad.py:act", "bad.py:2 cannot be imported (ZeroDivisionError: division by zero)"),
             ("ends.py:act", "ends.py:1 cannot be imported (SystemExit: 3)"),
             ("gone.onnx", "gone.onnx is not there; give the place of gone.onnx"),
-        ],
-    )
-    def test_of_the_file_stand_at_its_place_in_the_scenario(self, tmp_path: Path, file: str, words: str):
-        written(tmp_path, "def act(o): return None\n")
-        written(tmp_path, "x = 1\ny = 1 / 0\n", "bad.py")
-        written(tmp_path, "raise SystemExit(3)\n", "ends.py")
-        place = Path(written(tmp_path, SCENARIO.replace("POLICY", file), "mine.yaml"))
-        with pytest.raises(ScenarioError) as raised:
-            vs.load(place)
-        assert len(raised.value.mistakes) == 1
-        assert str(raised.value).startswith(f"{place}:6:21: law.file: ") and words in str(raised.value)
+        ):
+            written(tmp_path, "def act(o): return None\n")
+            written(tmp_path, "x = 1\ny = 1 / 0\n", "bad.py")
+            written(tmp_path, "raise SystemExit(3)\n", "ends.py")
+            place = Path(written(tmp_path, SCENARIO.replace("POLICY", file), "mine.yaml"))
+            with pytest.raises(ScenarioError) as raised:
+                vs.load(place)
+            assert len(raised.value.mistakes) == 1
+            assert str(raised.value).startswith(f"{place}:6:21: law.file: ") and words in str(raised.value)
 
 
 class TestWhereItIs:

@@ -43,9 +43,8 @@ def test_every_kind_of_file_holds_the_same_box(tmp_path: Path, name: str, conten
     assert found.shape == (12, 3, 3) and volume == pytest.approx(24)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
+def test_what_is_no_solid_is_told(tmp_path: Path):
+    for name, content, words in (
         ("gone.stl", None, "is not there"),
         ("part.step", "ISO-10303", "must be a solid, FILE.stl or FILE.obj"),
         ("none.stl", as_stl(BOX[:0]), "has no faces with an area; export the part as triangles"),
@@ -59,13 +58,11 @@ def test_every_kind_of_file_holds_the_same_box(tmp_path: Path, name: str, conten
         ("points.obj", "v 0 0 0\nv 1 0 0\n", "has no faces with an area"),
         ("bad.obj", "v 0 0 0\nf 1 2 x\n", "cannot be read"),
         ("beyond.obj", "v 0 0 0\nf 1 2 3\n", "cannot be read"),
-    ],
-)
-def test_what_is_no_solid_is_told(tmp_path: Path, name: str, content: bytes | str | None, words: str):
-    if content is not None:
-        written(tmp_path / name, content)
-    with pytest.raises(ParameterError, match=f"^file {words}"):
-        solid(file=str(tmp_path / name), scale=0.1, at=((0, 0, 0),))
+    ):
+        if content is not None:
+            written(tmp_path / name, content)
+        with pytest.raises(ParameterError, match=f"^file {words}"):
+            solid(file=str(tmp_path / name), scale=0.1, at=((0, 0, 0),))
 
 
 def test_the_nearest_point_is_in_a_face_on_an_edge_or_at_a_corner():

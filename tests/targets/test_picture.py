@@ -82,20 +82,17 @@ def test_a_large_one_is_reduced(tmp_path: Path):
     assert np.asarray(cv2.imdecode(np.frombuffer(found.png, np.uint8), cv2.IMREAD_COLOR)).shape == (64, MOST_PX, 3)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
+def test_what_is_no_picture_is_told(tmp_path: Path):
+    for name, content, words in (
         ("gone.png", None, "is not there"),
         ("note.png", b"no picture at all", r"cannot be read as a picture \(it is damaged, or another kind of file\); works: a PNG or JPEG"),
         ("empty.png", b"", "cannot be read as a picture"),
         ("page.pdf", b"%PDF", "must be a picture, FILE.png or FILE.jpg"),
-    ],
-)
-def test_what_is_no_picture_is_told(tmp_path: Path, name: str, content: bytes | None, words: str):
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(ParameterError, match=f"^file {words}"):
-        picture(file=str(tmp_path / name), width=0.4)
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(ParameterError, match=f"^file {words}"):
+            picture(file=str(tmp_path / name), width=0.4)
 
 
 def test_a_picture_cut_short_is_told_or_read(tmp_path: Path, plain: str):

@@ -186,9 +186,8 @@ def test_colours_that_a_detector_takes_for_markers_are_told(tmp_path: Path, capl
     assert told[1].startswith("world.scenery: geom red in my_scene.xml has a saturated colour")
 
 
-@pytest.mark.parametrize(
-    ("inside", "rest", "words"),
-    [
+def test_mistakes_are_told(tmp_path: Path):
+    for inside, rest, words in (
         ('<body><freejoint name="f"/><geom size=".1"/></body>', "", "has the joint f (line 3), and scenery stands still"),
         (WALL, '<actuator><motor name="m" site="s"/></actuator>', "cannot be compiled by MuJoCo"),
         (
@@ -216,13 +215,11 @@ def test_colours_that_a_detector_takes_for_markers_are_told(tmp_path: Path, capl
             "",
             "the geom rug, whose upper face is at the height of the floor",
         ),
-    ],
-)
-def test_mistakes_are_told(tmp_path: Path, inside: str, rest: str, words: str):
-    with pytest.raises(ScenarioError) as told:
-        vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, inside, rest))})
-    assert words in str(told.value) and "world.scenery" in str(told.value)
-    assert str(told.value).count(str(tmp_path)) <= 1
+    ):
+        with pytest.raises(ScenarioError) as told:
+            vs.load("arm_ibvs", {"world.scenery": str(mjcf(tmp_path, inside, rest))})
+        assert words in str(told.value) and "world.scenery" in str(told.value)
+        assert str(told.value).count(str(tmp_path)) <= 1
 
 
 def test_a_file_that_is_not_there_is_told():

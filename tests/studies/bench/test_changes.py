@@ -44,9 +44,8 @@ def test_only_what_both_measured_is_compared():
     assert both.as_text().endswith("slower beyond the noise: arm")
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+def test_a_file_that_is_no_measurement(tmp_path: Path):
+    for text, words in (
         ("", "1:1: is empty; `vstestbed bench --all --json` prints one"),
         ('{"machine": {}}', "timings: is missing"),
         (
@@ -57,10 +56,8 @@ def test_only_what_both_measured_is_compared():
             '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1, 2], "floor_seconds": [1]}}}',
             "must be 2, one for each of seconds",
         ),
-    ],
-)
-def test_a_file_that_is_no_measurement(tmp_path: Path, text: str, words: str):
-    (tmp_path / "old.json").write_text(text, encoding="utf-8")
-    with pytest.raises(ScenarioError) as found:
-        read_saved(tmp_path / "old.json")
-    assert words in str(found.value)
+    ):
+        (tmp_path / "old.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ScenarioError) as found:
+            read_saved(tmp_path / "old.json")
+        assert words in str(found.value)

@@ -70,9 +70,8 @@ tasks:
 """
 
 
-@pytest.mark.parametrize(
-    ("change", "where"),
-    [
+def test_a_mistake_in_the_file_has_its_place(quick: Path, tmp_path: Path):
+    for change, where in (
         ({"gain: 3": "gain: nope"}, "6:29: law.gain: must be a number"),
         ({"0.1]\n": "-1]\n"}, "8:25: camera.latency_s: must be >= 0, got -1"),
         ({"[0, 0, 0.1]": "[0, 0]"}, "12:44: robot.start.nominal.xyz: must be a list of 3"),
@@ -81,17 +80,15 @@ tasks:
         ({"one: {law": "one: {x"}, "5:11: x: is an unknown field"),
         ({"one: {law: {kind: ibvs, gain: 2}}": "one: 2"}, "5:5: cases.law.one: must be a block (a mapping), got 2"),
         ({FILE: "# nothing\n"}, "1:1: is empty; a comparison needs base, a scenario robot, target, law and goal"),
-    ],
-)
-def test_a_mistake_in_the_file_has_its_place(quick: Path, tmp_path: Path, change: dict[str, str], where: str):
-    text = FILE
-    for old, new in change.items():
-        text = text.replace(old, new)
-    path = tmp_path / "mine.yaml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(ScenarioError) as found:
-        controllers(chosen([str(path)], {}, {}, None))
-    assert str(found.value).startswith(f"{path}:{where}")
+    ):
+        text = FILE
+        for old, new in change.items():
+            text = text.replace(old, new)
+        path = tmp_path / "mine.yaml"
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ScenarioError) as found:
+            controllers(chosen([str(path)], {}, {}, None))
+        assert str(found.value).startswith(f"{path}:{where}")
 
 
 def test_a_contradiction_is_told_at_the_value_that_brings_it(quick: Path, tmp_path: Path):
