@@ -150,6 +150,7 @@ class TestOnTheIdealCamera:
         assert whole < 0.083 / 12
         assert tracking(None, **short, **{"noise.dropout": 0.1}) < torn * whole  # a homography needs all four
 
+    @pytest.mark.study
     def test_integral_action_of_a_partitioned_law(self):
         law = {"kind": "partitioned", "gain": 1.0, "feedforward": {"kind": "integral", "rate_per_s2": 0.5}}
         assert tracking(None, {"kind": "line", "velocity_mps": [0.03, 0, 0]}, law=law) < 0.03 / 5

@@ -5,6 +5,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
+from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
@@ -54,7 +55,7 @@ def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
 
 
 class TestBends:
-    @pytest.mark.parametrize("plane", [CAR, OMNI], ids=["car", "omni"])
+    @pytest.mark.parametrize("plane", one_quick(CAR, OMNI), ids=["car", "omni"])
     @pytest.mark.parametrize(("radius", "bound"), [(2.0, 2e-3), (-2.0, 2e-3), (6.0, 5e-5)])
     def test_a_constant_curvature_leaves_no_error_to_second_order(self, plane, radius, bound):
         # What is left is of fourth order, x^4 / 8 R^3 (.5 m, 2 m: 1 mm), and with three times the radius 27 times less.
@@ -107,7 +108,7 @@ class TestPoles:
 
 
 class TestRecovery:
-    @pytest.mark.parametrize("plane", [CAR, OMNI], ids=["car", "omni"])
+    @pytest.mark.parametrize("plane", one_quick(CAR, OMNI), ids=["car", "omni"])
     @pytest.mark.parametrize(("side", "turn"), [(0.3, 20), (0.3, -20), (-0.3, 20), (-0.3, -20)])
     def test_from_30_cm_and_20_degrees(self, plane, side, turn):
         lines, goal = world(Straight(length_m=30))

@@ -9,6 +9,7 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import book_camera, fly, pixels
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features import Point, Polygon
@@ -89,7 +90,9 @@ class TestTurn:
         r = fly(Partitioned(depth=TRUE, turn_limits_deg=limits), (0, 0, -1), np.radians(yaw_deg))
         return r, float(np.degrees(np.sum(r["act_wz"]) / 25))
 
-    @pytest.mark.parametrize(("limits", "turn"), [(None, -120), ((-100, 300), 240), ((-300, 100), -120), ((-150, 150), -120)], ids=str)
+    @pytest.mark.parametrize(
+        ("limits", "turn"), one_quick((None, -120), ((-100, 300), 240), ((-300, 100), -120), ((-150, 150), -120)), ids=str
+    )
     def test_the_shorter_way_that_the_limits_leave(self, limits: tuple[float, float] | None, turn: float):
         r, turned = self.turned(120, limits)
         assert r.outcome is vs.Outcome.converged

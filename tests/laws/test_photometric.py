@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp, inverse, rigid_error
@@ -162,7 +163,7 @@ def test_other_light_is_fitted_with_the_motion(texture: np.ndarray) -> None:
     assert flown(replace(law, light="gain_offset"), texture, off, spoil=brighter)[0] < 1e-3
 
 
-@pytest.mark.parametrize("goal", [{}, {"goal.picture": {"brightness": 0.7}}], ids=["same", "darker"])
+@pytest.mark.parametrize("goal", one_quick({}, {"goal.picture": {"brightness": 0.7}}), ids=["same", "darker"])
 def test_other_light_is_told_from_a_motion_far_away_too(goal: dict[str, object]) -> None:
     """From a start at which gain and offset, fitted at the coarsest level, take most of the motion's error for the light's."""
     r = vs.run(vs.load("arm_photometric", {"law.light": "gain_offset", **goal}))

@@ -110,6 +110,7 @@ class TestPartitioned:
         assert stays.outcome is vs.Outcome.converged and not stays["lost"].any()
         assert stays.summary()["min_border_margin_px"] > 50
 
+    @pytest.mark.study
     def test_another_partition_takes_the_shorter_way(self):
         across = self.run("partitioned_xy")
         along = self.run("partitioned_xy", **{"law.axes": ["z", "wz"], "law.gain_z": 0.5})

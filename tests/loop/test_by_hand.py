@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.laws.base import ConstantGain
 
@@ -22,7 +23,7 @@ def started(name: str, steps: int = 3, **overrides: object) -> vs.Session:
     return session
 
 
-@pytest.mark.parametrize("name", ["arm_ibvs", "ibvs_book", "quadrotor_hover"])
+@pytest.mark.parametrize("name", one_quick("arm_ibvs", "ibvs_book", "quadrotor_hover"))
 def test_a_plate_in_reserve_changes_no_number(name: str):
     short = {"stop.duration_s": 0.3}
     plain = vs.run(vs.load(name, short))
@@ -33,7 +34,7 @@ def test_a_plate_in_reserve_changes_no_number(name: str):
     np.testing.assert_array_equal(session.recording().table, plain.table)
 
 
-@pytest.mark.parametrize("name", ["arm_ibvs", "quadrotor_hover"])
+@pytest.mark.parametrize("name", one_quick("arm_ibvs", "quadrotor_hover"))
 def test_pictures_now_and_then_change_no_number(name: str):
     short = {"stop.duration_s": 0.24, "timing.exposure_s": 0.01, "timing.exposure_pictures": 3}
     plain, seen = vs.run(vs.load(name, short)), []

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
@@ -46,7 +47,9 @@ def test_a_goal_told_in_numbers_is_missed_by_the_error_of_the_principal_point(la
 
 
 @LAWS
-@pytest.mark.parametrize("error", [{"focal_error": 0.1}, {"principal_error_px": [20.0, -10.0]}, {"focal_error": -0.1, "depth_factor": 1.5}])
+@pytest.mark.parametrize(
+    "error", one_quick({"focal_error": 0.1}, {"principal_error_px": [20.0, -10.0]}, {"focal_error": -0.1, "depth_factor": 1.5})
+)
 def test_a_goal_once_shown_is_reached_in_spite_of_the_error(law, error):
     r = fly(law, error | {"goal": "shown"})
     assert r.outcome is vs.Outcome.converged

@@ -87,6 +87,7 @@ def test_before_its_first_order_it_holds():
     assert np.degrees(r["est_roll"][r["t"] < 0.55][-1]) < -2  # it heads along y, so it rolls; towards 5.6 degrees
 
 
+@pytest.mark.study
 def test_a_path_is_flown_to_its_end_and_in_time():
     """Who stops on the way has not flown it, nor has who waits at its beginning, to which the path comes back."""
     short = {"stop.duration_s": 6, "goal.settle_s": 1, "robot.start.nominal": {"xyz": [-1.5, -1.5, 2.5], "yaw_deg": 0}}

@@ -83,6 +83,7 @@ class TestDocking:
         assert not np.isfinite(r["u_0"][-1])  # the outer ones have left the picture
         assert np.isfinite([r[f"u_{i}"][-1] for i in (4, 5, 6, 7)]).all()
 
+    @pytest.mark.study
     def test_one_square_overflows(self):
         r = vs.run(vs.load("arm_docking_overflow", {"law.gain": 1.0}))
         assert r.outcome is vs.Outcome.target_lost

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.shortcuts import one_quick
 from vstestbed.core.planar import moved
 from vstestbed.laws.pose_controller import PolarGains, polar_law
 from vstestbed.robots.allocation import Mount
@@ -197,7 +198,7 @@ class TestAtRest:
 
 
 class TestSteering:
-    @pytest.mark.parametrize("steering", [-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0])
+    @pytest.mark.parametrize("steering", one_quick(-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0))
     def test_front_wheels_stand_at_ackermann_angles(self, rubber, steering):
         driver = Driver(rubber)
         driver.drive(1.5, 0.3, steering)
@@ -315,7 +316,9 @@ def test_at_three_metres_a_second_it_slides_and_does_not_tip(rubber):
     assert np.degrees(np.arccos(min(up))) < 6
 
 
-@pytest.mark.parametrize(("start", "way"), [((2, 2, 0.35), 1), ((7, 8.5, 2.2), -1)], ids=["the book's start, forward", "a park in reverse"])
+@pytest.mark.parametrize(
+    ("start", "way"), one_quick(((2, 2, 0.35), 1), ((7, 8.5, 2.2), -1)), ids=["the book's start, forward", "a park in reverse"]
+)
 def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     """The law knows the true place, at 25 Hz; what differs is lag, tyres and springs."""
     goal, gains, mount = np.array([5, 5, np.pi / 2]), PolarGains(1, 4, -2.5), Mount.of(np.eye(4))
