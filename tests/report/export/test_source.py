@@ -115,15 +115,15 @@ def test_a_run_without_markers_has_no_features_of_them(tmp_path: Path) -> None:
     run = RecordedRun.of(tmp_path)
     numbers, state = numbers_of(run)
     assert not {"markers", "seen", "goal"} & (numbers.keys() | features_of(run.scenario, state).keys())
-    assert name_with_unit("error_grey", meaning("error_grey", run.scenario).unit) == "error_grey"
+    assert name_with_unit("error_grey", meaning("error_grey", run.scenario)[0]) == "error_grey"
 
 
 def test_every_column_of_the_bundled_robots_has_a_meaning() -> None:
     for name in ("arm_ibvs", "arm_jaco", "car_parking", "omni_via_points", "quadrotor_land", "quadrotor_aggressive"):
         scenario = vs.load(name)
-        assert [c for c in Layout(scenario).columns if meaning(c, scenario).whose == "own"] == []
+        assert [c for c in Layout(scenario).columns if meaning(c, scenario)[1] == "own"] == []
     scenario = vs.load("arm_ibvs")
-    assert meaning("q_joint_1", scenario)[:2] == ("rad", "truth") and meaning("qd_joint_1", scenario).unit == "rad/s"
+    assert meaning("q_joint_1", scenario)[:2] == ("rad", "truth") and meaning("qd_joint_1", scenario)[0] == "rad/s"
     assert meaning("cmd_vx", scenario)[:2] == ("m/s", "command") and meaning("u_true_3", scenario)[:2] == ("px", "truth")
     assert meaning("gap_mm", scenario)[:2] == ("mm", "own")  # of a plugin
     assert [name_with_unit(*of) for of in (("vx", "m/s"), ("error_px", "px"), ("joint-1", "rad"), ("scale", ""))] == [

@@ -14,7 +14,7 @@ import av
 import numpy as np
 import pytest
 
-from vstestbed.core.errors import OutputError, ParameterError
+from vstestbed.core.errors import OutputError
 from vstestbed.report.video import Overlay, VideoWriter, draw_caption
 
 RED_AND_BLUE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -97,8 +97,6 @@ def test_a_film_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
     assert writer.close() == tmp_path / "a.mp4"
     assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
     assert writer.close() == tmp_path / "a.mp4"  # twice does no harm
-    with pytest.raises(OutputError, match="finished"):
-        writer.write(np.zeros((48, 64, 3), np.uint8))
 
 
 def test_abort_and_exceptions_leave_nothing(tmp_path: Path) -> None:
@@ -149,21 +147,6 @@ def test_a_full_disk_is_told_with_the_path_and_leaves_nothing(tmp_path: Path) ->
 def test_a_missing_folder_is_an_output_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"nowhere.*--out"):
         VideoWriter(tmp_path / "nowhere" / "a.mp4", 25).write(np.zeros((48, 64, 3), np.uint8))
-
-
-@pytest.mark.parametrize("rate_hz", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_rate_must_be_positive(tmp_path: Path, rate_hz: float) -> None:
-    with pytest.raises(ParameterError, match="rate_hz must be > 0"):
-        VideoWriter(tmp_path / "a.mp4", rate_hz)
-
-
-def test_pictures_must_be_bytes_of_one_size(tmp_path: Path) -> None:
-    with VideoWriter(tmp_path / "a.mp4", 25) as writer:
-        writer.write(np.zeros((48, 64, 3), np.uint8))
-        with pytest.raises(ParameterError, match="first frame"):
-            writer.write(np.zeros((48, 66, 3), np.uint8))
-        with pytest.raises(ParameterError, match="uint8"):
-            writer.write(np.zeros((48, 64, 3)))
 
 
 def drawn(uv: list[list[float]], goal: list[list[float]] | None, lost: bool = False, error: str = "error 1 px") -> np.ndarray:
@@ -250,11 +233,3 @@ def test_captions_fit_and_scale(width: int, height: int) -> None:
     assert touched(image, 0, 0, width, height - strip) == 0
     assert image[height - strip :].max() > 200  # light words on it
     assert image[height - strip, width // 2].max() < 60
-
-
-def test_an_overlay_refuses_another_picture_or_number_of_markers() -> None:
-    overlay = Overlay(640, 480, RED_AND_BLUE)
-    with pytest.raises(ParameterError, match="2 markers"):
-        overlay.draw(np.zeros((480, 640, 3), np.uint8), np.zeros((3, 2)), None, t=0.0, error="")
-    with pytest.raises(ParameterError, match="640"):
-        overlay.draw(np.zeros((240, 320, 3), np.uint8), np.zeros((2, 2)), None, t=0.0, error="")

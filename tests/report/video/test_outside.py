@@ -14,7 +14,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.report.video.film import DRAFT, FINE, Film, Pictures, error_in_words, replay_of
-from vstestbed.report.video.outside import DRAWN_FOR, GOAL, MOST_PLACES, Outside, Pen, Stroke
+from vstestbed.report.video.outside import DRAWN_FOR, GOAL, MOST_PLACES, Outside, Pen
 from vstestbed.report.video.overlay import GOOD, FilmFrame, draw_ending
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.compose import Parts
@@ -44,7 +44,7 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
     assert pen.metres(0.1, np.array([0, 0, 2.0])) == pytest.approx(0.1 * 320 * 2.0 / lens.f)
     before = image.copy()
     pen.area(-square[None], (255, 255, 255), 1.0)  # behind the camera
-    pen.lines([Stroke([-square], (255, 255, 255))])
+    pen.lines([([-square], (255, 255, 255), 1)])
     np.testing.assert_array_equal(image, before)
 
 
@@ -52,7 +52,7 @@ def test_a_pen_draws_where_the_camera_projects_and_fills_convex_hulls() -> None:
 def test_lines_take_the_same_share_of_films_of_every_size(height: int) -> None:
     image = np.full((height, 16 * height // 9, 3), 128, np.uint8)
     pen = Pen(image, Perspective(width=image.shape[1], height=height, fovy_deg=40), np.eye(4), height / DRAWN_FOR)
-    pen.lines([Stroke([np.array([[-1.0, 0, 2], [1.0, 0, 2]])], (255, 0, 0), 2)])
+    pen.lines([([np.array([[-1.0, 0, 2], [1.0, 0, 2]])], (255, 0, 0), 2)])
     drawn = np.count_nonzero(np.abs(image[:, image.shape[1] // 2].astype(int) - 128).max(axis=1) > 30)
     assert 0.5 < drawn / height * DRAWN_FOR / 4 < 1.6  # with a dark edge at 360 px and more
 

@@ -54,7 +54,7 @@ def test_the_same_again_differs_in_nothing(tmp_path: Path, suffix: str) -> None:
     assert {m.difference for c in changes.controllers for m in c.metrics} == {0.0}
     assert changes.regressions(0.0) == []
     assert "6 runs without any difference" in baseline.text(changes)
-    assert "Nothing got worse" in baseline.section(tmp_path)
+    assert baseline.section(tmp_path)["verdict"] == ["Nothing got worse."]
 
 
 def test_a_slower_law_is_worse_beyond_the_tolerance_only(tmp_path: Path) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 import polars as pl
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.report.comparison.results import ControllerResults
@@ -28,6 +29,9 @@ LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
 FEWEST: Final = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 
 
+Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]  # NaN, which JSON has not, is null there
+
+
 @dataclass(frozen=True)
 class MetricChange:
     """A metric over the matched runs of a controller, in its display unit."""
@@ -35,11 +39,11 @@ class MetricChange:
     name: str  # key in `summary.json`
     title: str  # title, unit: as printed
     unit: str
-    before: float  # before, now: means over the same runs
-    now: float
-    difference: float  # difference, low, high: mean of now - before with its 95 % interval, NaN where there is none
-    low: float
-    high: float
+    before: Number  # before, now: means over the same runs
+    now: Number
+    difference: Number  # difference, low, high: mean of now - before with its 95 % interval, NaN where there is none
+    low: Number
+    high: Number
     n: int  # number of these runs
     real: bool  # the interval excludes zero
     better: int  # 1 where more is better, -1 where less is, 0 where neither
@@ -64,7 +68,7 @@ class ControllerChange:
     reached_now: int
     lost: tuple[str, ...]  # lost, gained: the runs that reached it only then, and only now, each in words: `seed 3: target_lost`
     gained: tuple[str, ...]
-    chance: float  # p-value of the one-sided exact sign test, that it reaches the goal less often now
+    chance: Number  # p-value of the one-sided exact sign test, that it reaches the goal less often now
     metrics: tuple[MetricChange, ...]  # the metrics
     settings: tuple[str, ...] = ()  # fields of the scenario that differ, of its first run
 
@@ -96,7 +100,7 @@ class BaselineChanges:
 
     def plain(self) -> dict[str, Any]:
         """The changes as plain values for JSON, null where a number is unknown."""
-        return _without_nan(asdict(self))
+        return json.loads(TypeAdapter(BaselineChanges).dump_json(self))
 
 
 def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequence[Metric], settings: Sequence[str]) -> ControllerChange:
@@ -158,29 +162,9 @@ def read_changes(folder: Path) -> BaselineChanges | None:
     if not path.is_file():
         return None
     try:
-        return _built(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        return TypeAdapter(BaselineChanges).validate_json(path.read_bytes())
+    except (OSError, ValidationError) as error:
         raise RunFolderError(path, f"is damaged ({error})", "remove it, or compare again with --baseline") from None
-
-
-def _built(found: dict[str, Any]) -> BaselineChanges:
-    controllers = []
-    for one in found["controllers"]:
-        plain: list[dict[str, Any]] = [{k: math.nan if v is None else v for k, v in m.items()} for m in one["metrics"]]
-        controllers.append(ControllerChange(**{**_tuples(one), "metrics": tuple(MetricChange(**m) for m in plain)}))
-    return BaselineChanges(**{**_tuples(found), "controllers": tuple(controllers)})
-
-
-def _tuples(plain: dict[str, Any]) -> dict[str, Any]:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in plain.items()}
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_nan(inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 # How a comparison differs from an earlier one, in words for the terminal and as a section of the page.

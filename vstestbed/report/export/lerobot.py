@@ -177,29 +177,22 @@ def together(parts: list[Statistics]) -> Statistics:
     return found | {name: mean(name) for name in QUANTILES}
 
 
-class PictureStatistics:
-    """Of pictures as they pass, channel by channel, from how often each grey level occurs."""
+def level_counts(image: Image) -> Array:
+    """How often each grey level occurs in each channel of a picture (H, W, 3) uint8 RGB, on a coarse grid, shape (3, 256)."""
+    every = max(1, min(image.shape[:2]) // SIDE_PX)
+    small = image[::every, ::every].reshape(-1, 3)
+    return np.array([np.bincount(small[:, i], minlength=256) for i in range(3)], dtype=float)
 
-    def __init__(self) -> None:
-        self._counts = np.zeros((3, 256))
-        self._pictures = 0
 
-    def add(self, image: Image) -> None:
-        """Count a picture (H, W, 3) uint8 RGB."""
-        every = max(1, min(image.shape[:2]) // SIDE_PX)
-        small = image[::every, ::every].reshape(-1, 3)
-        self._counts += [np.bincount(small[:, i], minlength=256) for i in range(3)]
-        self._pictures += 1
-
-    def result(self) -> Statistics:
-        """Of all so far, as shares of 255, shape (3, 1, 1) each."""
-        share = self._counts / self._counts.sum(axis=1, keepdims=True)
-        grey, upto = np.arange(256.0), share.cumsum(axis=1)
-        mean = share @ grey
-        found = {"min": (share > 0).argmax(axis=1), "max": 255 - (share[:, ::-1] > 0).argmax(axis=1), "mean": mean}
-        found["std"] = np.sqrt(np.maximum(share @ grey**2 - mean**2, 0.0))
-        found |= {name: (upto >= q - 1e-12).argmax(axis=1) for name, q in QUANTILES.items()}
-        return {name: (value / 255).reshape(3, 1, 1) for name, value in found.items()} | {"count": np.array([self._pictures])}
+def picture_statistics(counts: Array, pictures: int) -> Statistics:
+    """Of so many pictures with these `level_counts` in all, as shares of 255, shape (3, 1, 1) each."""
+    share = counts / counts.sum(axis=1, keepdims=True)
+    grey, upto = np.arange(256.0), share.cumsum(axis=1)
+    mean = share @ grey
+    found = {"min": (share > 0).argmax(axis=1), "max": 255 - (share[:, ::-1] > 0).argmax(axis=1), "mean": mean}
+    found["std"] = np.sqrt(np.maximum(share @ grey**2 - mean**2, 0.0))
+    found |= {name: (upto >= q - 1e-12).argmax(axis=1) for name, q in QUANTILES.items()}
+    return {name: (value / 255).reshape(3, 1, 1) for name, value in found.items()} | {"count": np.array([pictures])}
 
 
 VERSION = "v3.0"
@@ -260,13 +253,13 @@ class DatasetWriter:
             "task_index": np.full((n, 1), self._tasks.setdefault(task, len(self._tasks))),
         }
         film = self._film(run)
-        began, pictures = Fraction(self._in_film) / film.rate, PictureStatistics()
+        began, counts = Fraction(self._in_film) / film.rate, np.zeros((3, 256))
         for frame in islice(run.frames(), n):  # a run that goes on may have more by now
             film.write(frame.picture)
-            pictures.add(frame.picture)
+            counts += level_counts(frame.picture)
             tick()
         self._in_film += n
-        found = {IMAGE: pictures.result()} | {name: statistics(values) for name, values in numbers.items()}
+        found = {IMAGE: picture_statistics(counts, n)} | {name: statistics(values) for name, values in numbers.items()}
         where = {"data": self._files["data"], f"videos/{IMAGE}": len(self._films) - 1, "meta/episodes": self._files["episodes"]}
         row: dict[str, Any] = {"episode_index": self._episodes, "tasks": [task], "length": n}
         row |= {"dataset_from_index": self._frames, "dataset_to_index": self._frames + n}

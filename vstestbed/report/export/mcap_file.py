@@ -150,7 +150,7 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str,
     groups: dict[str, dict[str, str]] = {}
     for column in columns:
         if topic := _topic(column, scenario):
-            groups.setdefault(topic, {})[name_with_unit(_short(topic, column), meaning(column, scenario).unit)] = column
+            groups.setdefault(topic, {})[name_with_unit(_short(topic, column), meaning(column, scenario)[0])] = column
     for topic, those in groups.items():
         yield topic, (_message_class("".join(word.title() for word in topic.split("/")).replace("_", ""), list(those)), those)
 
@@ -169,7 +169,7 @@ def _topic(column: str, scenario: Scenario) -> str | None:
     if column in ("position_error_m", "rotation_error_rad"):
         return "/truth/error"
     if column in scenario.own_columns:
-        return {"truth": "/truth/state", "own": "/state"}.get(meaning(column, scenario).whose, "/robot/state")
+        return {"truth": "/truth/state", "own": "/state"}.get(meaning(column, scenario)[1], "/robot/state")
     return None
 
 

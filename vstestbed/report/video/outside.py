@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -56,13 +56,13 @@ class Outside:
         T_target, T_camera = frame.T_world_target, frame.T_world_camera
         scene = self._replay.picture(self._name, width, height, frame.t, T_target, frame.q, T_camera, T_world_goal)
         pen = Pen(scene, *self._replay.sight(self._name), self._line)
-        strokes = [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)
+        strokes: list[Stroke] = [] if T_world_goal is None else self._goal(pen, T_world_goal, T_camera, T_target)
         self._extend(pen, T_camera[:3, 3])
-        strokes.append(Stroke([self._trail, *self._wire(pen, T_camera)], OWN))
+        strokes.append(([self._trail, *self._wire(pen, T_camera)], OWN, 1))
         if self._has_frame:
             length = pen.metres(AXIS, T_target[:3, 3])
             axes = T_target[:3, 3] + np.array([[0.0], [length]]) * T_target[:3, :3].T[:, None]
-            strokes += [Stroke([axis], color, 2) for axis, color in zip(axes, AXES, strict=True)]
+            strokes += [([axis], color, 2) for axis, color in zip(axes, AXES, strict=True)]
         pen.lines(strokes)
         return scene
 
@@ -74,7 +74,7 @@ class Outside:
             return []
         if self._moving:
             pen.area(transform(to_goal, self._replay.body()), GOAL, GHOST_FILL)
-        return [Stroke(self._wire(pen, T_world_goal), GOAL)]
+        return [(self._wire(pen, T_world_goal), GOAL, 1)]
 
     def put_inset(self, scene: Image, frame: FilmFrame, image: Image | None, render: Callable[[], Image]) -> None:
         """The servo camera's image, renewed every INSET_S, in the upper right corner, in place; without `image` `render` is asked."""
@@ -101,12 +101,7 @@ class Outside:
         self._trail = trail
 
 
-class Stroke(NamedTuple):
-    """Polylines (N, 3) of points in the world, of one colour; width: in that of a pen."""
-
-    polylines: list[Array]
-    color: Color
-    width: int = 1
+Stroke = tuple[list[Array], Color, int]  # Polylines (N, 3) of points in the world, their colour, and their width in that of a pen
 
 
 class Pen:
@@ -130,7 +125,7 @@ class Pen:
     def lines(self, strokes: list[Stroke]) -> None:
         """Polylines, each colour over a dark edge and over those before; points that cannot be drawn are left out."""
         # All at once: a call for each polyline would take longer than the drawing.
-        uv = self.pixels(np.concatenate([line for stroke in strokes for line in stroke.polylines]))
+        uv = self.pixels(np.concatenate([line for polylines, _, _ in strokes for line in polylines]))
         seen = np.isfinite(uv[:, 0])
         grid = np.rint(np.where(seen[:, None], uv, 0.0) * UNIT).astype(np.int32)[:, None]
         first = 0

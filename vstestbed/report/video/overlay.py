@@ -6,7 +6,6 @@ Pixels follow the project's convention, which is OpenCV's: (0, 0) is the centre 
 from __future__ import annotations
 
 import math
-from collections import deque
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, pose_from
 from vstestbed.loop.columns import POSE
 from vstestbed.report.video.writer import Image
@@ -45,40 +43,28 @@ SMALL: Final = 240  # Height up to which an image, as an inset, has symbols with
 OPEN: Final = 0.6  # Share of a cross that is open in its middle, where the marker is
 LEAST: Final = 5.0, 11.0
 """Least size of a symbol in an inset, and in a larger image, whose thicker lines would otherwise close over the marker [px]."""
-CHUNK: Final = 64
-CHUNKS: Final = 8  # A trail is a ring of 8 polylines of up to 64 points: the oldest is dropped as a whole, so that no points are moved
+MOST_POINTS: Final = 512  # of a trail, so that each frame takes as long to draw
 
 
 class Trail:
-    """Trajectory of one marker in the image: at most 512 points, a new one every few pixels, the oldest dropped first."""
+    """Trajectory of one marker in the image: the last MOST_POINTS points, a new one every few pixels."""
 
     def __init__(self, spacing_px: float):
         self._spacing = spacing_px
-        self._pieces: deque[tuple[NDArray[np.int32], int]] = deque(maxlen=CHUNKS)
-        self._last: Array | None = None
+        self._points = np.empty((0, 2))
 
     def add(self, uv: Array) -> None:
         """Extend to pixel uv (2,); NaN (not seen) leaves a gap."""
-        if not np.isfinite(uv).all():
-            self._last = None
+        last = self._points[-1] if len(self._points) else np.full(2, np.nan)
+        if math.hypot(*(uv - last)) < self._spacing or (np.isnan(uv).any() and np.isnan(last).any()):
             return
-        if self._last is not None and math.hypot(*(uv - self._last)) < self._spacing:
-            return
-        if self._last is None or self._pieces[-1][1] == CHUNK:
-            self._pieces.append((np.empty((CHUNK, 1, 2), np.int32), 0))
-            if self._last is not None:
-                self._push(self._last)  # chunks share a point, or the trail would have gaps
-        self._push(uv)
-        self._last = np.array(uv, dtype=float)
+        self._points = np.vstack([self._points, uv])[-MOST_POINTS:]
 
     def polylines(self) -> list[NDArray[np.int32]]:
         """The polylines to draw, each (K, 1, 2) on the grid of 1/16 px."""
-        return [points[:count] for points, count in self._pieces]
-
-    def _push(self, uv: Array) -> None:
-        points, count = self._pieces[-1]
-        points[count, 0] = np.rint(uv * UNIT)  # in place: no allocation per frame
-        self._pieces[-1] = (points, count + 1)
+        known = np.flatnonzero(np.isfinite(self._points).all(axis=1))
+        whole = np.rint(self._points[known] * UNIT).astype(np.int32)[:, None]
+        return [piece for piece in np.split(whole, np.flatnonzero(np.diff(known) > 1) + 1) if len(piece)]
 
 
 class Overlay:
@@ -111,11 +97,7 @@ class Overlay:
         Args:
             uv, goal_uv: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2).
             t: time of the frame [s]. error: the error in words. lost: whether the target is lost, which a banner shows.
-
-        ParameterError: image size or number of markers differ from those of this overlay.
         """
-        if image.shape != (self.size[1], self.size[0], 3) or len(uv) != len(self._colors):
-            raise ParameterError("image", f"must be {self.size} with {len(self._colors)} markers", (image.shape, uv.shape))
         self.marks(image, uv, goal_uv)
         draw_caption(image, self.title, t=t, error=error)  # over marks, which shine through: its numbers stay legible
         if lost:

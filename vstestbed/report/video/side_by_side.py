@@ -100,6 +100,9 @@ GREY: Final[Color] = (96, 100, 108)
 NEUTRAL: Final[Color] = (56, 64, 76)
 
 
+Shown = list[tuple[FrameReader, Image]]  # Films with their places in the image
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """One controller's run."""
@@ -146,19 +149,33 @@ class _Sheet:
         total = 2 * self._bar + sum(heights)
         self.image: Image = np.full((total, len(columns) * (width + GAP) - GAP, 3), PAPER, np.uint8)
         self._foot = self.image[total - self._bar :]
-        self._views = []
+        self._running: list[tuple[Column, Image, Image, Shown]] = []  # with the column's part of the image, its first film, all its films
         for k, (column, own) in enumerate(zip(columns, readers, strict=True)):
             left = k * (width + GAP)
             part = self.image[: total - self._bar, left : left + width]
             self._label(part[: self._bar], column.label)
-            self._views.append(_ColumnView(part[self._bar :], column, own, heights))
+            films = part[self._bar :]
+            films[:] = INK
+            self._running.append((column, films, films[: heights[0]], _placed(films, own, heights)))
 
     def show(self, t: Fraction) -> bool:
         """Update the image to time t [s]; False when all runs have ended."""
-        running = [view.show(t) for view in self._views]
-        if any(running):
+        self._running = [run for run in self._running if not self._ended(*run, t)]
+        if self._running:
             self._clock(float(t))
-        return any(running)
+        return bool(self._running)
+
+    def _ended(self, column: Column, films: Image, top: Image, shown: Shown, t: Fraction) -> bool:
+        """Update the films of a column to time t [s]; whether its run has ended, which its last picture then says."""
+        for reader, place in shown:
+            picture = reader.newest(t)
+            if picture is not None:
+                place[:] = scaled(picture, place.shape[1], place.shape[0])
+        ended = all(reader.ended(t) for reader, _ in shown)
+        if ended:
+            films[:] = cv2.convertScaleAbs(films, alpha=DIMMED)
+            draw_banner(top, column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[column.success])
+        return ended
 
     def _label(self, bar: Image, words: str) -> None:
         words = shortened(words, self._size, bar.shape[1] - 2 * self._size, weight=600)
@@ -175,35 +192,17 @@ class _Sheet:
         return round(0.5 * self._bar + 0.36 * self._size)
 
 
-class _ColumnView:
-    """The films of one column, drawn into a view (H, width, 3) of the sheet's image."""
-
-    def __init__(self, image: Image, column: Column, readers: list[FrameReader], heights: list[int]):
-        self._image, self._column, self._top = image, column, image[: heights[0]]
-        self._shown: list[tuple[FrameReader, Image]] = []
-        self._over = False
-        image[:] = INK
-        for row, place in enumerate(np.split(image, np.cumsum(heights)[:-1])):
-            if row < len(readers) and readers[row].rate_hz:
-                height = _scaled_height(readers[row], place.shape[1])
-                top = (place.shape[0] - height) // 4 * 2  # centred, at an even row
-                self._shown.append((readers[row], place[top : top + height]))
-            else:
-                _blank(place, "no film")
-
-    def show(self, t: Fraction) -> bool:
-        """Update the films to time t [s]; False when the run has ended."""
-        if self._over:
-            return False
-        for reader, place in self._shown:
-            picture = reader.newest(t)
-            if picture is not None:
-                place[:] = scaled(picture, place.shape[1], place.shape[0])
-        if all(reader.ended(t) for reader, _ in self._shown):
-            self._over = True
-            self._image[:] = cv2.convertScaleAbs(self._image, alpha=DIMMED)
-            draw_banner(self._top, self._column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[self._column.success])
-        return not self._over
+def _placed(films: Image, readers: list[FrameReader], heights: list[int]) -> Shown:
+    """The films of a column with their places in its part (H, width, 3) of the image; where there is none, the place says so."""
+    shown = []
+    for reader, place in zip_longest(readers, np.split(films, np.cumsum(heights)[:-1])):
+        if reader is None or not reader.rate_hz:
+            _blank(place, "no film")
+            continue
+        height = _scaled_height(reader, place.shape[1])
+        top = (place.shape[0] - height) // 4 * 2  # centred, at an even row
+        shown.append((reader, place[top : top + height]))
+    return shown
 
 
 def _scaled_height(reader: FrameReader, width: int) -> int:

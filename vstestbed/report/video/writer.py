@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
 from fractions import Fraction
-from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -17,11 +14,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
+from vstestbed.core.errors import EnvironmentLackError, OutputError
 from vstestbed.core.files import NO_SPACE, PartFile
 
 if TYPE_CHECKING:
-    from av import VideoStream
+    from av import VideoFrame, VideoStream
     from av.container import OutputContainer
 
 Image = NDArray[np.uint8]
@@ -34,30 +31,22 @@ Without `threads=1` here, beside the stream's own thread count, one film in a hu
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
 
 
-@dataclass(frozen=True)
-class Coding:
-    """How a video codes its pictures."""
-
-    matrix: int  # code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2
-    luma: tuple[float, float, float]  # shares of red, green and blue in Y
-    key_every: int | None = None  # every how many frames one can be decoded without those before it; None: where the encoder likes
-
-    @cached_property
-    def to_yuv(self) -> NDArray[np.float64]:
-        """(Y, Cb, Cr) of (R, G, B, 1) in 8 bits, limited range (ITU-R BT.709-6, items 3.3 to 3.5, with these shares)."""
-        luma = np.array(self.luma)
-        blue, red = ([0, 0, 1] - luma) / (2 * (1 - luma[2])), ([1, 0, 0] - luma) / (2 * (1 - luma[0]))
-        return np.array([[*219 / 255 * luma, 16], [*224 / 255 * blue, 128], [*224 / 255 * red, 128]])
-
-    @property
-    def options(self) -> dict[str, str]:
-        """Of the encoder."""
-        return ENCODER if self.key_every is None else ENCODER | {"g": str(self.key_every)}
+Coding = tuple[int, NDArray[np.float64], dict[str, str]]
+"""How a video codes its pictures: code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2, this matrix, options of the
+encoder."""
 
 
-FILM: Final = Coding(BT709, (0.2126, 0.7152, 0.0722))  # For players: BT.709, item 3.2
-DATASET: Final = Coding(6, (0.299, 0.587, 0.114), key_every=2)
-"""For learners, which read frames in any order, and with libraries that take any video as coded by BT.601 (its item 2.5.1)."""
+def _to_yuv(luma: tuple[float, float, float]) -> NDArray[np.float64]:
+    """(Y, Cb, Cr) of (R, G, B, 1) in 8 bits, limited range (ITU-R BT.709-6, items 3.3 to 3.5); luma: shares of red, green, blue in Y."""
+    y = np.array(luma)
+    blue, red = ([0, 0, 1] - y) / (2 * (1 - y[2])), ([1, 0, 0] - y) / (2 * (1 - y[0]))
+    return np.array([[*219 / 255 * y, 16], [*224 / 255 * blue, 128], [*224 / 255 * red, 128]])
+
+
+FILM: Final[Coding] = BT709, _to_yuv((0.2126, 0.7152, 0.0722)), ENCODER  # For players: BT.709, item 3.2
+DATASET: Final[Coding] = 6, _to_yuv((0.299, 0.587, 0.114)), ENCODER | {"g": "2"}
+"""For learners, which read frames in any order (every other one can be decoded by itself), and with libraries that take any video as
+coded by BT.601 (its item 2.5.1)."""
 
 
 class _Sink(PartFile):
@@ -96,19 +85,12 @@ class VideoWriter:
     repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
 
     Raises:
-        ParameterError: rate_hz [Hz] is not a positive number, or a frame is not (H, W, 3) uint8 of the first one's size.
         EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4). OutputError: the folder cannot be written.
     """
 
     def __init__(self, path: Path, rate_hz: float, coding: Coding = FILM):
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise ParameterError("rate_hz", "must be > 0", rate_hz)
-        self.path = Path(path)
-        self.rate = _fraction(rate_hz)
-        self.frames = 0
-        self._coding = coding
-        self._done = self._aborted = False
-        self._shape: tuple[int, ...] = ()
+        self.path, self.rate, self.frames = Path(path), _fraction(rate_hz), 0
+        self._coding, self._aborted = coding, False
         self._sink: _Sink | None = None
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
@@ -119,20 +101,26 @@ class VideoWriter:
         return 0 if self._sink is None else self._sink.tell()
 
     def write(self, image: Image) -> None:
-        """Append one frame, shape (H, W, 3), uint8, RGB."""
-        if self._done:
-            raise OutputError(self.path, "this film is finished", "open another VideoWriter")
-        if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
-            raise ParameterError("image", "must be (H, W, 3) uint8", (image.shape, str(image.dtype)))
-        if self._shape and image.shape != self._shape:
-            raise ParameterError("image", f"must keep the size of the first frame, {self._shape}", image.shape)
-        self._guard(lambda: self._encode(image))
+        """Append one frame, shape (H, W, 3), uint8, RGB; all of one size."""
+        import av
+
+        with self._guarded():
+            if self._container is None:
+                self._open(image.shape)
+            frame = av.VideoFrame.from_ndarray(_yuv420p(_even(image), self._coding[1]), format="yuv420p")
+            frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
+            self._mux(frame)
         self.frames += 1
 
     def close(self) -> Path | None:
         """Finish the film and return its path; None if no frame was written (then there is no file)."""
-        if self._container is not None:
-            self._guard(self._finish)
+        if self._container is not None and self._sink is not None:
+            with self._guarded():
+                self._mux(None)
+                self._container.close()
+                self._sink.check()
+                self._sink.keep()
+                self._container = self._stream = self._sink = None
         return self.path if self.frames and not self._aborted else None
 
     def abort(self) -> None:
@@ -141,7 +129,7 @@ class VideoWriter:
         self._container = self._stream = self._sink = None
         if sink is None:
             return
-        self._done = self._aborted = True
+        self._aborted = True
         with contextlib.suppress(OSError, ValueError, RuntimeError):  # the film is discarded: errors of the encoder do not matter
             if container is not None:
                 container.close()
@@ -159,50 +147,36 @@ class VideoWriter:
         else:
             self.abort()
 
-    def _encode(self, image: Image) -> None:
-        import av
-
-        if self._container is None:
-            self._open(image.shape)
-        assert self._container is not None and self._stream is not None and self._sink is not None
-        frame = av.VideoFrame.from_ndarray(_yuv420p(_even(image), self._coding), format="yuv420p")
-        frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
-        for packet in self._stream.encode(frame):
-            self._container.mux(packet)
-        self._sink.check()
-
     def _open(self, shape: tuple[int, ...]) -> None:
         import av
 
+        matrix, _, options = self._coding
         self._sink = sink = _Sink(self.path)  # the encoder gets the open file, and not its name, which may lead elsewhere by then
         self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=sink.reopened)
-        stream = self._container.add_stream("libx264", rate=self.rate, options=self._coding.options)
+        self._stream = stream = self._container.add_stream("libx264", rate=self.rate, options=options)
         stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
         stream.pix_fmt = "yuv420p"
         stream.thread_count = 1
         context = stream.codec_context
         context.color_primaries = context.color_trc = BT709
-        context.colorspace = self._coding.matrix
+        context.colorspace = matrix
         self._container.start_encoding()  # opens the file: an unwritable folder is reported at the first frame
-        self._stream, self._shape = stream, shape
 
-    def _finish(self) -> None:
+    def _mux(self, frame: VideoFrame | None) -> None:
+        """Encode a frame, or what waits at the end."""
         assert self._container is not None and self._stream is not None and self._sink is not None
-        for packet in self._stream.encode():
+        for packet in self._stream.encode(frame):
             self._container.mux(packet)
-        self._container.close()
         self._sink.check()
-        self._sink.keep()
-        self._container = self._stream = self._sink = None
-        self._done = True
 
-    def _guard(self, step: Callable[[], None]) -> None:
-        """Run one step of the encoder; on failure discard the film and raise an error that says what is missing."""
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """A step of the encoder; on failure the film is discarded, and the error says what is missing."""
         from av.codec.codec import UnknownCodecError
         from av.error import FFmpegError
 
         try:
-            step()
+            yield
         except (FFmpegError, UnknownCodecError, OSError) as error:
             self.abort()
             raise self._explain(error) from error
@@ -234,10 +208,10 @@ def _even(image: Image) -> Image:
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
-def _yuv420p(image: Image, coding: Coding) -> Image:
+def _yuv420p(image: Image, to_yuv: NDArray[np.float64]) -> Image:
     """The planes Y (H, W), Cb and Cr (H/2, W/2) of an image, one after the other as (3 H/2, W): in half of swscale's time."""
     height, width = image.shape[:2]
-    yuv = cv2.transform(image, coding.to_yuv)
+    yuv = cv2.transform(image, to_yuv)
     halved = cv2.resize(yuv, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
     planes = np.empty((height * 3 // 2, width), np.uint8)
     blue, red = planes[height:].reshape(2, height // 2, width // 2)
