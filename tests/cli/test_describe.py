@@ -90,17 +90,14 @@ def test_a_block_that_no_bundled_file_has_still_has_an_example() -> None:
     assert any(line.startswith("amplitude_m   required") for line in lines)
 
 
-@pytest.mark.parametrize(
-    ("name", "example"),
-    [
+def test_an_example_has_the_field_that_holds_it() -> None:
+    for name, example in (
         ("monitor.keep_out", ["monitors:", "- kind: keep_out", "  corner: [0.4, -0.3, 0.5]", "  opposite: [0.8, 0.3, 1.2]"]),
         ("perturbation.erasing", ["perturb:", "- {kind: erasing}"]),
         ("world.scenery", ["scenery: scenery/workshop.xml"]),
-    ],
-)
-def test_an_example_has_the_field_that_holds_it(name: str, example: list[str]) -> None:
-    lines = shown(name).splitlines()
-    assert [line.rstrip().removeprefix("  ") for line in lines[-len(example) :]] == example
+    ):
+        lines = shown(name).splitlines()
+        assert [line.rstrip().removeprefix("  ") for line in lines[-len(example) :]] == example
 
 
 def test_the_kinds_of_a_field_of_another_name_say_its_name() -> None:
@@ -114,9 +111,8 @@ def test_colours_only_where_they_are_wanted() -> None:
     assert "\x1b[3" not in shown("law.pbvs", force_terminal=True, no_color=True)
 
 
-@pytest.mark.parametrize(
-    ("word", "name"),
-    [
+def test_the_words_for_an_entry() -> None:
+    for word, name in (
         ("pbvs", "law.pbvs"),
         ("law.pbvs", "law.pbvs"),
         ("law", "law"),
@@ -127,11 +123,9 @@ def test_colours_only_where_they_are_wanted() -> None:
         ("law.depth.pnp", "depth.pnp"),
         ("detector.features.sift", "keypoint.sift"),
         ("stripe", "lines.marker"),
-    ],
-)
-def test_the_words_for_an_entry(word: str, name: str) -> None:
-    found = looked_up(word, entries())
-    assert isinstance(found, Entry) and found.name == name
+    ):
+        found = looked_up(word, entries())
+        assert isinstance(found, Entry) and found.name == name
 
 
 def test_words_that_are_not_one() -> None:

@@ -58,24 +58,19 @@ def test_the_first_cause_is_told_and_what_later_ones_advise_is_not() -> None:
     assert str(lack).startswith("too many open files ([Errno 24] Too many open files: 'log.part'); raise the limit")
 
 
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
+def test_whichever_library_says_it() -> None:
+    for error, words in (
         (MemoryError("Unable to allocate 9 TiB for an array"), "not enough memory (Unable to allocate 9 TiB for an array); close other"),
         (OSError(errno.ENOMEM, "Cannot allocate memory"), "not enough memory ("),
         (ImportError("libx.so: failed to map segment from shared object"), "not enough memory (libx.so"),
         (OSError(errno.ENFILE, "Too many open files in system"), "too many open files ("),
-    ],
-)
-def test_whichever_library_says_it(error: BaseException, words: str) -> None:
-    assert str(lack_of(error)).startswith(words)
+    ):
+        assert str(lack_of(error)).startswith(words)
 
 
-@pytest.mark.parametrize(
-    "error", [ValueError("x"), OSError(errno.EACCES, "Permission denied"), EnvironmentLackError("no OpenGL", "install it")]
-)
-def test_other_errors_are_no_such_lack(error: BaseException) -> None:
-    assert lack_of(error) is None and shortage() is None
+def test_other_errors_are_no_such_lack() -> None:
+    for error in (ValueError("x"), OSError(errno.EACCES, "Permission denied"), EnvironmentLackError("no OpenGL", "install it")):
+        assert lack_of(error) is None and shortage() is None
 
 
 def test_a_process_that_can_open_nothing_more_is_short() -> None:

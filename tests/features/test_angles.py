@@ -14,9 +14,8 @@ def deg(*angles: float) -> np.ndarray:
     return np.deg2rad(angles)
 
 
-@pytest.mark.parametrize(
-    ("angle", "wrapped"),
-    [
+def test_wrap():
+    for angle, wrapped in (
         (0.3, 0.3),
         (-3.0, -3.0),
         (PI, PI),
@@ -26,10 +25,8 @@ def deg(*angles: float) -> np.ndarray:
         (PI + 0.1, 0.1 - PI),
         (-PI - 0.1, PI - 0.1),
         (7.0, 7 - 2 * PI),
-    ],
-)
-def test_wrap(angle, wrapped):
-    assert wrap(np.array(angle)) == pytest.approx(wrapped, abs=1e-15)
+    ):
+        assert wrap(np.array(angle)) == pytest.approx(wrapped, abs=1e-15)
 
 
 def test_wrap_leaves_what_is_in_range_and_never_leaves_the_range():
@@ -39,9 +36,8 @@ def test_wrap_leaves_what_is_in_range_and_never_leaves_the_range():
     assert ((wrap(near) > -PI) & (wrap(near) <= PI)).all()
 
 
-@pytest.mark.parametrize(
-    ("errors", "expected"),
-    [
+def test_signs_agree_only_where_all_are_far():
+    for errors, expected in (
         (deg(179, -179, 179, 179), deg(179, 181, 179, 179)),  # all far: the one of the other sign joins the majority
         (deg(-179, -179, 179, -100), deg(-179, -179, -181, -100)),
         (deg(179, -179, -179, 179), deg(179, 181, 181, 179)),  # as many of each: positive
@@ -49,10 +45,8 @@ def test_wrap_leaves_what_is_in_range_and_never_leaves_the_range():
         (deg(179, -179, 179, 89), deg(179, -179, 179, 89)),  # one is not far: each stays as it is
         (deg(10, -10, 10, 10), deg(10, -10, 10, 10)),  # a common sign for small errors would turn the camera for nothing
         (deg(350, 370), deg(-10, 10)),
-    ],
-)
-def test_signs_agree_only_where_all_are_far(errors, expected):
-    np.testing.assert_allclose(wrap_together(errors), expected, atol=1e-14)
+    ):
+        np.testing.assert_allclose(wrap_together(errors), expected, atol=1e-14)
 
 
 def test_each_case_of_a_batch_has_its_own_sign():

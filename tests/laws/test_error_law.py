@@ -178,19 +178,16 @@ class TestCarrying:
 
 
 class TestHorizon:
-    @pytest.mark.parametrize(
-        ("predict_s", "expected"),
-        [
+    def test_before_at_and_after_now(self):
+        for predict_s, expected in (
             # Half of the way that the camera has gone in .1 s since the exposure; all of it; and .1 s more as commanded.
             (0.05, 0.3 * 0.05 + 0.02),
             (0.1, 0.3 * 0.1 + 0.04),
             (0.2, 0.3 * 0.2 + 0.04 + 0.5 * 0.1),
-        ],
-    )
-    def test_before_at_and_after_now(self, predict_s: float, expected: float):
-        shift, rate = look_ahead(KalmanCV(predict_s=predict_s), moving(0.3), SIX, own(age_s=0.1, moved=0.04, commanded=0.5))
-        np.testing.assert_allclose(shift, expected)
-        np.testing.assert_allclose(rate, 0.3)
+        ):
+            shift, rate = look_ahead(KalmanCV(predict_s=predict_s), moving(0.3), SIX, own(age_s=0.1, moved=0.04, commanded=0.5))
+            np.testing.assert_allclose(shift, expected)
+            np.testing.assert_allclose(rate, 0.3)
 
     def test_of_a_picture_that_is_not_late(self):
         shift, _ = look_ahead(KalmanCV(predict_s=0.0), moving(0.3), SIX, own(age_s=0.0, moved=0.04))

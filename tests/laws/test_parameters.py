@@ -114,9 +114,8 @@ def test_polar_gains_at_the_borders_of_stability_are_refused():
 class TestTwistLimits:
     TWIST = np.array([3.0, 0, 4, 0, 1, 0])
 
-    @pytest.mark.parametrize(
-        ("limits", "factor"),
-        [
+    def test_one_and_many_alike(self):
+        for limits, factor in (
             ({}, 1.0),
             ({"speed_mps": 5.0}, 1.0),
             ({"speed_mps": 2.5}, 0.5),
@@ -124,18 +123,16 @@ class TestTwistLimits:
             ({"speed_mps": 2.5, "rate_radps": 0.25}, 0.25),
             ({"speed_mps": 1.0, "rate_radps": 0.25}, 0.2),
             ({"rate_radps": 2.0}, 1.0),
-        ],
-    )
-    def test_one_and_many_alike(self, limits: dict[str, float], factor: float):
-        made = TwistLimits(**limits)
-        assert made.scale(self.TWIST) == pytest.approx(factor, rel=1e-15)
-        many = made.within(np.stack([self.TWIST, 0.01 * self.TWIST, np.zeros(6)]))
-        np.testing.assert_allclose(many, [factor * self.TWIST, 0.01 * self.TWIST, np.zeros(6)], rtol=1e-14)
-        basis = np.diag([2.0, 1, 1, 1, 1, 1])
-        command = made.command(self.TWIST / [2, 1, 1, 1, 1, 1], basis)
-        assert command.scale == pytest.approx(factor) and not command.free and not command.rest_reason
-        np.testing.assert_allclose(command.twist, factor * self.TWIST, rtol=1e-14)
-        np.testing.assert_allclose(basis @ command.u, command.twist, rtol=1e-14)
+        ):
+            made = TwistLimits(**limits)
+            assert made.scale(self.TWIST) == pytest.approx(factor, rel=1e-15)
+            many = made.within(np.stack([self.TWIST, 0.01 * self.TWIST, np.zeros(6)]))
+            np.testing.assert_allclose(many, [factor * self.TWIST, 0.01 * self.TWIST, np.zeros(6)], rtol=1e-14)
+            basis = np.diag([2.0, 1, 1, 1, 1, 1])
+            command = made.command(self.TWIST / [2, 1, 1, 1, 1, 1], basis)
+            assert command.scale == pytest.approx(factor) and not command.free and not command.rest_reason
+            np.testing.assert_allclose(command.twist, factor * self.TWIST, rtol=1e-14)
+            np.testing.assert_allclose(basis @ command.u, command.twist, rtol=1e-14)
 
 
 def test_the_adaptive_gain_of_many_is_that_of_each():

@@ -166,9 +166,8 @@ def test_three_markers_are_refused_though_three_of_four_carry_on():
 class TestChoiceOfTurn:
     """The remaining rotation, not wrapped, of one frame and of a batch."""
 
-    @pytest.mark.parametrize(
-        ("limits", "angle", "expected"),
-        [
+    def test_the_first_frame(self):
+        for limits, angle, expected in (
             (None, 3.0, 3.0),
             ((-180, 180), 3.0, 3.0),
             ((-360, 100), 3.0, 3.0 - 2 * np.pi),
@@ -176,12 +175,10 @@ class TestChoiceOfTurn:
             ((-90, 90), 1.58, 1.58),  # none is within: the one that exceeds them least
             ((-150, 90), 1.58, 1.58),
             ((-10, 10), -2.0, -2.0),
-        ],
-    )
-    def test_the_first_frame(self, limits: tuple[float, float] | None, angle: float, expected: float):
-        law = Partitioned(turn_limits_deg=limits)
-        assert law._turn(np.array(np.nan), np.array(angle)) == pytest.approx(expected, abs=1e-12)
-        np.testing.assert_allclose(law._turn(np.full(2, np.nan), np.array([angle, 0.1])), [expected, 0.1], atol=1e-12)
+        ):
+            law = Partitioned(turn_limits_deg=limits)
+            assert law._turn(np.array(np.nan), np.array(angle)) == pytest.approx(expected, abs=1e-12)
+            np.testing.assert_allclose(law._turn(np.full(2, np.nan), np.array([angle, 0.1])), [expected, 0.1], atol=1e-12)
 
     def test_of_many_each_chooses_at_its_own_first_frame(self):
         for limits in (None, (-180, 180)):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from vstestbed.features.observation import Observation
 from vstestbed.laws.points import ALL, NO_DEPTH, TOO_FEW, usable_rows
@@ -18,9 +17,8 @@ def seen(known: list[int], deep: list[int]) -> Observation:
     return Observation(0.0, uv, uv, np.where(np.isin(np.arange(4), deep), 1.0, NAN))
 
 
-@pytest.mark.parametrize(
-    ("known", "deep", "needed", "expected"),
-    [
+def test_usable_rows():
+    for known, deep, needed, expected in (
         ([0, 1, 2, 3], [0, 1, 2, 3], 4, ALL),
         ([0, 1, 2, 3], [0, 1, 2, 3], 5, TOO_FEW),
         ([0, 1, 3], [0, 1, 2, 3], 3, [True, True, False, True]),
@@ -30,11 +28,9 @@ def seen(known: list[int], deep: list[int]) -> Observation:
         ([0, 1, 2], [1, 2, 3], 3, NO_DEPTH),
         ([0, 1], [2, 3], 3, TOO_FEW),
         ([0, 1], [2, 3], 2, NO_DEPTH),
-    ],
-)
-def test_usable_rows(known: list[int], deep: list[int], needed: int, expected: object):
-    found = usable_rows(seen(known, deep), ("xy", "depth"), needed)
-    if isinstance(expected, list):
-        assert np.asarray(found).tolist() == expected
-    else:
-        assert found == expected
+    ):
+        found = usable_rows(seen(known, deep), ("xy", "depth"), needed)
+        if isinstance(expected, list):
+            assert np.asarray(found).tolist() == expected
+        else:
+            assert found == expected

@@ -137,25 +137,21 @@ class TestParameters:
         x = Solve(cutoff=0.05, damping=0.5).least_squares(A, b)
         np.testing.assert_allclose(x, [3 * 10 / 100.25, 3 / 1.25, 0], rtol=1e-14)
 
-    @pytest.mark.parametrize(
-        "solve",
-        [
+    def test_many_are_the_same_numbers_as_each_alone(self):
+        for solve in (
             Solve(cutoff=0.1),
             Solve(damping=0.1),
             Solve(cutoff=0.05, damping=0.2),
             Solve(cutoff=0.0),
             Solve(damping=0.1, levenberg_marquardt=0.2),
-        ],
-        ids=repr,
-    )
-    def test_many_are_the_same_numbers_as_each_alone(self, solve: Solve):
-        A, b = problems(40)
-        alone = [solve.least_squares(a, e) for a, e in zip(A, b, strict=True)]
-        np.testing.assert_allclose(solve.least_squares(A, b), alone, rtol=1e-12, atol=1e-14)
-        # One matrix with many right sides, and leading axes.
-        np.testing.assert_allclose(solve.least_squares(A[0], b), [solve.least_squares(A[0], e) for e in b], rtol=1e-12, atol=1e-14)
-        assert solve.least_squares(A.reshape(2, 20, 8, 6), b.reshape(2, 20, 8)).shape == (2, 20, 6)
-        assert solve.least_squares(A[:0], b[:0]).shape == (0, 6)
+        ):
+            A, b = problems(40)
+            alone = [solve.least_squares(a, e) for a, e in zip(A, b, strict=True)]
+            np.testing.assert_allclose(solve.least_squares(A, b), alone, rtol=1e-12, atol=1e-14)
+            # One matrix with many right sides, and leading axes.
+            np.testing.assert_allclose(solve.least_squares(A[0], b), [solve.least_squares(A[0], e) for e in b], rtol=1e-12, atol=1e-14)
+            assert solve.least_squares(A.reshape(2, 20, 8, 6), b.reshape(2, 20, 8)).shape == (2, 20, 6)
+            assert solve.least_squares(A[:0], b[:0]).shape == (0, 6)
 
     def test_the_default_is_the_plain_solution_bit_for_bit(self):
         A, b = problems(10)

@@ -48,16 +48,13 @@ def test_too_small_with_the_radius_and_the_least_that_is_found():
     assert said.count("from the start on") == 1
 
 
-@pytest.mark.parametrize(
-    ("changes", "advice"),
-    [
+def test_only_laws_that_the_scenario_takes_are_advised():
+    for changes, advice in (
         ({}, "a wider camera, a start nearer to the goal view, or a law that minds the border (law.visibility, law: qp) would help"),
         ({"law": "pbvs"}, "a wider camera, a start nearer to the goal view, or a law that minds the border (law: qp) would help"),
         ({"law": "qp"}, "a wider camera or a start nearer to the goal view would help"),
-    ],
-)
-def test_only_laws_that_the_scenario_takes_are_advised(changes: dict[str, object], advice: str):
-    assert f"; {advice}" in reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": [0.45, 0, -1]} | changes)
+    ):
+        assert f"; {advice}" in reason("ibvs_book", **SIDEWAYS | {"robot.start.nominal.xyz": [0.45, 0, -1]} | changes)
 
 
 def test_a_camera_that_sees_all_round_is_not_advised_to_mind_its_border():

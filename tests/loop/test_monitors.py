@@ -85,17 +85,14 @@ class TestPlaneCrossed:
         verdict = ends.unsafe(frame(T_world_target=self.TURNED))
         assert verdict is not None and verdict[1].startswith("the target turned its back")
 
-    @pytest.mark.parametrize(
-        ("stop", "one_sided", "ends_run"),
-        [
+    def test_only_where_a_front_is_lost(self):
+        for stop, one_sided, ends_run in (
             (Stop(lost_after_s=None), True, True),
             (Stop(lost_after_s=None, lost_after_m=None), True, False),  # where no loss ends a run the plane may be crossed
             (Stop(), False, False),  # landmarks have no front
-        ],
-    )
-    def test_only_where_a_front_is_lost(self, stop, one_sided, ends_run):
-        crossed = termination(stop=stop, one_sided=one_sided).unsafe(frame(T_world_camera=back_from_target(-0.1)))
-        assert (crossed is not None) is ends_run
+        ):
+            crossed = termination(stop=stop, one_sided=one_sided).unsafe(frame(T_world_camera=back_from_target(-0.1)))
+            assert (crossed is not None) is ends_run
 
 
 class TestLimitReached:

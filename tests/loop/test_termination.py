@@ -40,22 +40,19 @@ def test_a_goal_with_a_marker_out_of_sight_is_not_reached():
     assert judged(9.9, rms_px=0.1, all_seen=False) is None
 
 
-@pytest.mark.parametrize(
-    ("given", "outcome", "words"),
-    [
+def test_each_end_has_its_evidence():
+    for given, outcome, words in (
         ({"contact": "hub and floor"}, Outcome.collided, "contact of hub and floor"),
         ({"T_world_camera": back_from_target(201.0)}, Outcome.diverged, "200 m"),
         ({"T_world_camera": back_from_target(-0.1)}, Outcome.target_lost, "starts behind the plane"),
         ({"limit": "joint_limit", "scale": 0.0}, Outcome.joint_limit, "joint"),
         ({"limit": "singular", "scale": 0.01}, Outcome.singular, "singular"),
         ({"speed_mps": 0.0}, Outcome.local_minimum, "5 px"),
-    ],
-)
-def test_each_end_has_its_evidence(given, outcome, words):
-    found, reason, t = judged(9, **given)
-    assert found is outcome
-    assert words in reason
-    assert t < 2.1  # nothing takes longer than the two seconds of rest
+    ):
+        found, reason, t = judged(9, **given)
+        assert found is outcome
+        assert words in reason
+        assert t < 2.1  # nothing takes longer than the two seconds of rest
 
 
 def test_time_runs_out():

@@ -81,24 +81,21 @@ def test_resolved_rate_is_exact_away_from_singularities():
     assert checked > 100
 
 
-@pytest.mark.parametrize(
-    ("name", "q_deg"),
-    [
+def test_resolved_rate_is_bounded_at_and_around_singularities():
+    for name, q_deg in (
         ("wrist: axes 4 and 6 aligned", [10, 45, -180, 20, 0, 30]),
         # The forearm's offset turns the stretched arm by atan(a3 / d4).
         ("elbow stretched", [10, 45, -90 + np.degrees(np.arctan2(0.0203, 0.4318)), 20, 40, 30]),
-    ],
-)
-def test_resolved_rate_is_bounded_at_and_around_singularities(name: str, q_deg: list[float]):
-    rng, q = np.random.default_rng(3), np.radians(q_deg)
-    # Singular to rounding.
-    assert weakest(jacobian(q)) < 1e-12, name
-    for size in (0.0, 1e-9, 1e-6, 1e-4, 1e-2, 3e-2, 1e-1):
-        for _ in range(20):
-            twist = rng.normal(size=6)
-            dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, REACH_UNIT)
-            # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for rounding.
-            assert np.linalg.norm(dq) <= np.linalg.norm(twist * SCALE) / 0.05 * (1 + 1e-9)
+    ):
+        rng, q = np.random.default_rng(3), np.radians(q_deg)
+        # Singular to rounding.
+        assert weakest(jacobian(q)) < 1e-12, name
+        for size in (0.0, 1e-9, 1e-6, 1e-4, 1e-2, 3e-2, 1e-1):
+            for _ in range(20):
+                twist = rng.normal(size=6)
+                dq = resolved_rate(jacobian(q + size * rng.normal(size=6)), twist, REACH_UNIT)
+                # |dq| <= |scaled twist| / threshold everywhere, as the docstring proves; 1e-9 for rounding.
+                assert np.linalg.norm(dq) <= np.linalg.norm(twist * SCALE) / 0.05 * (1 + 1e-9)
 
 
 def test_damping_sets_in_without_a_step():

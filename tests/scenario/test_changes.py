@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
-
-import pytest
 
 import vstestbed as vs
 from vstestbed.scenario.dump import changes, documents
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "changed"),
-    [
+def test_changed_fields_are_named_as_set_takes_them() -> None:
+    for name, settings, changed in (
         ("quadrotor_aggressive", {}, ()),
         ("quadrotor_aggressive", {"derotation": "none", "seed": 3}, ("derotation=none",)),
         ("omni_blended", {"goal.speed_mps": None}, ("goal.speed_mps=null",)),
         ("arm_track_circle", {"law.feedforward": "none"}, ("law.feedforward={kind: none}",)),
-    ],
-)
-def test_changed_fields_are_named_as_set_takes_them(name: str, settings: dict[str, Any], changed: tuple[str, ...]) -> None:
-    assert changes(vs.load(name, settings)) == changed
+    ):
+        assert changes(vs.load(name, settings)) == changed
 
 
 def test_a_copy_of_the_targets_file_is_no_change(tmp_path: Path) -> None:

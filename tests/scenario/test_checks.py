@@ -21,9 +21,8 @@ def refused(name, settings, words):
     assert words in str(told.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_what_only_some_robots_feel_do_or_hold():
+    for name, settings, words in (
         ("arm_ibvs", {"derotation": "exact"}, "derotation: is for a craft that tilts (robot quadrotor); here it must be none"),
         (
             "arm_ibvs",
@@ -38,10 +37,8 @@ def refused(name, settings, words):
             {"target.motion": "held", "level_trim_s": 0},
             "target.motion: held is for an arm's hand; robot quadrotor has none",
         ),
-    ],
-)
-def test_what_only_some_robots_feel_do_or_hold(name, settings, words):
-    refused(name, settings, words)
+    ):
+        refused(name, settings, words)
 
 
 @pytest.mark.parametrize(
@@ -58,15 +55,12 @@ def test_a_route_that_its_carrier_cannot_drive(name, settings, words):
     refused(name, settings, words)
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_a_camera_under_the_floor():
+    for name, settings, words in (
         ("car_pbvs", {"camera.mount.xyz": [0.2, 0.1, -0.1]}, "camera.mount.xyz: must have z > 0: the vehicle's frame lies on the floor"),
         ("omni_ibvs", {"camera.mount.xyz": [0.2, 0.1, 0]}, "the camera would be under it"),
-    ],
-)
-def test_a_camera_under_the_floor(name, settings, words):
-    refused(name, settings, words)
+    ):
+        refused(name, settings, words)
 
 
 def test_millimetres_for_metres():
@@ -81,9 +75,8 @@ def test_millimetres_for_metres():
             replace(vs.load("ibvs_book"), goal=vs.tasks.GoalView(T_camera_target=vs.Pose(xyz=(0, 0, 700))))
 
 
-@pytest.mark.parametrize(
-    ("name", "settings", "words"),
-    [
+def test_markers_that_leave_the_pose_open():
+    for name, settings, words in (
         ("arm_ibvs", {"law.depth": "floor"}, "law.depth: may be floor only for a vehicle, and robot puma560 is none; use pnp, goal or"),
         ("car_pursuit", {"law.depth": "pnp"}, "law pursuit needs 3 or more for this robot's motions; with law.depth floor 1 will do"),
         ("car_pbvs", {"target.at": [[4, 10, 3], [9, 9, 2]]}, "needs 3 or more for this robot's motions; with law.depth floor 2"),
@@ -93,15 +86,12 @@ def test_millimetres_for_metres():
             "all markers lie on one line, which leaves the pose open; use",
         ),
         ("omni_ibvs", {"law.depth": "pnp"}, "which leaves the pose open; use floor, goal or estimate"),
-    ],
-)
-def test_markers_that_leave_the_pose_open(name, settings, words):
-    refused(name, settings, words)
+    ):
+        refused(name, settings, words)
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
+def test_features_that_leave_motions_open():
+    for settings, words in (
         (
             {"law.feature": "segment"},
             "law.feature: segment tells 4 of this robot's 6 motions at the goal; use law.redundant: true, which leaves",
@@ -109,20 +99,15 @@ def test_markers_that_leave_the_pose_open(name, settings, words):
         ({"law": {"kind": "qp", "law": {"kind": "ibvs", "feature": "polygon"}}}, "law.feature: polygon tells 2 of this robot's 6 motions"),
         ({"law.feature": {"kind": "moments", "rows": ["xn", "yn", "an"]}}, "the others alone, or more rows (law.feature.rows)"),
         ({"law.feature": "moments"}, "law.feature.rows: may not have alpha, sx, sy: the target is as wide as long in the goal view"),
-    ],
-)
-def test_features_that_leave_motions_open(settings, words):
-    refused("arm_ibvs", settings, words)
-    if "law.feature" in settings and settings["law.feature"] != "moments":
-        vs.load("arm_ibvs", settings | {"law.redundant": True})
+    ):
+        refused("arm_ibvs", settings, words)
+        if "law.feature" in settings and settings["law.feature"] != "moments":
+            vs.load("arm_ibvs", settings | {"law.redundant": True})
 
 
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [
+def test_what_would_work_does():
+    for name, settings in (
         ("car_pursuit", {ROUTE: circle(0.65)}),
         ("car_pursuit", {ROUTE: circle(0.3), "target.motion.by": "omni"}),
-    ],
-)
-def test_what_would_work_does(name, settings):
-    vs.load(name, settings)
+    ):
+        vs.load(name, settings)

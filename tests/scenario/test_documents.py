@@ -102,22 +102,19 @@ def test_another_level_over_a_run_is_that_level_over_what_the_user_gave(former: 
     assert parse(text, GIVEN, {"robot.realism": now}) == vs.load(name, own | {"robot.realism": now}, seed=3)
 
 
-@pytest.mark.parametrize(
-    ("settings", "seed"),
-    [
+def test_settings_over_a_run_are_settings_over_its_file() -> None:
+    for settings, seed in (
         ({}, 5),
         ({"seed": 5}, None),
         ({"robot.start.random.q_deg": 5}, None),
         ({"robot.start.nominal.q_deg": [0, 40, -170, 0, 45, -45]}, 5),
         ({"robot.geometry_error.sigma_m": 0.003, "law.gain": 0.8}, None),
-    ],
-)
-def test_settings_over_a_run_are_settings_over_its_file(settings: dict[str, Any], seed: int | None) -> None:
-    text = given_text(vs.load("arm_ibvs", {"robot.realism": "field"}, seed=3))
-    found = parse(text, GIVEN, settings, seed)
-    wanted = vs.load("arm_ibvs", {"robot.realism": "field", "seed": 3, "draw_start": True} | settings, seed)
-    assert found == wanted and found.resolved == wanted.resolved
-    assert found.resolved != vs.load("arm_ibvs", {"robot.realism": "field"}, seed=3).resolved
+    ):
+        text = given_text(vs.load("arm_ibvs", {"robot.realism": "field"}, seed=3))
+        found = parse(text, GIVEN, settings, seed)
+        wanted = vs.load("arm_ibvs", {"robot.realism": "field", "seed": 3, "draw_start": True} | settings, seed)
+        assert found == wanted and found.resolved == wanted.resolved
+        assert found.resolved != vs.load("arm_ibvs", {"robot.realism": "field"}, seed=3).resolved
 
 
 def test_a_start_over_a_run_is_where_it_begins() -> None:

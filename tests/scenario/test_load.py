@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -127,9 +126,8 @@ class TestOneMistake:
         assert told.count("\n") == line.count("\n"), told  # one mistake, one line
         assert all(re.match(r"s\.yaml:\d+:\d+: [\w.]+: \S", one) for one in told.splitlines())
 
-    @pytest.mark.parametrize(
-        ("text", "line"),
-        [
+    def test_in_the_whole_file(self) -> None:
+        for text, line in (
             ("", "s.yaml:1:1: is empty; a scenario needs robot, target, law and goal"),
             ("# nothing\n", "s.yaml:1:1: is empty; a scenario needs robot, target, law and goal"),
             ("- a\n- b\n", "s.yaml:1:1: must be a mapping (name: value); a scenario needs robot, target, law and goal"),
@@ -144,27 +142,22 @@ class TestOneMistake:
             (GOOD + "law: ibvs\n", "s.yaml:11:1: law: stands here for the second time in its block; keep one of the two"),
             ("law: !!python/object:os.system x\n", "s.yaml:1:1: law: has the tag tag:yaml.org,2002:python/object:os.system"),
             ("law: " + "[" * 40 + "]" * 40, "s.yaml:1:37: is nested more than 32 deep; a scenario needs far less"),
-        ],
-    )
-    def test_in_the_whole_file(self, text: str, line: str) -> None:
-        told = mistakes(text)
-        assert len(told) == 1
-        assert told[0].startswith(line)
-        assert "\n" not in told[0]
+        ):
+            told = mistakes(text)
+            assert len(told) == 1
+            assert told[0].startswith(line)
+            assert "\n" not in told[0]
 
-    @pytest.mark.parametrize(
-        ("random", "line"),
-        [
+    def test_of_two_blocks_the_one_that_is_meant(self) -> None:
+        for random, line in (
             ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
             ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
             ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: is an unknown field; did you mean 'q_deg'?"),
             ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping) of xyz, rpy_deg, got 3"),
-        ],
-    )
-    def test_of_two_blocks_the_one_that_is_meant(self, random: str, line: str) -> None:
-        robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
-        (told,) = mistakes(robot + GOOD[GOOD.index("camera:") :])
-        assert told.startswith("s.yaml:3:") and line in told
+        ):
+            robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
+            (told,) = mistakes(robot + GOOD[GOOD.index("camera:") :])
+            assert told.startswith("s.yaml:3:") and line in told
 
     def test_nesting_too_deep_for_the_parser(self) -> None:
         """A hundred thousand brackets would overflow the stack of libyaml's composer."""
@@ -268,9 +261,8 @@ class TestFiles:
 class TestSet:
     """`--set` edits the mapping before it is checked, with the same messages."""
 
-    @pytest.mark.parametrize(
-        ("field", "value", "found"),
-        [
+    def test_a_field_a_list_item_a_word_a_new_block(self) -> None:
+        for field, value, found in (
             ("law.gain", 1.5, lambda s: s.law.gain.value == 1.5),
             ("law.depth.depth_m", 2, None),
             ("detector", "oracle", lambda s: s.detector.kind == "oracle"),
@@ -279,13 +271,11 @@ class TestSet:
             ("noise.pixel_sigma_px", 0.3, lambda s: s.noise.pixel_sigma_px == 0.3),
             ("stop", {"duration_s": 3}, lambda s: s.stop.duration_s == 3),
             ("camera.latency_s", 0, lambda s: s.camera.latency_s == 0 and s.camera.rate_hz == 25),
-        ],
-    )
-    def test_a_field_a_list_item_a_word_a_new_block(self, field: str, value: object, found: Callable[..., bool] | None) -> None:
-        if found is None:  # the bare word that stands there, or the default's kind, does not have this field, and the message knows it
-            assert "overrides: " in mistakes(GOOD, **{field.replace(".", "__"): value})[0]
-        else:
-            assert found(parse(GOOD, "s.yaml", {field: value}))
+        ):
+            if found is None:  # the bare word that stands there, or the default's kind, does not have this field, and the message knows it
+                assert "overrides: " in mistakes(GOOD, **{field.replace(".", "__"): value})[0]
+            else:
+                assert found(parse(GOOD, "s.yaml", {field: value}))
 
     def test_a_bare_word_becomes_a_block_with_more_fields(self) -> None:
         scenario = parse(changed("depth: pnp", "depth: constant"), "s.yaml", {"law.depth.depth_m": 2.5})
@@ -301,9 +291,8 @@ class TestSet:
         parse(GOOD, "s.yaml", {"law": mine, "law.gain": 2.0})
         assert mine == {"kind": "ibvs", "gain": 1.0}
 
-    @pytest.mark.parametrize(
-        ("field", "value", "line"),
-        [
+    def test_what_is_refused(self) -> None:
+        for field, value, line in (
             ("law.gian", 1, "overrides: law.gian: is an unknown field; did you mean 'gain'?"),
             ("law.gain", float("nan"), "overrides: law.gain: must be a finite number, got nan"),
             ("law.kind", "ibv", f"overrides: law.kind: is no law; valid kinds: {kinds_of('laws')}, got 'ibv'"),
@@ -316,13 +305,11 @@ class TestSet:
             ("robot.start.nominal.q_deg.2", 180, "robot.start.nominal.q_deg.2: must be within joint 3's limits -225 to 45 deg"),
             ("law.", 1, "overrides: law.: is no path to a field, such as law.gain"),
             ("", 1, "is no path to a field, such as law.gain"),
-        ],
-    )
-    def test_what_is_refused(self, field: str, value: object, line: str) -> None:
-        told = mistakes(GOOD, **{field.replace(".", "__"): value})
-        assert len(told) == 1
-        assert line in told[0]
-        assert told[0].startswith("overrides: ")
+        ):
+            told = mistakes(GOOD, **{field.replace(".", "__"): value})
+            assert len(told) == 1
+            assert line in told[0]
+            assert told[0].startswith("overrides: ")
 
     @pytest.mark.parametrize(
         ("text", "value"),

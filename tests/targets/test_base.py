@@ -46,19 +46,16 @@ def test_only_a_square_has_a_board_and_with_it_a_front():
         assert target.board_half_m is None and not target.one_sided
 
 
-@pytest.mark.parametrize(
-    ("motion", "moves", "on_gripper"),
-    [
+def test_what_moves_it():
+    for motion, moves, on_gripper in (
         (Still(), False, False),
         (Line(velocity_mps=(0.1, 0, 0)), True, False),
         (Held(), True, True),
         (Carried(route=CircularRoute(radius_m=2)), True, False),
-    ],
-)
-def test_what_moves_it(motion, moves, on_gripper):
-    target = Square(pose=Pose(), side=0.2, motion=motion)
-    assert (target.moves, target.on_gripper) == (moves, on_gripper)
-    assert (target.carrier is motion) is isinstance(motion, Carried)
+    ):
+        target = Square(pose=Pose(), side=0.2, motion=motion)
+        assert (target.moves, target.on_gripper) == (moves, on_gripper)
+        assert (target.carrier is motion) is isinstance(motion, Carried)
 
 
 def test_it_starts_where_its_motion_puts_it():

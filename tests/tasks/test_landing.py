@@ -46,21 +46,18 @@ class TestReference:
             memory, _ = TASK.reference(memory, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
         assert memory.share == DEEPEST
 
-    @pytest.mark.parametrize(
-        ("xyz", "turn", "descends"),
-        [
+    def test_how_near_is_over_its_pad(self):
+        for xyz, turn, descends in (
             *(((0.14, 0, 1.5), 0, True), ((0.16, 0, 1.5), 0, False), ((0, -0.16, 1.5), 0, False)),
             *(((0, 0, 1.75), 0, True), ((0, 0, 1.25), 0, True), ((0, 0, 1.85), 0, False), ((0, 0, 1.15), 0, False)),
             *(((0, 0, 1.5), 14, True), ((0, 0, 1.5), 16, False)),
             *(((0.3, 0, 0.39), 0, True), ((0.3, 0, 0.4), 0, False)),  # nearer than `commit_m` it waits for nothing
-        ],
-    )
-    def test_how_near_is_over_its_pad(self, xyz, turn, descends):
-        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
-        for t in (0.0, 0.04):
-            memory, goal = TASK.reference(memory, self.seen(t, xyz, turn))
-        assert (memory.share < 1.0) is descends
-        assert goal.T_camera_target[2, 3] == pytest.approx(1.49 if descends else 1.5)
+        ):
+            memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+            for t in (0.0, 0.04):
+                memory, goal = TASK.reference(memory, self.seen(t, xyz, turn))
+            assert (memory.share < 1.0) is descends
+            assert goal.T_camera_target[2, 3] == pytest.approx(1.49 if descends else 1.5)
 
     def test_the_first_frame_has_no_duration(self):
         memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
@@ -91,21 +88,18 @@ def craft(k: int, offset_m: float, sink_mps: float) -> np.ndarray:
 
 
 class TestTouchdown:
-    @pytest.mark.parametrize(
-        ("offset_m", "sink_mps", "outcome", "reason"),
-        [
+    def test_it_is_judged_by_place_and_speed(self):
+        for offset_m, sink_mps, outcome, reason in (
             (0.1, 0.3, Outcome.landed, "touched down 10 cm from the pad's centre at 0.30 m/s"),
             (0.25, 0.3, Outcome.collided, "touched down 25 cm from the pad's centre at 0.30 m/s: more than 20 cm"),
             (0.1, 0.6, Outcome.collided, "touched down 10 cm from the pad's centre at 0.60 m/s: more than 0.5 m/s"),
-        ],
-    )
-    def test_it_is_judged_by_place_and_speed(self, offset_m, sink_mps, outcome, reason):
-        down = Touchdown(TASK)
-        for k in range(30):
-            assert down.verdict is None or k > 20
-            down.update(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
-        assert down.offset_m == pytest.approx(offset_m) and down.speed_mps == pytest.approx(sink_mps)
-        assert down.verdict == (outcome, reason)
+        ):
+            down = Touchdown(TASK)
+            for k in range(30):
+                assert down.verdict is None or k > 20
+                down.update(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
+            assert down.offset_m == pytest.approx(offset_m) and down.speed_mps == pytest.approx(sink_mps)
+            assert down.verdict == (outcome, reason)
 
     def test_speed_is_against_a_pad_that_moves(self):
         down = Touchdown(TASK)

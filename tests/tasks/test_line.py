@@ -83,12 +83,9 @@ def test_a_line_that_cannot_be_driven_is_refused_with_what_would_work():
         assert words in str(told.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [
+def test_a_line_that_can_be_driven_is_taken():
+    for name, settings in (
         ("car_line", {"target.route": circle(0.5), "goal.offset_m": -0.3}),  # outside the bend
         ("omni_line", {"target.route": circle(0.5)}),
-    ],
-)
-def test_a_line_that_can_be_driven_is_taken(name, settings):
-    vs.load(name, settings)
+    ):
+        vs.load(name, settings)

@@ -21,18 +21,15 @@ def test_a_steady_drive_is_fine_and_so_is_a_start_from_standstill():
     assert watched(lambda t: min(0.8, 1.5 * t), from_s=0.0) is None  # the car's acceleration
 
 
-@pytest.mark.parametrize(
-    ("speed", "when", "made"),
-    [
+def test_who_is_slow_is_told_when_and_how_much():
+    for speed, when, made in (
         (lambda t: 0.3, 4.0, "made 0.30 m/s"),  # creeps
         (lambda t: -0.8, 4.0, "made -0.80 m/s"),  # the wrong way
         (lambda t: 0.8 if t < 7 else 0.0, 7.44, "made 0.62 m/s"),  # stands: under .64 over 2 s after .4 s
-    ],
-)
-def test_who_is_slow_is_told_when_and_how_much(speed, when, made):
-    t, reason = watched(speed)
-    assert t == pytest.approx(when, abs=0.05)
-    assert made in reason and "0.8 m/s were commanded" in reason
+    ):
+        t, reason = watched(speed)
+        assert t == pytest.approx(when, abs=0.05)
+        assert made in reason and "0.8 m/s were commanded" in reason
 
 
 def test_what_happens_before_the_time_to_settle_does_not_count():

@@ -73,12 +73,10 @@ def test_of_two_lines_each_by_its_hue():
     assert np.sqrt(np.nanmean(errors**2)) < 0.1
 
 
-@pytest.mark.parametrize(
-    "camera", [Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), SphericalCamera(mount=MOUNT)], ids=lambda c: c.kind
-)
-def test_any_lens(camera):
-    errors = Bench(GroundLines(route=WAY, marker={"kind": "stripe", "width_m": 0.05}), camera).errors(PLACES[:6])
-    assert np.isfinite(errors).all() and np.sqrt((errors**2).mean()) < 0.1
+def test_any_lens():
+    for camera in (Fisheye(width=480, height=480, fov_deg=170, mount=MOUNT), SphericalCamera(mount=MOUNT)):
+        errors = Bench(GroundLines(route=WAY, marker={"kind": "stripe", "width_m": 0.05}), camera).errors(PLACES[:6])
+        assert np.isfinite(errors).all() and np.sqrt((errors**2).mean()) < 0.1
 
 
 def test_lines_are_found_in_noise():

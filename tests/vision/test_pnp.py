@@ -78,12 +78,10 @@ def test_all_but_one_on_a_line_fix_a_pose_and_no_homography(points: Array) -> No
         assert rigid_error(found, T) == pytest.approx((0, 0), abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "xy", [[[-0.2, 0.1], [-0.1, 0.1], [0.1, 0.1], [0.2, 0.1]], [[0.1, 0.1]] * 4, [[0, 0], [0.1, 0], [0.2, 0], [0, 0.1]]]
-)
-def test_pixels_from_which_the_solver_makes_nothing_raise_nothing(xy: list[list[float]]) -> None:
-    found = solve_pose(np.array(xy, dtype=float), SQUARE)  # OpenCV then hands out None for its errors
-    assert found is None or np.isfinite(found).all()
+def test_pixels_from_which_the_solver_makes_nothing_raise_nothing() -> None:
+    for xy in ([[-0.2, 0.1], [-0.1, 0.1], [0.1, 0.1], [0.2, 0.1]], [[0.1, 0.1]] * 4, [[0, 0], [0.1, 0], [0.2, 0], [0, 0.1]]):
+        found = solve_pose(np.array(xy, dtype=float), SQUARE)  # OpenCV then hands out None for its errors
+        assert found is None or np.isfinite(found).all()
 
 
 def test_noise_of_a_third_of_a_pixel() -> None:

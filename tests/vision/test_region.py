@@ -122,19 +122,16 @@ def test_a_region_that_is_partly_hidden_is_lost(hidden: tuple[int, int, int, int
         assert not found(target, painted(border_of(target, Pose(xyz=(0, 0, 1)).T), hidden=hidden))[1].seen.any()
 
 
-@pytest.mark.parametrize(
-    ("kind", "T", "hidden"),
-    [
+def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline():
+    for kind, T, hidden in (
         ("whale", FACING, (79, 104, 221, 161)),  # its border lay on an outline that was 3388 px off
         ("whale", TURNED, (131, 25, 184, 165)),  # 320 px
         ("l_shape", FACING, (121, 132, 206, 172)),  # 72152 px
         ("l_shape", FACING, (145, 51, 206, 172)),  # the best homography folds the picture onto a line
-    ],
-)
-def test_a_remnant_is_no_region_that_lies_along_a_side_of_its_outline(kind: str, T: Array, hidden: tuple[int, int, int, int]):
-    target = shape(kind)
-    assert found(target, painted(border_of(target, T)))[1].seen.all()
-    assert not found(target, painted(border_of(target, T), hidden=hidden))[1].seen.any()
+    ):
+        target = shape(kind)
+        assert found(target, painted(border_of(target, T)))[1].seen.all()
+        assert not found(target, painted(border_of(target, T), hidden=hidden))[1].seen.any()
 
 
 def test_an_outline_is_bare_where_no_border_of_the_region_is_near():

@@ -192,21 +192,18 @@ def test_one_seed_and_one_controller_claim_nothing() -> None:
     assert "a reached the goal in 18 of 20 runs (90 %, 95 % interval 70 to 97 %)." in alone
 
 
-@pytest.mark.parametrize(
-    ("times", "words"),
-    [
+def test_the_answer_for_many() -> None:
+    for times, words in (
         ((4, 5, 6), "a is better than each of the other two: than b, it converges 1.00 s (20.0 %) sooner."),
         ((5, 5, 5), "No difference between them that 6 runs each could show."),
         ((5, 5, 9), "a and b are better than the rest; 6 runs each show neither of them ahead."),
         ((4, 4, 4, 6, 6), "a, b and c are better than the rest; 6 runs each show none of them ahead."),
         ((*range(5, 12),), "Against a: 0 of 6 are better, 6 worse; for 0, 6 runs each do not tell."),
-    ],
-)
-def test_the_answer_for_many(times: tuple[int, ...], words: str) -> None:
-    names = "abcdefg"[: len(times)]
-    rows = [(n, k, True, t + 0.001 * k) for n, t in zip(names, times, strict=True) for k in range(6)]
-    frame = pl.DataFrame(rows, schema=["scenario", "seed", "success", "time_to_converge_s"], orient="row")
-    assert words in said(ComparisonResults(frame, (), ("time_to_converge_s",)))
+    ):
+        names = "abcdefg"[: len(times)]
+        rows = [(n, k, True, t + 0.001 * k) for n, t in zip(names, times, strict=True) for k in range(6)]
+        frame = pl.DataFrame(rows, schema=["scenario", "seed", "success", "time_to_converge_s"], orient="row")
+        assert words in said(ComparisonResults(frame, (), ("time_to_converge_s",)))
 
 
 def test_starts_of_the_synthetic_runs_differ() -> None:
