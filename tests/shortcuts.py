@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from typing import Any
 
@@ -18,6 +18,14 @@ def one_quick(*cases: Any) -> list[Any]:
     """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a case of several arguments."""
     first, *others = cases
     return [first, *(pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.study) for case in others)]
+
+
+def every_third_quick(cases: Iterable[Any]) -> list[Any]:
+    """Cases of one argument, or of `pytest.param`, of which two thirds are studies."""
+    params = [case if hasattr(case, "marks") else pytest.param(case) for case in cases]
+    return [
+        pytest.param(*param.values, marks=[*param.marks, pytest.mark.study] if i % 3 else param.marks) for i, param in enumerate(params)
+    ]
 
 
 class Here:

@@ -7,6 +7,7 @@ import pytest
 
 import vstestbed as vs
 from tests.laws.flight import fly
+from tests.shortcuts import every_third_quick
 from vstestbed.features import LineFeature, Point, Polar, Spherical
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, Partitioned
@@ -52,7 +53,7 @@ LAWS: dict[str, Law] = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.study] if i % 3 else []) for i, name in enumerate(LAWS)])
+@pytest.mark.parametrize("name", every_third_quick(LAWS))
 def test_the_others_turn_on_the_spot(name: str):
     r = half_turn(LAWS[name])
     assert r.outcome is vs.Outcome.converged
