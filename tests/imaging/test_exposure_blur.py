@@ -135,7 +135,7 @@ def test_a_row_of_a_rolling_shutter_is_exposed_for_the_time():
     for exposure_s, end in ((0.002, 26), (0.01, 28)):
         plan = shutter.following(exposure_s)
         assert plan.arrives % PER_FRAME == (end + 4) % PER_FRAME or plan.arrives - plan.middle in (6, 8)
-        rows = np.stack([draw[1] for weight in plan.weights for draw in weight.draws])  # pyright: ignore[reportAttributeAccessIssue] - all are contributions here
+        rows = np.stack([draw[1] for weight in plan.weights for draw in weight])  # pyright: ignore[reportAttributeAccessIssue] - all are contributions here
         spread = (rows * (shutter.opening.nodes[:, None] - camera.row_delay(np.arange(480.0))) ** 2).sum(axis=0)
         assert spread.max() >= exposure_s**2 / 12
         assert np.median(spread) == pytest.approx(exposure_s**2 / 12, abs=STEP**2 / 4)

@@ -123,10 +123,8 @@ def test_a_step_of_the_light_is_seen_and_settles_in_a_run():
 
 
 def test_nothing_is_made_for_a_camera_without_any():
-    from vstestbed.imaging.chain import imaging_of
-
-    assert imaging_of(scenario({}).camera, None) is None
-    assert isinstance(imaging_of(scenario(ALL).camera, None), Imaging)
+    assert scenario({}).camera.imaging(None) is None
+    assert isinstance(scenario(ALL).camera.imaging(None), Imaging)
 
 
 def test_a_film_drawn_again_shows_the_camera_at_rest():

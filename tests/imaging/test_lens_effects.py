@@ -13,6 +13,10 @@ CAMERA = Perspective(width=WIDE, height=HIGH)
 SHAPE = (HIGH, WIDE)
 
 
+def effects(optics: Optics, camera: Perspective = CAMERA) -> LensEffects:
+    return LensEffects(optics, (WIDE, HIGH), camera.centre, camera.ray, camera.f)
+
+
 def edge(value: float = 200.0) -> np.ndarray:
     image = np.zeros((*SHAPE, 3), np.float32)
     image[:, WIDE // 2 :] = value
@@ -75,7 +79,7 @@ def test_what_is_sharp_in_front_stays_sharp_and_what_is_blurred_in_front_covers(
 def test_the_depth_decides_through_the_lens_of_the_camera():
     optics = Optics(defocus=Defocus(focus_m=0.5, f_number=1.4, focal_length_m=0.008))
     camera = Perspective(width=WIDE, height=HIGH, optics=optics)
-    lens, image = LensEffects(camera, optics), edge().astype(np.uint8)
+    lens, image = effects(optics, camera), edge().astype(np.uint8)
     assert lens.needs_depth
     sharp = lens.of(image, np.full(SHAPE, 0.5, np.float32))
     np.testing.assert_allclose(sharp, image, atol=1e-4)
@@ -92,7 +96,7 @@ def test_lateral_colour_moves_red_and_blue_along_the_radius():
     for x, y in spots:
         blob = 200 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / 18)
         image = np.maximum(image, blob[..., None].astype(np.uint8))
-    after = LensEffects(CAMERA, optics).of(image, None)
+    after = effects(optics).of(image, None)
     corner = np.hypot(79.5, 59.5)
     for x, y in spots:
         window = (np.abs(u - x) < 14) & (np.abs(v - y) < 14)
@@ -105,11 +109,11 @@ def test_lateral_colour_moves_red_and_blue_along_the_radius():
 
 def test_vignetting_is_the_cos4_law_and_the_share_in_the_corner():
     white = np.full((*SHAPE, 3), 200, np.uint8)
-    natural = LensEffects(CAMERA, Optics(cos4=True)).of(white, None)[..., 0]
+    natural = effects(Optics(cos4=True)).of(white, None)[..., 0]
     for u, v in ((0, 0), (79, 59), (159, 60), (80, 119)):
         tangent2 = ((u - 79.5) ** 2 + (v - 59.5) ** 2) / CAMERA.f**2
         assert natural[v, u] == pytest.approx(200 / (1 + tangent2) ** 2, rel=1e-4)
-    mechanical = LensEffects(CAMERA, Optics(vignetting=0.4)).of(white, None)[..., 0]
+    mechanical = effects(Optics(vignetting=0.4)).of(white, None)[..., 0]
     assert mechanical[0, 0] == pytest.approx(120, rel=1e-4)
     assert mechanical[60, 80] == pytest.approx(200, rel=1e-3)
 

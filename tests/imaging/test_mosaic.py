@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from vstestbed.camera import Perspective
-from vstestbed.imaging.chain import Imaging
 from vstestbed.imaging.exposure import AutoExposure, ExposureControl, ExposureSetting
-from vstestbed.imaging.sensor import Mosaic, SensorNoise
+from vstestbed.imaging.sensor import SensorNoise
 
 PATTERNS, WAYS = ("rggb", "grbg", "gbrg", "bggr"), ("linear", "edge_aware")
 FINE = 16
@@ -33,8 +32,8 @@ def centroid(image: Floats, ground: float = 90.0) -> Floats:
 
 
 def through(light: Floats, pattern: str, way: str) -> Floats:
-    mosaic = Mosaic(pattern, way)
-    return mosaic.filled(np.rint(mosaic.sampled(light.astype(np.float32)) * 16).astype(np.uint16)) / 16
+    sensor = SensorNoise(mosaic=pattern, demosaic=way)
+    return sensor.demosaiced(np.rint(sensor.filtered(light.astype(np.float32)) * 16).astype(np.uint16)) / 16
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -71,12 +70,12 @@ def test_edges_of_a_white_plate_have_colours():
 
 def test_noise_is_shared_with_neighbours_as_interpolation_has_it():
     sensor = SensorNoise(mosaic="rggb", demosaic="linear", bits=12, prnu=0, dsnu_e=0)
-    mosaic, light = Mosaic("rggb", "linear"), np.full((240, 320, 3), 120, np.float32)
-    raw = sensor.converted(mosaic.sampled(light), ExposureSetting(), None, np.random.default_rng(3))
+    light = np.full((240, 320, 3), 120, np.float32)
+    raw = sensor.converted(sensor.filtered(light), ExposureSetting(), None, np.random.default_rng(3))
     own = float(raw.astype(float).var())
     mu = 120 / 255 * sensor.full_well_e * sensor.K
     assert own == pytest.approx((sensor.K * sensor.dark_noise_e) ** 2 + 1 / 12 + sensor.K * mu, rel=0.02)  # one pixel, as EMVA has it
-    filled = mosaic.filled(raw)[2:-2, 2:-2].astype(float)
+    filled = sensor.demosaiced(raw)[2:-2, 2:-2].astype(float)
     filled -= filled.mean(axis=(0, 1))
     for channel, share, alike in ((0, 9 / 16, 2 / 3), (1, 5 / 8, 2 / 5), (2, 9 / 16, 2 / 3)):
         one = filled[..., channel]
@@ -91,7 +90,8 @@ def test_a_cameras_pictures_have_it():
     for mosaic in ("none", "rggb"):
         exposure = ExposureControl(auto=AutoExposure(target_grey=80))
         camera = Perspective(width=64, height=48, exposure=exposure, sensor=SensorNoise(mosaic=mosaic, bits=10))
-        imaging = Imaging(camera, np.random.default_rng(2))
+        imaging = camera.imaging(np.random.default_rng(2))
+        assert imaging is not None
         noisy, clean = imaging.taken(0.0, (image,), None)[0], imaging.clean(0.0, (image,), None)[0]
         assert noisy is not None and clean is not None and noisy.shape == (48, 64, 3)
         assert noisy.mean() == pytest.approx(80, abs=1.5) and clean.mean() == pytest.approx(80, abs=1.5)  # metered as without

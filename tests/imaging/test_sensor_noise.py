@@ -19,7 +19,7 @@ def light(value: float) -> np.ndarray:
 
 def two(chip: SensorNoise, value: float, setting: ExposureSetting, seed: int = 0) -> tuple[float, float]:
     """Mean and temporal variance from two pictures of one light, as the standard takes them [DN, DN^2]."""
-    pattern = chip.pattern(SHAPE, np.random.default_rng(1))
+    pattern = chip.pattern((SHAPE[1], SHAPE[0]), np.random.default_rng(1))
     a, b = (chip.converted(light(value), setting, pattern, np.random.default_rng((seed, i))).astype(float) for i in (0, 1))
     return float((a.mean() + b.mean()) / 2), float(((a - b) ** 2).mean() / 2)
 
@@ -43,7 +43,7 @@ def test_a_longer_exposure_has_less_noise_than_a_larger_gain():
 
 
 def test_dsnu_and_prnu_are_found_in_the_mean_of_many_pictures():
-    pattern = CHIP.pattern(SHAPE, np.random.default_rng(1))
+    pattern = CHIP.pattern((SHAPE[1], SHAPE[0]), np.random.default_rng(1))
 
     def mean(value: float) -> np.ndarray:
         n = 12

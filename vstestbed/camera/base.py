@@ -16,9 +16,10 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, Image, Pose
 from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
 from vstestbed.core.spec import spec
+from vstestbed.imaging.chain import Imaging
 from vstestbed.imaging.depth import DEPTH_SENSORS, DepthSensor
 from vstestbed.imaging.exposure import ExposureControl, ExposureSetting
-from vstestbed.imaging.optics import Optics
+from vstestbed.imaging.optics import LensEffects, Optics
 from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.stream import STREAMS, VideoStream
 
@@ -151,6 +152,15 @@ class Camera(ABC):
     def imaged(self) -> bool:
         """Whether lens, exposure, sensor or stream change its pictures, which are then always taken whole."""
         return not (self.optics is None and self.exposure is None and self.sensor is None and self.stream is None)
+
+    def imaging(self, rng: np.random.Generator | None) -> Imaging | None:
+        """What lens, exposure, sensor and stream make of the pictures of one run; None where they change nothing. rng: of the noise."""
+        if not self.imaged:
+            return None
+        size, rng = (self.width, self.height), rng or np.random.default_rng(0)
+        focal = getattr(self, "f", 0.0), getattr(self, "focal_length_m", None)
+        lens = None if self.optics is None else LensEffects(self.optics, size, self.centre, self.ray, *focal)
+        return Imaging(size, self.rate_hz, lens, self.exposure, self.sensor, self.stream, rng)
 
     def _check_imaging(self) -> None:
         if len(self.panels) > 1:

@@ -4,39 +4,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.core.geometry import DepthImage, Image, Images
 from vstestbed.imaging.exposure import SKIP, ExposureControl, ExposureLoop, ExposureSetting
-from vstestbed.imaging.optics import LensEffects, Optics, _Lens
-from vstestbed.imaging.sensor import NO_DRIFT, Drift, FixedPattern, ImageNoise, Mosaic, SensorNoise, plain
+from vstestbed.imaging.optics import LensEffects
+from vstestbed.imaging.sensor import NO_DRIFT, Drift, Floats, ImageNoise, SensorNoise, plain
 from vstestbed.imaging.stream import VideoStream, round_trip
 
-Floats = NDArray[np.float32]
 Change = Callable[[float, Images, DepthImage | None], Images]
 """Of the images of all panels, taken at a time [s], with the true depths (H, W) [m] where they are needed."""
-
-
-class _Imaged(_Lens, Protocol):
-    """What is asked of a camera: its blocks, its rate [Hz] and period [s], and whether any block changes its pictures."""
-
-    @property
-    def rate_hz(self) -> float: ...
-    @property
-    def period(self) -> float: ...
-    @property
-    def optics(self) -> Optics | None: ...
-    @property
-    def exposure(self) -> ExposureControl | None: ...
-    @property
-    def sensor(self) -> SensorNoise | None: ...
-    @property
-    def stream(self) -> VideoStream | None: ...
-    @property
-    def imaged(self) -> bool: ...
 
 
 class Imaging:
@@ -48,27 +26,26 @@ class Imaging:
         exposed: exposure of the picture last taken; None without `camera.exposure`.
 
     Args:
-        camera: with `optics`, `exposure`, `sensor`, `stream`. rng: of the sensor's noise.
+        size: width and height of the picture [px]. rate_hz: of the camera [Hz]. rng: of the sensor's noise.
     """
 
-    def __init__(self, camera: _Imaged, rng: np.random.Generator):
-        self._camera, self._rng = camera, rng
-        self._lens = None if camera.optics is None else LensEffects(camera, camera.optics)
-        sensor = self._sensor = camera.sensor
-        self._mosaic = None if sensor is None or sensor.mosaic == "none" else Mosaic(sensor.mosaic, sensor.demosaic)
-        self._pattern: FixedPattern | None = None
-        if self._sensor is not None:
-            size = camera.height, camera.width
-            self._pattern = self._sensor.pattern((*size, 3) if self._mosaic is None else size, rng)
-        self._exposure = ExposureLoop(camera.exposure, camera.period, 0.0 if self._sensor is None else self._sensor.black)
-        self._fresh_trip = lambda: round_trip(camera.stream, camera.rate_hz)
+    def __init__(
+        self,
+        size: tuple[int, int],
+        rate_hz: float,
+        lens: LensEffects | None,
+        exposure: ExposureControl | None,
+        sensor: SensorNoise | None,
+        stream: VideoStream | None,
+        rng: np.random.Generator,
+    ):
+        self._lens, self._control, self._sensor, self._rng = lens, exposure, sensor, rng
+        self.needs_depth = lens is not None and lens.needs_depth  # whether the true depth of each pixel is asked for
+        self._pattern = None if sensor is None else sensor.pattern(size, rng)
+        self._exposure = ExposureLoop(exposure, 1.0 / rate_hz, 0.0 if sensor is None else sensor.black)
+        self._fresh_trip = functools.partial(round_trip, stream, rate_hz)
         self._trip = self._fresh_trip()
         self.exposed: ExposureSetting | None = None
-
-    @property
-    def needs_depth(self) -> bool:
-        """Whether the true depth of each pixel is asked for."""
-        return self._lens is not None and self._lens.needs_depth
 
     def exposure_s(self, t: float, drawn: Callable[[], tuple[Images, DepthImage | None]]) -> float:
         """Exposure time of the run's next picture [s], known before it is taken.
@@ -82,7 +59,7 @@ class Imaging:
         """The next picture of the run as the sensor gives it, taken at a time t [s]; depth: true ones (H, W) [m]."""
         light = self._light(images, depth)
         setting = self._exposure.setting(t, self._metered(light))
-        self.exposed = None if self._camera.exposure is None else setting
+        self.exposed = None if self._control is None else setting
         seed = None if self._sensor is None else int(self._rng.integers(2**63))
         image = self._read(light, setting, None if seed is None else np.random.default_rng(seed))
         self._exposure.saw(image)
@@ -104,22 +81,12 @@ class Imaging:
         return image.astype(np.float32) if self._lens is None else self._lens.of(image, depth)
 
     def _read(self, light: Floats, setting: ExposureSetting, rng: np.random.Generator | None) -> Image:
-        if self._sensor is None:
-            return plain(light, setting)
-        if self._mosaic is None:
-            return self._sensor.read(light, setting, self._pattern, rng)
-        numbers = self._sensor.converted(self._mosaic.sampled(light), setting, self._pattern, rng)
-        return self._sensor.upper(self._mosaic.filled(numbers))
+        return plain(light, setting) if self._sensor is None else self._sensor.read(light, setting, self._pattern, rng)
 
     def _metered(self, light: Floats) -> Callable[[ExposureSetting], Image]:
         """What exposure control looks at before the first picture: a part of the pixels, without their noise."""
         part, sensor = light[::SKIP, ::SKIP], self._sensor
-        return lambda setting: plain(part, setting) if sensor is None else sensor.read(part, setting, None, None)
-
-
-def imaging_of(camera: _Imaged, rng: np.random.Generator | None) -> Imaging | None:
-    """What changes the pictures of a camera; None where nothing does."""
-    return Imaging(camera, rng or np.random.default_rng(0)) if camera.imaged else None
+        return lambda setting: plain(part, setting) if sensor is None else sensor.upper(sensor.converted(part, setting, None, None))
 
 
 class Chain:

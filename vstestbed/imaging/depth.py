@@ -241,11 +241,7 @@ def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:
 def _slope(w: DepthImage, axis: int) -> DepthImage:
     """The difference (H, W) to the next or from the last pixel along an axis, whichever is smaller in size."""
     step = np.diff(w, axis=axis)
-    ends = [(0, 0), (0, 0)]
-    ends[axis] = (0, 1)
-    after = np.pad(step, ends, mode="edge")
-    ends[axis] = (1, 0)
-    before = np.pad(step, ends, mode="edge")
+    before, after = (np.insert(step, at, np.take(step, at, axis), axis) for at in (0, step.shape[axis] - 1))
     return np.where(np.abs(after) < np.abs(before), after, before)
 
 

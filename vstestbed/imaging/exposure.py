@@ -95,16 +95,12 @@ class AutoExposure:
 
 @dataclass(frozen=True, slots=True)
 class ExposureSetting:
-    """How a picture is exposed.
+    """How a picture is exposed."""
 
-    light: of the scene, relative to the rendered one [1]. time_s: exposure time [s]. gain: of the amplifier [1].
-    nominal_s: exposure time for which the scene is rendered [s].
-    """
-
-    light: float = 1.0
-    time_s: float = 1.0
-    gain: float = 1.0
-    nominal_s: float = 1.0
+    light: float = 1.0  # of the scene, relative to the rendered one [1]
+    time_s: float = 1.0  # exposure time [s]
+    gain: float = 1.0  # of the amplifier [1]
+    nominal_s: float = 1.0  # exposure time for which the scene is rendered [s]
 
     @property
     def collected(self) -> float:
@@ -155,14 +151,9 @@ class ExposureControl:
         return (time_s, self.gain) if self.auto is None else self.auto.split(self.auto.within(time_s * self.gain))
 
     @property
-    def first_s(self) -> float:
-        """The time of it [s]."""
-        return self.first[0]
-
-    @property
     def most_s(self) -> float:
         """The longest exposure time [s]."""
-        return self.first_s if self.auto is None else self.auto.longest_s
+        return self.first[0] if self.auto is None else self.auto.longest_s
 
     @property
     def most_field(self) -> str:

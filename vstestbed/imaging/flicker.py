@@ -44,19 +44,14 @@ class Flicker:
     depth: Annotated[float, Ge(0), Le(1)] = 0.0
     phase_deg: Angle = 0.0
 
-    @property
-    def _turning(self) -> tuple[float, float]:
-        """Angular frequency [rad/s] and phase [rad]."""
-        return 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
-
     def mean(self, t: Array | float, exposure_s: float) -> Array:
         """Mean brightness B_e over exposures about times t (...) [s]; at the times themselves for an exposure of 0."""
-        w, phase = self._turning
+        w, phase = 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
         return 1 + self.depth * np.sinc(self.frequency_hz * exposure_s) * np.cos(w * np.asarray(t, dtype=float) + phase)
 
     def moments(self, since: float, begin: Array, end: Array) -> tuple[Array, Array]:
         """Integrals of B(t) [s] and of (t - since) B(t) [s^2] over intervals from `begin` to `end` (...) [s]."""
-        w, phase = self._turning
+        w, phase = 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
 
         def primitive(t: Array) -> tuple[Array, Array]:
             sine, cosine, after = np.sin(w * t + phase), np.cos(w * t + phase), t - since

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
-from typing import Annotated, Any, Protocol
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
@@ -14,6 +15,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, pixel_grid
 from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
+from vstestbed.imaging.sensor import Floats
 
 Shift = Annotated[float, Ge(-20), Le(20)]
 
@@ -94,92 +96,80 @@ class Optics:
             if given and not flat:
                 words = "is for camera perspective: wide lenses are made to have neither its cos^4 law nor a depth of field to speak of"
                 raise ParameterError(f"optics.{field}", words)
-        if self.defocus is not None:
-            _check_focus(self.defocus, focal_length_m)
-
-    @property
-    def shades(self) -> bool:
-        """Whether brightness depends on the place."""
-        return self.cos4 or self.vignetting > 0
-
-
-def _check_focus(defocus: Defocus, focal_length_m: float | None) -> None:
-    """Refuse a lens without a focal length or with two, and a focus that no image is formed of."""
-    given = defocus.focal_length_m
-    if given is None and focal_length_m is None:
-        words = "is needed in metres, as the camera is given by its field of view; or give camera.focal_length_m and camera.pixel_size_m"
-        raise ParameterError("optics.defocus.focal_length_m", words)
-    if given is not None and focal_length_m is not None:
-        raise ParameterError("optics.defocus.focal_length_m", "says the same as camera.focal_length_m; leave it out", given)
-    f = given or focal_length_m or 0.0
-    if defocus.focus_m <= f:
-        raise ParameterError("optics.defocus.focus_m", f"must be farther than the focal length, {f:g} m", defocus.focus_m)
+        if self.defocus is None:
+            return
+        given = self.defocus.focal_length_m
+        if given is None and focal_length_m is None:
+            words = (
+                "is needed in metres, as the camera is given by its field of view; or give camera.focal_length_m and camera.pixel_size_m"
+            )
+            raise ParameterError("optics.defocus.focal_length_m", words)
+        if given is not None and focal_length_m is not None:
+            raise ParameterError("optics.defocus.focal_length_m", "says the same as camera.focal_length_m; leave it out", given)
+        f = given or focal_length_m or 0.0
+        if self.defocus.focus_m <= f:
+            raise ParameterError("optics.defocus.focus_m", f"must be farther than the focal length, {f:g} m", self.defocus.focus_m)
 
 
-Floats = NDArray[np.float32]
 FINE_PX, COARSE = 0.5, 0.1  # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]
 SHARP_PX = 0.3  # a disc of this diameter is one pixel [px]
 SUBPIXELS = 8  # points along a pixel's side by which its share of a disc is measured
 MOST = 0.25  # largest disc, as a share of the picture's height
 
 
-class _Lens(Protocol):
-    """What is asked of a camera: size, principal point [px], the rays (N, 3) of pixels (N, 2)."""
-
-    @property
-    def width(self) -> int: ...
-    @property
-    def height(self) -> int: ...
-    @property
-    def centre(self) -> Any: ...
-    def ray(self, uv: Array) -> Array: ...
-
-
 class LensEffects:
-    """Applies a lens's errors to pictures. camera: with the size, the principal point and the rays of the picture. optics: its errors."""
+    """Applies the errors of a camera's lens to its pictures.
 
-    def __init__(self, camera: _Lens, optics: Optics):
-        self._camera, self._optics, self.needs_depth = camera, optics, optics.defocus is not None
-        self._focal_length_m, self._f = 0.0, getattr(camera, "f", 0.0)  # of a perspective camera, which alone may have `defocus`
-        if optics.defocus is not None:
-            self._focal_length_m = optics.defocus.focal_length_m or getattr(camera, "focal_length_m", None) or 0.0
+    size: width and height of the picture [px]. centre: principal point (2,) [px]. ray: unit rays (N, 3) of pixels (N, 2).
+    f_px, focal_length_m: focal length in pixels and, where the camera has it, in metres: for the defocus of a perspective camera.
+    """
+
+    def __init__(
+        self,
+        optics: Optics,
+        size: tuple[int, int],
+        centre: Array,
+        ray: Callable[[Array], Array],
+        f_px: float = 0.0,
+        focal_length_m: float | None = None,
+    ):
+        self._optics, self._size, self._centre, self._ray = optics, size, centre, ray
+        self._f_px, self._focal_length_m = f_px, focal_length_m
+        self.needs_depth = optics.defocus is not None
 
     def of(self, image: NDArray[np.uint8], depth: DepthImage | None) -> Floats:
         """The light (H, W, 3) behind the lens of a rendered picture (H, W, 3) with the depths (H, W) [m] along the axis."""
-        light, camera, optics = image.astype(np.float32), self._camera, self._optics
+        light, optics = image.astype(np.float32), self._optics
         if optics.defocus is not None and depth is not None:
-            most = np.float32(MOST * camera.height)
-            light = defocused(light, np.clip(optics.defocus.circle_px(depth, self._f, self._focal_length_m), -most, most))
+            most = np.float32(MOST * self._size[1])
+            focal_length_m = optics.defocus.focal_length_m or self._focal_length_m or 0.0
+            light = defocused(light, np.clip(optics.defocus.circle_px(depth, self._f_px, focal_length_m), -most, most))
         for channel, px in ((0, optics.red_px), (2, optics.blue_px)):
             if px:
                 light[..., channel] = self._magnified(np.ascontiguousarray(light[..., channel]), px)
-        if optics.shades:
+        if optics.cos4 or optics.vignetting > 0:
             light *= self._shading
         return light
 
     @cached_property
-    def _grid(self) -> Floats:
-        return np.asarray(pixel_grid(self._camera.width, self._camera.height) - self._camera.centre, np.float32)
-
-    @cached_property
-    def _corner_px(self) -> float:
-        """Distance of the farthest corner from the principal point [px]."""
-        return float(np.hypot(self._grid[..., 0], self._grid[..., 1]).max())
+    def _radius_px(self) -> Floats:
+        """Distance of each pixel from the principal point (H, W) [px]."""
+        grid = np.asarray(pixel_grid(*self._size) - self._centre, np.float32)
+        return np.hypot(grid[..., 0], grid[..., 1])
 
     @cached_property
     def _shading(self) -> Floats:
-        r = np.hypot(self._grid[..., 0], self._grid[..., 1]) / self._corner_px
+        r = self._radius_px / float(self._radius_px.max())
         brightness = 1 - self._optics.vignetting * r * r
         if self._optics.cos4:
-            rays = self._camera.ray(pixel_grid(self._camera.width, self._camera.height).reshape(-1, 2))
-            brightness = brightness * rays[:, 2].reshape(r.shape) ** 4
+            brightness = brightness * self._ray(pixel_grid(*self._size).reshape(-1, 2))[:, 2].reshape(r.shape) ** 4
         return np.asarray(brightness, np.float32)[..., None]
 
     def _magnified(self, channel: Floats, px: float) -> Floats:
         """A colour (H, W) magnified about the principal point, so that the farthest corner moves out by `px`."""
         import cv2
 
-        scale, (cx, cy) = 1 + px / self._corner_px, self._camera.centre
+        scale, (cx, cy) = 1 + px / float(self._radius_px.max()), self._centre
         inverse = np.array([[1 / scale, 0, cx - cx / scale], [0, 1 / scale, cy - cy / scale]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = channel.shape[1], channel.shape[0]

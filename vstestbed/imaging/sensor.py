@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -24,18 +23,9 @@ WHITE = 255.0  # value of a picture's white
 FEW = 30.0
 """Electrons under which their number is drawn from Poisson's distribution; above, from the normal one of the same mean and variance,
 whose skewness differs by less than 0.19 and which takes a fifth of the time."""
+FixedPattern = tuple[Floats, Floats]
+"""What differs from pixel to pixel of a camera: offset of the dark signal (H, W, 3) [e-], response relative to the mean (H, W, 3) [1]."""
 Electrons = Annotated[float, Ge(0), Le(1e6)]
-
-
-@dataclass(frozen=True, slots=True)
-class FixedPattern:
-    """What differs from pixel to pixel of one camera, and stays.
-
-    offset: of the dark signal (H, W, 3) [e-]. response: relative to the mean one (H, W, 3) [1].
-    """
-
-    offset: Floats
-    response: Floats
 
 
 @spec
@@ -121,10 +111,11 @@ class SensorNoise:
         """Level of a picture without light [grey levels of 255]."""
         return self.black_level_dn / 2 ** (self.bits - 8)
 
-    def pattern(self, shape: tuple[int, ...], rng: np.random.Generator) -> FixedPattern:
-        """The fixed pattern of one camera, whose pictures have a shape (H, W, 3), behind a mosaic (H, W)."""
+    def pattern(self, size: tuple[int, int], rng: np.random.Generator) -> FixedPattern:
+        """The fixed pattern of one camera with pictures of a size (W, H) [px]; behind a mosaic its arrays are (H, W)."""
+        shape = size[::-1] if self.mosaic != "none" else (*size[::-1], 3)
         offset, response = (rng.standard_normal(shape, dtype=np.float32) for _ in range(2))
-        return FixedPattern(offset * np.float32(self.dsnu_e), 1 + response * np.float32(self.prnu))
+        return offset * np.float32(self.dsnu_e), 1 + response * np.float32(self.prnu)
 
     def read(
         self, light: Floats, setting: ExposureSetting, pattern: FixedPattern | None, rng: np.random.Generator | None
@@ -133,7 +124,9 @@ class SensorNoise:
 
         pattern: None for equal pixels. rng: of this picture; None for the mean of many.
         """
-        return self.upper(self.converted(light, setting, pattern, rng))
+        if self.mosaic == "none":
+            return self.upper(self.converted(light, setting, pattern, rng))
+        return self.upper(self.demosaiced(self.converted(self.filtered(light), setting, pattern, rng)))
 
     def upper(self, numbers: Numbers) -> NDArray[np.uint8]:
         """The upper 8 bits of the converter's numbers."""
@@ -143,15 +136,30 @@ class SensorNoise:
         """The converter's numbers (H, W, 3) [DN]; arguments as of `read`; behind a mosaic all of them (H, W)."""
         electrons = light * np.float32(self.white / WHITE * setting.collected)
         if pattern is not None:
-            electrons *= pattern.response
+            electrons *= pattern[1]
         if rng is not None:
             electrons = noisy(electrons, self.dark_noise_e, rng)
         np.minimum(electrons, np.float32(self.full_well_e), out=electrons)
         if pattern is not None:
-            electrons += pattern.offset
+            electrons += pattern[0]
         electrons *= np.float32(self.K * setting.gain)
         electrons += np.float32(self.black_level_dn + 0.5)
         return np.clip(electrons, 0, self.largest_dn + 0.5).astype(np.uint16)
+
+    def filtered(self, light: Floats) -> Floats:
+        """The light (H, W) that passes the filters of the mosaic, of light (H, W, 3)."""
+        passed = np.empty(light.shape[:2], np.float32)
+        for i, colour in enumerate(self.mosaic):
+            part = slice(i // 2, None, 2), slice(i % 2, None, 2)
+            passed[part] = light[(*part, "rgb".index(colour))]
+        return passed
+
+    def demosaiced(self, numbers: Numbers) -> Numbers:
+        """Numbers of all three colours (H, W, 3) from those of the pixels (H, W)."""
+        import cv2
+
+        way = "_EA" if self.demosaic == "edge_aware" else ""
+        return np.asarray(cv2.demosaicing(numbers, getattr(cv2, f"COLOR_Bayer{self.mosaic.upper()}2RGB{way}")), np.uint16)
 
 
 def noisy(electrons: Floats, dark_noise_e: float, rng: np.random.Generator) -> Floats:
@@ -168,31 +176,6 @@ def noisy(electrons: Floats, dark_noise_e: float, rng: np.random.Generator) -> F
 def plain(light: Floats, setting: ExposureSetting) -> NDArray[np.uint8]:
     """The picture (H, W, 3) of a sensor without noise, of the light (H, W, 3) [0 to 255 of the rendered picture]."""
     return np.clip(light * np.float32(setting.collected * setting.gain) + np.float32(0.5), 0, WHITE).astype(np.uint8)
-
-
-class Mosaic:
-    """The filters before a sensor's pixels, and their inverse as far as there is one.
-
-    pattern: colours of the first two pixels of the first row, and of the second row. demosaic: `linear` or `edge_aware`.
-    """
-
-    def __init__(self, pattern: str, demosaic: str):
-        self._demosaic = f"COLOR_Bayer{pattern.upper()}2RGB{'_EA' if demosaic == 'edge_aware' else ''}"
-        self._filters = ["rgb".index(colour) for colour in pattern]
-
-    def sampled(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The light (H, W) that passes the filters, of light (H, W, 3)."""
-        passed = np.empty(light.shape[:2], np.float32)
-        for i, channel in enumerate(self._filters):
-            part = slice(i // 2, None, 2), slice(i % 2, None, 2)
-            passed[part] = light[(*part, channel)]
-        return passed
-
-    def filled(self, numbers: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Numbers of all three colours (H, W, 3) from those of the pixels (H, W)."""
-        import cv2
-
-        return np.asarray(cv2.demosaicing(numbers, getattr(cv2, self._demosaic)), np.uint16)
 
 
 @spec
@@ -247,11 +230,7 @@ class ImageNoise:
 
     def __init__(self, sigma: float = 0.0, rng: np.random.Generator | None = None):
         self._sigma, self._rng = sigma, rng if sigma > 0 else None
-
-    @property
-    def acts(self) -> bool:
-        """Whether there is any."""
-        return self._rng is not None
+        self.acts = self._rng is not None
 
     def next(self) -> Callable[[Images], Images]:
         """Adds the noise of the next picture to its panels' images (H, W, 3), rounded and clipped; the same objects where there is none.

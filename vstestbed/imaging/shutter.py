@@ -31,19 +31,8 @@ RowWeight = float | Array  # a weight of a whole picture, or one of each row (H,
 Rows = tuple[int, int]  # the first of a band of rows of a picture, and the one after the last
 
 
-@dataclass(frozen=True, slots=True)
-class Contribution:
-    """What the scene at one instant contributes to a picture.
-
-    draws: brightness of the lamps and weight of each image of it that is drawn.
-    """
-
-    draws: tuple[tuple[float, RowWeight], ...]
-
-    @classmethod
-    def of(cls, weight: float | Contribution) -> Contribution:
-        """A weight alone: under the mean light."""
-        return weight if isinstance(weight, Contribution) else cls(((1.0, weight),))
+Contribution = tuple[tuple[float, RowWeight], ...]
+"""What the scene at one instant contributes to a picture: brightness of the lamps and weight of each image of it that is drawn."""
 
 
 def of_rows(nodes: Array, middles: Array, exposure_s: float, flicker: Flicker = STEADY) -> tuple[Array, Array]:
@@ -85,9 +74,9 @@ def contributions(weights: Array, light: Array, depth: float) -> tuple[Contribut
     What is lit is linear in the light, what is not is not: w I = a I_dark + (w - a) I_bright, a the share for which the light is l.
     """
     if depth == 0:
-        return tuple(Contribution(((1.0, w),)) for w in weights)
+        return tuple(((1.0, w),) for w in weights)
     bright = np.clip((light - (1 - depth) * weights) / (2 * depth), 0.0, weights)
-    return tuple(Contribution(((1 - depth, w - b), (1 + depth, b))) for w, b in zip(weights, bright, strict=True))
+    return tuple(((1 - depth, w - b), (1 + depth, b)) for w, b in zip(weights, bright, strict=True))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from abc import ABC
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -29,14 +29,9 @@ class VideoStream(ABC):
 
     kind: Any
     colours: Literal["half", "full"] = "half"
-    pairs: ClassVar[bool] = False
-    """Whether width and height must be even where colours have half the size."""
 
-    def check(self, width: int, height: int) -> None:
+    def check(self, width: int, height: int) -> None:  # noqa: B027 - most streams have pictures of every size
         """Refuse a size [px] that it cannot have. Raises ParameterError: with one that it can."""
-        if self.pairs and self.colours == "half" and (width % 2 or height % 2):
-            field, size = ("width", width) if width % 2 else ("height", height)
-            raise ParameterError(field, f"must be even for stream {self.kind} with colours: half", size)
 
 
 @spec
@@ -70,7 +65,6 @@ class H264Stream(VideoStream):
     crf: Annotated[int, Ge(0), Le(51)] | None = None
     bitrate_kbps: Annotated[float, Ge(10), Le(1e6)] | None = None
     group: Annotated[int, Ge(1), Le(10_000)] = 25
-    pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.crf is not None and self.bitrate_kbps is not None:
@@ -80,6 +74,12 @@ class H264Stream(VideoStream):
         if self.crf is None and self.bitrate_kbps is None:
             object.__setattr__(self, "crf", 23)  # so that the scenario as run states it
 
+    def check(self, width: int, height: int) -> None:
+        """Refuse a picture with an odd side [px] where colours have half the size."""
+        if self.colours == "half" and (width % 2 or height % 2):
+            field, size = ("width", width) if width % 2 else ("height", height)
+            raise ParameterError(field, "must be even for stream h264 with colours: half", size)
+
 
 STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})
 
@@ -87,63 +87,55 @@ STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "cr
 BUFFER_S = 0.5  # how far the average bit rate may be exceeded: the encoder's buffer [s]
 
 
-class H264Trip:
-    """H.264: the encoder remembers the pictures before.
+def _h264(stream: H264Stream, rate_hz: float) -> Callable[[Image], Image]:
+    """Codes and decodes each next picture, and remembers the pictures before. Raises EnvironmentLackError: PyAV has no x264 here."""
+    pixels = "yuv420p" if stream.colours == "half" else "yuv444p"
+    opened = functools.cache(lambda height, width: _codecs(stream, rate_hz, pixels, height, width))
 
-    stream: its settings. rate_hz: pictures per second, for the bit rate. Raises EnvironmentLackError: PyAV has no x264 here.
-    """
-
-    def __init__(self, stream: H264Stream, rate_hz: float):
-        self._stream, self._rate_hz = stream, rate_hz
-        self._format = "yuv420p" if stream.colours == "half" else "yuv444p"
-        self._codecs = None
-
-    def __call__(self, image: Image) -> Image:
-        """The next picture, coded and decoded: one comes out for each that goes in."""
+    def coded(image: Image) -> Image:
         import av
 
-        if self._codecs is None:
-            self._codecs = self._opened(image.shape)
-        encoder, decoder = self._codecs
-        packets = encoder.encode(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=self._format))
-        frames = [frame for packet in packets for frame in decoder.decode(packet)]
+        encoder, decoder = opened(*image.shape[:2])
+        packets = encoder.encode(av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=pixels))
+        frames = [frame for packet in packets for frame in decoder.decode(packet)]  # one comes out for each that goes in
         return np.asarray(frames[-1].to_ndarray(format="rgb24"), np.uint8)
 
-    def _opened(self, shape: tuple[int, ...]):
-        """Encoder and decoder, each of one thread, so that the same pictures have the same bytes on every machine."""
-        from fractions import Fraction
+    return coded
 
-        import av
-        from av.codec.codec import UnknownCodecError
 
-        try:
-            encoder = av.VideoCodecContext.create("libx264", "w")
-        except UnknownCodecError as error:
-            raise EnvironmentLackError("PyAV has no x264 here, which camera.stream h264 needs", "use stream jpeg") from error
-        rate = Fraction(self._rate_hz).limit_denominator(1000)
-        encoder.height, encoder.width = shape[:2]
-        encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = self._format, rate, 1 / rate, 1
-        encoder.gop_size, encoder.options = self._stream.group, self._options()
-        decoder = av.VideoCodecContext.create("h264", "r")
-        decoder.thread_count = 1
-        decoder.flags |= av.codec.context.Flags.low_delay  # pyright: ignore[reportAttributeAccessIssue] - compiled
-        return encoder, decoder
+def _codecs(stream: H264Stream, rate_hz: float, pixels: str, height: int, width: int):
+    """Encoder and decoder, each of one thread, so that the same pictures have the same bytes on every machine."""
+    from fractions import Fraction
 
-    def _options(self) -> dict[str, str]:
-        """Of x264: no pictures that wait for later ones."""
-        group = str(self._stream.group)
-        given = {"preset": "veryfast", "tune": "zerolatency", "keyint_min": group, "sc_threshold": "0"}
-        if self._stream.crf is not None:
-            return given | {"crf": str(self._stream.crf)}
-        bits = (self._stream.bitrate_kbps or 0.0) * 1000
-        return given | {"b": str(round(bits)), "maxrate": str(round(bits)), "bufsize": str(round(bits * BUFFER_S))}
+    import av
+    from av.codec.codec import UnknownCodecError
+
+    try:
+        encoder = av.VideoCodecContext.create("libx264", "w")
+    except UnknownCodecError as error:
+        raise EnvironmentLackError("PyAV has no x264 here, which camera.stream h264 needs", "use stream jpeg") from error
+    rate, group = Fraction(rate_hz).limit_denominator(1000), str(stream.group)
+    encoder.height, encoder.width = height, width
+    encoder.pix_fmt, encoder.framerate, encoder.time_base, encoder.thread_count = pixels, rate, 1 / rate, 1
+    # No pictures that wait for later ones.
+    options = {"preset": "veryfast", "tune": "zerolatency", "keyint_min": group, "sc_threshold": "0"}
+    if stream.crf is not None:
+        options["crf"] = str(stream.crf)
+    else:
+        bits = (stream.bitrate_kbps or 0.0) * 1000
+        options |= {"b": str(round(bits)), "maxrate": str(round(bits)), "bufsize": str(round(bits * BUFFER_S))}
+    encoder.gop_size, encoder.options = stream.group, options
+    decoder = av.VideoCodecContext.create("h264", "r")
+    decoder.thread_count = 1
+    decoder.flags |= av.codec.context.Flags.low_delay  # pyright: ignore[reportAttributeAccessIssue] - compiled
+    return encoder, decoder
 
 
 def round_trip(stream: VideoStream | None, rate_hz: float) -> Callable[[Image], Image]:
     """What becomes of each next picture (H, W, 3) uint8 RGB in a new encoder and decoder of a stream; None: it stays as it is."""
     if isinstance(stream, JpegStream):
         return functools.partial(_jpeg, stream)
-    return H264Trip(stream, rate_hz) if isinstance(stream, H264Stream) else lambda image: image
+    return _h264(stream, rate_hz) if isinstance(stream, H264Stream) else lambda image: image
 
 
 def _jpeg(stream: JpegStream, image: Image) -> Image:

@@ -66,7 +66,7 @@ def build_plant(
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator), "none"
-    from vstestbed.imaging.chain import Chain, imaging_of
+    from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
     from vstestbed.sim.scene.stage import Stage
@@ -80,7 +80,7 @@ def build_plant(
         if isinstance(camera, Perspective) and camera.depth_sensor is not None:
             depth = DepthCamera(camera, camera.depth_sensor, _given(depth_rng))
         changed = None if perturbed is None else perturbed.next_picture
-        chain = Chain(imaging_of(camera, imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
+        chain = Chain(camera.imaging(imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
         eye, renderer = ImageSensor(stage, drawn_by, chain, depth), drawn_by.name
     if ideal:
         from vstestbed.sim.ideal import IdealPlant

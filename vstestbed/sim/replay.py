@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.imaging.chain import Chain, imaging_of
+from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
 from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
@@ -174,7 +174,7 @@ class Replay:
         if self._own is None:
             lens = self._parts.camera
             stage = Stage(self._parts, samples=lens.multisampling)
-            if (imaging := imaging_of(lens, None)) is not None:
+            if (imaging := lens.imaging(None)) is not None:
                 self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data).full_image
                 return self._own
             drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
@@ -236,7 +236,7 @@ class Retake:
     ):
         self._stage = Stage(Parts(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
         drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
-        self._sensor = ImageSensor(self._stage, drawn_by, Chain(imaging_of(camera, imaging_rng), noise, drift))
+        self._sensor = ImageSensor(self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift))
 
     def picture(self, t: float, T_world_target: Array, q: Array, T_world_camera: Array) -> Image:
         """The picture of a state at a time [s], (H, W, 3) uint8 RGB; a copy."""

@@ -117,7 +117,7 @@ class Timing:
 
     def first_s(self, camera: _Shot) -> float:
         """Exposure time of a picture [s], as far as it is known without a picture."""
-        return self.exposure_s if camera.blurring is None else camera.blurring.first_s
+        return self.exposure_s if camera.blurring is None else camera.blurring.first[0]
 
     def longest_s(self, camera: _Shot) -> float:
         """The longest exposure time [s]."""
@@ -279,4 +279,4 @@ class Shutter:
             return opening.weights
         # All rows are exposed at once, under the mean light of the exposure: one image each is enough.
         brightness = float(flicker.mean(t, opening.exposure_s))
-        return tuple(Contribution(((brightness, weight),)) for weight in opening.weights)
+        return tuple(((brightness, weight),) for weight in opening.weights)

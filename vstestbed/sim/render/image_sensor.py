@@ -176,7 +176,7 @@ class ImagedView:
         return image
 
 
-INSTANT = Contribution.of(1.0)  # the only image of a picture of an instant
+INSTANT: Contribution = ((1.0, 1.0),)  # the only image of a picture of an instant
 
 
 class ImageSensor:
@@ -244,7 +244,7 @@ class ImageSensor:
         middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
         """
         look = None if self._always_whole else look
-        contribution = Contribution.of(weight)
+        contribution = weight if isinstance(weight, tuple) else ((1.0, weight),)  # a weight alone: under the mean light
         self._add(self._blur, contribution, look, middle)
         self._keep_state(len(self._exposed), look)
         self._exposed.append(contribution)
@@ -255,7 +255,7 @@ class ImageSensor:
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
     def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
-        for i, (brightness, weight) in enumerate(contribution.draws):
+        for i, (brightness, weight) in enumerate(contribution):
             weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth
             with lamps_at(self._model, brightness):
