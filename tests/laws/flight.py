@@ -11,7 +11,7 @@ from vstestbed.laws import Law
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.targets.points import Points, Square
+from vstestbed.targets.base import Points, Square
 from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle

@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Hybrid
 from vstestbed.laws.points import NO_POSE, TOO_FEW
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.vision.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points

@@ -17,7 +17,7 @@ from vstestbed.features import Point
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS
 from vstestbed.laws.base import AdaptiveGain, ConstantGain, TwistLimits
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())
 CAMERA, POINTS = Perspective(), Square(side=0.5, pose=Pose()).points

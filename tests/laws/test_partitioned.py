@@ -19,7 +19,7 @@ from vstestbed.laws import IBVS, Law, Partitioned
 from vstestbed.laws.base import ConstantGain, TwistLimits
 from vstestbed.laws.points import NO_AREA, Visibility
 from vstestbed.laws.views import Views
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 TRUE = OracleDepth()
 XY, Z = [0, 1, 3, 4], [2, 5]

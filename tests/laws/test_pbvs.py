@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Pose, exp, inverse, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import PBVS
 from vstestbed.laws.points import NO_POSE, TOO_FEW
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 Way = Literal["cdMc", "cMcd", "cMo"]
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points

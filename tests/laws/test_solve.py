@@ -21,7 +21,7 @@ from vstestbed.laws.error_law import Followed
 from vstestbed.laws.feedforward import KalmanCV, follow
 from vstestbed.laws.solve import PINV_RCOND, Solve, least_squares
 from vstestbed.robots import Mount
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.targets.route import Straight
 
 

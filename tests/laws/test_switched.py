@@ -23,7 +23,7 @@ from vstestbed.report.run import figures
 from vstestbed.report.run.page import rows
 from vstestbed.report.run.tracks import Setting, Tracks
 from vstestbed.studies.batch import fly, start_of
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.tasks.metrics import ErrorGrowth
 
 NEVER = 900.0

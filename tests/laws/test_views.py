@@ -9,7 +9,7 @@ from vstestbed.core.geometry import Pose, transform
 from vstestbed.features.depth import AtGoal, Constant, Depth, OracleDepth, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws.views import Views
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 POINTS = Square(side=0.5, pose=Pose()).points
 GOAL = Goal.from_view(book_camera(), POINTS, Pose(xyz=(0, 0, 1), rpy_deg=(20, 0, 0)).T)

@@ -17,7 +17,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain, inputs_of
 from vstestbed.laws.points import Visibility, pixel_interaction
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.vision.homography import relative_view
 
 CAMERA, POINTS = book_camera(), Square(side=0.5, pose=Pose()).points

@@ -1,9 +1,10 @@
-"""Would a test notice? `python tests/long/mutation.py [--rooms laws tasks vision] [--sample N] [--seed N] [--jobs N]`.
+"""Would a test notice? `python tests/long/mutation.py [--rooms laws tasks vision] [--tests DIR ...] [--sample N] [--seed N] [--jobs N]`.
 
 A mutant is the package with one operator, comparison, sign, truth value or number of one file changed. The tests that run the changed line
 should fail; a mutant under which they all pass has survived. Printed are the survivors and the share of mutants that were noticed
 (mutation score; DeMillo, Lipton & Sayward 1978, doi:10.1109/C-M.1978.218136). Which test runs which line is measured once by
-`coverage` and kept in the file `--map`; measure again (delete it) after tests have changed.
+`coverage` and kept in the file `--map`; measure again (delete it) after tests have changed. A part of a room is files with a plus
+between: `vision/pnp.py+vision/homography.py`.
 """
 
 from __future__ import annotations
@@ -119,7 +120,8 @@ def change(tree: ast.Module, index: int | None) -> list[Mutant]:
 
 
 def mutants_of(room: str) -> list[Mutant]:
-    files = sorted((REPOSITORY / "vstestbed" / room).rglob("*.py"))
+    places = [REPOSITORY / "vstestbed" / place for place in room.split("+")]
+    files = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
     return [m._replace(file=str(f.relative_to(REPOSITORY))) for f in files for m in change(ast.parse(f.read_text()), None)]
 
 
@@ -156,7 +158,7 @@ class LineMap:
         self.seconds[nodeid] = time.process_time() - self.seconds[nodeid]
 
 
-def measure_map() -> dict[str, Any]:
+def measure_map(tests: list[str]) -> dict[str, Any]:
     """{"seconds": {test: s}, "tests": {file: {line: [test, ...]}}}; lines run at import have no test."""
     import coverage
     import pytest
@@ -164,12 +166,12 @@ def measure_map() -> dict[str, Any]:
     cov = coverage.Coverage(data_file=None, source=[str(REPOSITORY / "vstestbed")], branch=False)
     plugin = LineMap(cov)
     cov.start()
-    pytest.main(["-m", "not study", "-q", "-p", "no:cacheprovider", *(str(REPOSITORY / "tests" / t) for t in TESTS)], plugins=[plugin])
+    pytest.main(["-m", "not study", "-q", "-p", "no:cacheprovider", *(str(REPOSITORY / "tests" / t) for t in tests)], plugins=[plugin])
     cov.stop()
     data = cov.get_data()
     files = {str(Path(f).relative_to(REPOSITORY)): data.contexts_by_lineno(f) for f in data.measured_files()}
-    tests = {f: {str(n): [t for t in contexts if t] for n, contexts in lines.items()} for f, lines in files.items()}
-    return {"seconds": plugin.seconds, "tests": tests}
+    found = {f: {str(n): [t for t in contexts if t] for n, contexts in lines.items()} for f, lines in files.items()}
+    return {"seconds": plugin.seconds, "tests": found}
 
 
 def tests_for(mutant: Mutant, lines: dict[str, Any]) -> list[str]:
@@ -218,6 +220,7 @@ def main() -> None:
     """Sample mutants, run them, print survivors and scores."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", nargs="+", default=["laws", "tasks", "vision"])
+    parser.add_argument("--tests", nargs="+", default=TESTS, help="folders and files of tests that may notice")
     parser.add_argument("--sample", type=int, default=100, help="mutants of each room; 0: all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
@@ -228,7 +231,7 @@ def main() -> None:
     if not asked.map.exists():
         child = os.fork()  # in a process of its own: this one must not have imported the package
         if child == 0:
-            asked.map.write_text(json.dumps(measure_map()))
+            asked.map.write_text(json.dumps(measure_map(asked.tests)))
             os._exit(0)
         os.waitpid(child, 0)
     lines = json.loads(asked.map.read_text())

@@ -12,7 +12,7 @@ from vstestbed.features import Polar
 from vstestbed.features.depth import OracleDepth
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.points import Visibility
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 Start = tuple[tuple[float, float, float], tuple[float, float, float]]
 RADIUS_M = 0.02

@@ -24,7 +24,7 @@ from vstestbed.loop.termination import Termination
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle

@@ -13,6 +13,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.targets import Target
+from vstestbed.targets.picture import SHARE
 
 GREY = 140
 
@@ -21,7 +22,7 @@ def shown(target: Target) -> Array:
     """The picture as it is drawn, red first, without its margin."""
     assert target.sheet is not None
     image = np.asarray(cv2.imdecode(np.frombuffer(target.sheet.png, np.uint8), cv2.IMREAD_COLOR_RGB))
-    return image[: round(image.shape[0] * target.sheet.share[1]), : round(image.shape[1] * target.sheet.share[0])].astype(float)
+    return image[: round(image.shape[0] * SHARE), : round(image.shape[1] * SHARE)].astype(float)
 
 
 @pytest.fixture
@@ -67,7 +68,7 @@ def test_the_seed_alone_draws_it(plain: str):
 
 def test_a_detector_that_knows_the_picture_knows_the_clean_one(plain: str):
     s = scenario(plain, {"image_sigma": 30})
-    assert s.target_in_run.source == s.target.source and s.target_in_run.sheet != s.target.sheet
+    assert s.target_in_run.source == s.target.source and s.target_in_run.sheet.png != s.target.sheet.png
 
 
 def test_what_has_no_picture_or_changes_none_is_refused():

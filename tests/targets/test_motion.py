@@ -7,8 +7,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse, rotation_angle
+from vstestbed.targets.base import Square
 from vstestbed.targets.motion import Circle, Line, Lissajous, RandomWalk, Sinusoid, Still
-from vstestbed.targets.points import Square
 
 RNG = np.random.default_rng(0)
 TIMES = np.arange(0, 20, 0.04)

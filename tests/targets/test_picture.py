@@ -13,7 +13,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.targets import PictureTarget
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.picture import MOST_PX, read_picture
+from vstestbed.targets.picture import MOST_PX, SHARE, read_picture
 
 
 def picture(**settings: Any) -> PictureTarget:
@@ -28,9 +28,8 @@ def saved(path: Path, image: np.ndarray) -> str:
 
 def texture(path: str) -> np.ndarray:
     """The picture without its margin as it is drawn, red first."""
-    found = read_picture(Path(path))
-    image = np.asarray(cv2.imdecode(np.frombuffer(found.png, np.uint8), cv2.IMREAD_COLOR_RGB))
-    return image[: round(image.shape[0] * found.share[1]), : round(image.shape[1] * found.share[0])]
+    image = np.asarray(cv2.imdecode(np.frombuffer(read_picture(Path(path))[0], np.uint8), cv2.IMREAD_COLOR_RGB))
+    return image[: round(image.shape[0] * SHARE), : round(image.shape[1] * SHARE)]
 
 
 @pytest.fixture
@@ -69,17 +68,17 @@ def test_pictures_of_all_kinds_are_drawn_in_their_colours(tmp_path: Path, kind: 
 def test_the_margin_repeats_the_edges_that_are_next_to_it(tmp_path: Path):
     image = np.zeros((56, 56, 3), np.uint8)
     image[:, 28:] = 255
-    found = read_picture(Path(saved(tmp_path / "a.png", image)))
-    whole = np.asarray(cv2.imdecode(np.frombuffer(found.png, np.uint8), cv2.IMREAD_GRAYSCALE))
-    assert whole.shape == (64, 64) and found.share == (0.875, 0.875)
+    png, _ = read_picture(Path(saved(tmp_path / "a.png", image)))
+    whole = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE))
+    assert whole.shape == (64, 64) and SHARE == 0.875
     np.testing.assert_array_equal(whole[30, 56:], [255] * 4 + [0] * 4)  # the right edge's, then that of the left, to which it leads
     np.testing.assert_array_equal(whole[:56, :56], image[..., 0])
 
 
 def test_a_large_one_is_reduced(tmp_path: Path):
-    found = read_picture(Path(saved(tmp_path / "large.png", np.zeros((40, 3000), np.uint8))))
-    assert (found.width, found.height) == (3000, 40)
-    assert np.asarray(cv2.imdecode(np.frombuffer(found.png, np.uint8), cv2.IMREAD_COLOR)).shape == (64, MOST_PX, 3)
+    png, size = read_picture(Path(saved(tmp_path / "large.png", np.zeros((40, 3000), np.uint8))))
+    assert size == (3000, 40)
+    assert np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)).shape == (64, MOST_PX, 3)
 
 
 def test_what_is_no_picture_is_told(tmp_path: Path):

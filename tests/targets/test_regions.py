@@ -56,7 +56,7 @@ def test_every_figure_has_an_example_here():
 def test_the_drawn_triangles_are_the_outline(kind: str):
     target = shape(kind)
     check_target(target)
-    a, b, c = np.moveaxis(target.body.triangles, 1, 0)
+    a, b, c = np.moveaxis(target.body[0], 1, 0)
     areas = np.cross(b - a, c - a)[:, 2] / 2
     corners = target.figure.corners
     assert (areas < 0).all()  # counter-clockwise seen from the front, where z points away

@@ -79,7 +79,7 @@ def test_the_figure_of_eight_has_its_size_and_its_bends():
     curvature = np.abs(dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
     assert eight.least_radius_m == pytest.approx(1 / curvature.max(), rel=1e-3)
     assert eight.length == pytest.approx(np.trapezoid(np.hypot(dx, dy), p), rel=1e-6)
-    assert abs(eight.samples.heading[-1] - eight.samples.heading[0]) < 1e-6  # as much to the left as to the right
+    assert abs(np.ptp(eight.samples[2][[0, -1]])) < 1e-6  # as much to the left as to the right
     assert Straight().least_radius_m == np.inf
 
 

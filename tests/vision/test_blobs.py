@@ -12,9 +12,8 @@ from tests.vision.conftest import TakePicture
 from tests.vision.parts import in_windows
 from vstestbed.camera import Camera, Catadioptric, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
-from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Detection
 from vstestbed.vision.colour import noise_level
 

@@ -10,8 +10,8 @@ import pytest
 
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, exp, transform
+from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Disc, Sphere
-from vstestbed.targets.points import Points
 from vstestbed.vision import centre_bias
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "interaction_matrices.json").read_text())

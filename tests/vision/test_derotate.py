@@ -72,7 +72,7 @@ def test_the_picture_takes_a_bias_off_the_tilt():
         T[:3, :3] = noise @ R.T @ yaw @ goal[:3, :3]
         trim = trimmed(trim, true + bias, T, goal, DOWN.T[:3, :3], 0.01)
     # Noise of .5 deg through k = .01: .5 sqrt(.01 / 2) = .035 deg; three of them.
-    np.testing.assert_allclose(np.degrees(trim.angles), np.degrees(-bias), atol=0.11)
+    np.testing.assert_allclose(np.degrees(trim[0]), np.degrees(-bias), atol=0.11)
 
 
 @pytest.mark.parametrize("mount", [DOWN, Pose(xyz=(0.1, 0.05, -0.1), rpy_deg=(180, 20, 45))])
@@ -123,8 +123,8 @@ def test_the_first_pictures_are_averaged_and_later_ones_weighed_by_the_gain():
     goal, T = Pose(xyz=(0, 0, 3)).T, np.eye(4)
     T[:3, :3] = level_from_tilt(tilt, R).T @ goal[:3, :3]
     first = trimmed(NO_TRIM, np.zeros(2), T, goal, R, 0.3)
-    assert first.count == 1 and first.angles == pytest.approx(tilt, abs=1e-12)
+    assert first[1] == 1 and first[0] == pytest.approx(tilt, abs=1e-12)
     second = trimmed(first, np.zeros(2), goal, goal, R, 0.3)  # level: half of the first is left
-    assert second.count == 2 and second.angles == pytest.approx(tilt / 2, abs=1e-12)
-    fifth = trimmed(type(first)(tilt, 4), np.zeros(2), goal, goal, R, 0.3)
-    assert fifth.angles == pytest.approx(0.7 * tilt, abs=1e-12)
+    assert second[1] == 2 and second[0] == pytest.approx(tilt / 2, abs=1e-12)
+    fifth = trimmed((tilt, 4), np.zeros(2), goal, goal, R, 0.3)
+    assert fifth[0] == pytest.approx(0.7 * tilt, abs=1e-12)

@@ -8,8 +8,8 @@ import pytest
 from tests.vision.conftest import TakePicture
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
+from vstestbed.targets.base import Square
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.points import Square
 from vstestbed.vision import Blobs
 
 CAMERA = Perspective()  # 640 x 480, f = 384 px

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.geometry import Array, Pose, exp, rotation_angle, transform
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.vision.homography import homography, left_open, relative_view
 
 POINTS = Square(side=0.5, pose=Pose()).points

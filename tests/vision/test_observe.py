@@ -12,7 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.features.depth import AtGoal, Constant, Depth, Estimate, OracleDepth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 from vstestbed.vision import Detection, Observer, observe
 
 CAMERA = Perspective(distortion=(-0.1, 0.02, 0.001, -0.001, 0.0))

@@ -8,7 +8,7 @@ import pytest
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
-from vstestbed.targets.points import Points
+from vstestbed.targets.base import Points
 from vstestbed.vision import DETECTORS, Blobs, Detection, Oracle, TruthView
 
 CAMERA = Perspective()  # 640 x 480, f = 384 px

@@ -16,8 +16,8 @@ from vstestbed.camera import Camera, Fisheye, Perspective, Picture, SphericalCam
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, exp, transform
 from vstestbed.sim.scene.world import Plate
+from vstestbed.targets.base import Square
 from vstestbed.targets.picture import PictureTarget
-from vstestbed.targets.points import Square
 from vstestbed.vision import Detection, PatchDetector
 from vstestbed.vision.patch import PatchMemory, normalised, template_of
 

@@ -276,10 +276,10 @@ class TestLimits:
 
     @pytest.mark.parametrize(("ratio", "taken"), [(1.0, 1), (5.5, 1), (6.5, 0)])
     def test_the_nearer_of_two_that_fit_about_as_well(self, ratio, taken):
-        best, near = (pnp._Candidate(e, T) for e, T in ((1e-4, _pose(-0.3, 0, 0, (0, 0, 1))), (ratio * 1e-4, self.T)))
+        best, near = ((e, T) for e, T in ((1e-4, _pose(-0.3, 0, 0, (0, 0, 1))), (ratio * 1e-4, self.T)))
         for both in ([best, near], [near, best]):
             assert pnp._preferred(both, self.T, SQUARE) is (best, near)[taken]
-            assert pnp._preferred(both, None, SQUARE).error == pytest.approx(1e-4)
+            assert pnp._preferred(both, None, SQUARE)[0] == pytest.approx(1e-4)
 
     @pytest.mark.parametrize(("angle", "found"), [(0.45, True), (0.55, False)])
     def test_three_markers_follow_up_to_half_a_radian(self, angle, found):
@@ -299,7 +299,7 @@ class TestLimits:
         T = Pose(xyz=(0, 0, 1)).T
         xy = _see(T, SQUARE)
         bent = xy + share / np.sqrt(1 - share**2) * pnp._spread(xy) * np.array([[1, -1], [-1, 1], [1, -1], [-1, 1.0]]) * [1, 0]
-        candidates = [pnp._Candidate(share * pnp._spread(bent), T)]
+        candidates = [(share * pnp._spread(bent), T)]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(pnp, "_candidates", lambda *_: candidates)
             assert (pnp._of_many(bent, SQUARE, "plane", None) is not None) is found

@@ -14,9 +14,8 @@ from vstestbed.camera import Perspective, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
 from vstestbed.sim.scene.world import Plate
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Family, Marker, Tag
-from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Detection, Tags
 from vstestbed.vision.tags import dictionary, tag_picture
 

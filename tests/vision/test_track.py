@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Perspective, Picture, SphericalCamera
 from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_error, transform
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Sphere
-from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs, Oracle, TruthView
 from vstestbed.vision.blobs import BlobsMemory, hand_over, look_of
 

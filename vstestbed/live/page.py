@@ -353,7 +353,7 @@ class LiveView:
 
     def restart(self, scenario: Scenario, first: Sample) -> bool:
         """Begin anew; whether the scene is another one, so that all that others put into it is gone."""
-        parts = [(s.robot, s.camera, s.target, s.target_in_run.sheet, s.world) for s in (scenario, self._scenario)]
+        parts = [(s.robot, s.camera, s.target, getattr(s.target_in_run.sheet, "png", None), s.world) for s in (scenario, self._scenario)]
         other = parts[0] != parts[1] or first.unit != self._unit
         self._scenario = scenario
         if other:

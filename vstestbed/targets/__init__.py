@@ -2,11 +2,10 @@
 
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
-from vstestbed.targets.base import Name, Pad, Target
+from vstestbed.targets.base import Name, Pad, Points, Square, Target
 from vstestbed.targets.ground_lines import GroundLines
 from vstestbed.targets.mesh import MeshTarget
 from vstestbed.targets.picture import PictureTarget
-from vstestbed.targets.points import Points, Square
 from vstestbed.targets.regions import Ball, Shape
 
 TARGETS = OneOf("target", Square, Points, PictureTarget, MeshTarget, GroundLines, Shape, Ball, contract=Contract(Target, base=Target))

@@ -9,9 +9,8 @@ from __future__ import annotations
 import colorsys
 import pathlib
 from abc import abstractmethod
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Len
@@ -20,65 +19,20 @@ from pydantic import StringConstraints
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
-from vstestbed.core.quantity import Mass, PositiveLength
+from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.markers import MARKERS, Disc, Marker
 from vstestbed.targets.motion import MOTIONS, Carried, MotionBase, Path, Still
 from vstestbed.targets.route import Route
 
-
-@dataclass(frozen=True)
-class Sheet:
-    """A picture in the target's plane, its middle at the origin, its rows along x from the smallest y on.
-
-    Attributes:
-        width, height: of the picture [m]. lit: shaded by the scene's lights, else of constant brightness.
-        png: the picture as a PNG file, with a margin at its right and below that repeats the outermost pixels, of the right (lower) edge
-            and then, since textures repeat themselves, of the left (upper) one.
-        share: of the file's width and height that the picture takes up, without the margin.
-        gloss: share of a light that it mirrors as a highlight, 0 to 1. albedo: by which the file's colours are multiplied.
-    """
-
-    width: float
-    height: float
-    png: bytes
-    share: tuple[float, float]
-    lit: bool
-    gloss: float = 0.0
-    albedo: float = 1.0
+if TYPE_CHECKING:
+    from vstestbed.targets.picture import PictureTarget
 
 
-@dataclass(frozen=True, eq=False)
-class Body:
-    """A solid in the target's frame: its triangles (F, 3, 3) [m], counter-clockwise from outside, and its colour in 0..1.
-
-    lit: shaded by the scene's lights, else of constant brightness.
-    """
-
-    triangles: Array
-    rgb: tuple[float, float, float]
-    lit: bool = True
-
-
-@dataclass(frozen=True)
-class Globe:
-    """A sphere about the target's origin: its radius [m], its colour in 0..1; lit: as of a `Body`."""
-
-    radius: float
-    rgb: tuple[float, float, float]
-    lit: bool = True
-
-
+Body = tuple[Array | float, tuple[float, float, float], bool]
+"""A solid in the target's frame: its triangles (F, 3, 3) [m], counter-clockwise from outside, or the radius of a sphere about the origin
+[m]; its colour in 0..1; whether the scene's lights shade it, else its brightness is constant."""
 Name = Annotated[str, StringConstraints(pattern=r"^[^\W\d][\w .-]{0,31}$")]  # of a marker: it begins with a letter, so that it is no number
-
-
-class RoundOutline(NamedTuple):
-    """The outline of a disc or a ball: directions of its points in the camera's frame (N, 3), and how far each of K rays to which it was
-    fitted is off it (K,), as a share of its apparent radius.
-    """
-
-    p: Array
-    off: Array
 
 
 @spec
@@ -146,7 +100,7 @@ class Target:
     @property
     def floor_path(self) -> Array:
         """Points on the floor along the carrier's route, or along painted lines, every centimetre, (K, 2) [m]; else empty."""
-        return np.empty((0, 2)) if self.motion.carrier is None else self.motion.carrier.route.samples.xy
+        return np.empty((0, 2)) if self.motion.carrier is None else self.motion.carrier.route.samples[1]
 
     @property
     def board_half_m(self) -> tuple[float, float] | None:
@@ -154,12 +108,12 @@ class Target:
         return None
 
     @property
-    def sheet(self) -> Sheet | None:
-        """The picture in its plane; None without one."""
+    def sheet(self) -> PictureTarget | None:
+        """Itself, if a picture is in its plane; None without one."""
         return None
 
     @property
-    def body(self) -> Body | Globe | None:
+    def body(self) -> Body | None:
         """The solid that carries the markers, or whose outline they are; None without one."""
         return None
 
@@ -221,8 +175,12 @@ class Target:
         """Corners of the polygon whose outline its points are, (E, 2) in z = 0 of the target frame [m]; None for other targets."""
         return None
 
-    def round_outline(self, ray: Array) -> RoundOutline | None:
-        """The outline that fits unit rays (K, 3) to the border of a round region; None where none fits, or the outline is not round."""
+    def round_outline(self, ray: Array) -> tuple[Array, Array] | None:
+        """The outline that fits unit rays (K, 3) to the border of a round region; None where none fits, or the outline is not round.
+
+        It is given as directions of its points in the camera's frame (N, 3), with how far each ray is off it (K,), as a share of its
+        apparent radius.
+        """
         return None
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
@@ -264,3 +222,54 @@ class Target:
             raise ParameterError(
                 "names", f"must be different: {twice[0]} stands there {self.names.count(twice[0])} times", list(self.names)
             )
+
+
+BOARD_MARGIN = 1.5  # the board behind a square reaches this many marker radii beyond the markers' edges
+
+
+@spec
+class Square(Target):
+    """Four markers at the corners of a square in z = 0: (-,-), (+,-), (+,+), (-,+) times side/2.
+
+    Args:
+        side: edge of the square, between centres of markers [m].
+    """
+
+    kind: Literal["square"] = "square"
+    side: PositiveLength
+    one_sided: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        self._check_markers()
+
+    @cached_property
+    def points(self) -> Array:
+        """Corners in the target frame, shape (4, 3)."""
+        h = self.side / 2
+        return np.array([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]])
+
+    @property
+    def board_half_m(self) -> tuple[float, float]:
+        """The board reaches BOARD_MARGIN marker radii beyond the markers' edges."""
+        half = self.side / 2 + (1 + BOARD_MARGIN) * self.marker.radius
+        return half, half
+
+
+@spec
+class Points(Target):
+    """Markers at any places.
+
+    Args:
+        at: the markers' centres in the target frame, a list of [x, y, z] [m].
+    """
+
+    kind: Literal["points"] = "points"
+    at: Annotated[tuple[Position, ...], Len(1, 24)]
+
+    def __post_init__(self) -> None:
+        self._check_markers()
+
+    @cached_property
+    def points(self) -> Array:
+        """Marker centres in the target frame, shape (N, 3)."""
+        return np.array(self.at, dtype=float)

@@ -68,7 +68,7 @@ class GroundLines(Target):
         if len(self.offsets_m) == 2 and abs(self.offsets_m[0] - self.offsets_m[1]) < 2 * width:
             raise ParameterError("offsets_m", f"must be 2 stripe widths or more apart, {2 * width:g} m", self.offsets_m)
         # Beyond the centre of curvature a parallel line runs backwards and crosses itself.
-        tightest = 1 / max(float(np.abs(self.route.samples.curvature).max()), 1e-9)
+        tightest = 1 / max(float(np.abs(self.route.samples[3]).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
             raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
         self._check_names()
@@ -86,7 +86,7 @@ class GroundLines(Target):
     @property
     def floor_path(self) -> Array:
         """The route in the world, every centimetre, shape (K, 2) [m]."""
-        xy = self.route.samples.xy
+        xy = self.route.samples[1]
         return transform(self.pose.T, np.column_stack([xy, np.zeros(len(xy))]))[:, :2]
 
     @property
@@ -97,8 +97,8 @@ class GroundLines(Target):
 
     def _beside(self, offset: float) -> Array:
         """The parallel of the route at an offset to the left [m], every centimetre of the route, shape (K, 2) [m]."""
-        way = self.route.samples
-        return way.xy + offset * np.stack([-np.sin(way.heading), np.cos(way.heading)], axis=-1)
+        _, xy, heading, _ = self.route.samples
+        return xy + offset * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
 
     # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property

@@ -20,7 +20,6 @@ from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
 
 MOST_FACES = 200_000  # MuJoCo reads no more from a file
-MOST_BYTES = 64_000_000
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])  # a triangle in a binary STL file
 Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
@@ -35,9 +34,6 @@ def read_triangles(path: Path) -> Triangles:
 
 @functools.lru_cache(maxsize=8)
 def _read(path: Path, changed: int) -> Triangles:
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ParameterError("file", f"has {size / 1e6:.0f} MB; a solid may have {MOST_BYTES / 1e6:.0f}: reduce its faces", str(path))
     raw = path.read_bytes()
     try:
         found = _obj(raw) if path.suffix.lower() == ".obj" else _stl(raw)
@@ -234,7 +230,7 @@ class MeshTarget(Target):
     @property
     def body(self) -> Body:
         """The solid."""
-        return Body(self._triangles, (self.color[0], self.color[1], self.color[2]))
+        return self._triangles, (self.color[0], self.color[1], self.color[2]), True
 
     @property
     def shows_markers(self) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
@@ -20,26 +19,18 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file, folder, place_of_file
 from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.targets.base import Sheet, Target
-from vstestbed.targets.points import BOARD_MARGIN
+from vstestbed.targets.base import BOARD_MARGIN, Target
 
 MOST_PX = 2048  # longest side of a texture, with its margin [px]
 MARGIN = 16
 """The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right
 edge would shine through at its left edge, from afar most."""
-MOST_BYTES = 64_000_000
+SHARE = 1 - 2 / MARGIN  # of the texture's width and height that the picture takes up, without the margin
 KINDS = (".png", ".jpg", ".jpeg")
 TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
 
 
-@dataclass(frozen=True)
-class PictureFile:
-    """A picture: its size in the file [px], and its texture as `Sheet` has it."""
-
-    width: int
-    height: int
-    png: bytes
-    share: tuple[float, float]
+Texture = tuple[bytes, tuple[int, int]]  # a PNG file, and width and height [px] of the picture that it was made of
 
 
 def textures() -> dict[str, Path]:
@@ -64,7 +55,7 @@ def place_of_picture(file: str) -> Path:
     return textures()[file.removeprefix(TEXTURE)] if file.startswith(TEXTURE) else place_of_file(file)
 
 
-def read_picture(path: Path) -> PictureFile:
+def read_picture(path: Path) -> Texture:
     """A PNG or JPEG file as a texture, its pixels as of `decoded`."""
     return _read(path, path.stat().st_mtime_ns)
 
@@ -75,22 +66,23 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 
 
 @functools.lru_cache(maxsize=8)
-def _read(path: Path, changed: int) -> PictureFile:
-    size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ParameterError("file", f"has {size / 1e6:.0f} MB; a picture may have {MOST_BYTES / 1e6:.0f}: save it smaller", str(path))
+def _read(path: Path, changed: int) -> Texture:
     return texture_of(decoded(path))
 
 
-def texture_of(image: NDArray[np.uint8]) -> PictureFile:
-    """The texture of a picture's pixels (H, W, 3), blue first."""
+def texture_of(image: NDArray[np.uint8]) -> Texture:
+    """The texture of a picture's pixels (H, W, 3), blue first.
+
+    It has a margin at its right and below that repeats the outermost pixels, of the right (lower) edge and then, since textures repeat
+    themselves, of the left (upper) one.
+    """
     height, width = image.shape[:2]
     for axis in (0, 1):
         image = _stretched(image, axis)
-    return PictureFile(width, height, cv2.imencode(".png", image)[1].tobytes(), (1 - 2 / MARGIN, 1 - 2 / MARGIN))
+    return cv2.imencode(".png", image)[1].tobytes(), (width, height)
 
 
-def read_tile(path: Path, albedo: float) -> PictureFile:
+def read_tile(path: Path, albedo: float) -> Texture:
     """A PNG or JPEG file as a texture that is repeated, without a margin, its colours multiplied by `albedo`.
 
     Each side has a power of two of pixels: the smaller copies of the texture are then halves of each other.
@@ -101,7 +93,7 @@ def read_tile(path: Path, albedo: float) -> PictureFile:
     if size != (width, height):
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if size < (width, height) else cv2.INTER_CUBIC)
     shaded = np.rint(image.astype(np.float32) * np.float32(albedo)).astype(np.uint8)
-    return PictureFile(width, height, cv2.imencode(".png", shaded)[1].tobytes(), (1.0, 1.0))
+    return cv2.imencode(".png", shaded)[1].tobytes(), (width, height)
 
 
 def as_png(path: Path) -> bytes:
@@ -116,7 +108,7 @@ def _stretched(image: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
     """
     n = image.shape[axis]
     side = MARGIN
-    while side < MOST_PX and side * (1 - 2 / MARGIN) < n:
+    while side < MOST_PX and side * SHARE < n:
         side *= 2
     edge = side // MARGIN
     long = side - 2 * edge
@@ -186,17 +178,22 @@ class PictureTarget(Target):
         object.__setattr__(self, "file", picture_name(self.file))  # frozen; a run remembers where its picture is
         if self.pad:
             raise ParameterError("pad", "has no place behind a picture, which has a board of its own; works: target square or points")
-        found = self._found
+        width, height = self._texture[1]
         for i, (u, v) in enumerate(self.at_px):
-            if not (-0.5 <= u <= found.width - 0.5 and -0.5 <= v <= found.height - 0.5):
-                raise ParameterError(f"at_px.{i}", f"must be in the picture, which has {found.width} x {found.height} px", [u, v])
+            if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+                raise ParameterError(f"at_px.{i}", f"must be in the picture, which has {width} x {height} px", [u, v])
         if self.gloss and not self.lit:
             raise ParameterError("gloss", "must be 0 with lit: false, where no light acts on the picture", self.gloss)
         self._check_markers()
 
     @cached_property
-    def _found(self) -> PictureFile:
+    def _texture(self) -> Texture:
         return read_picture(self.source)
+
+    @property
+    def png(self) -> bytes:
+        """The picture as a PNG file, with a margin (`texture_of`)."""
+        return self._texture[0]
 
     @property
     def source(self) -> Path:
@@ -206,13 +203,14 @@ class PictureTarget(Target):
     def repainted(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Self:
         """The same target with its picture changed: of the file's pixels (H, W, 3), red first, those that are drawn. `source` stays."""
         other = copy(self)
-        other.__dict__["_found"] = texture_of(change(read_rgb(self.source))[..., ::-1])  # frozen; what `_found` else reads from the file
+        other.__dict__["_texture"] = texture_of(change(read_rgb(self.source))[..., ::-1])  # frozen; else it is read from the file
         return other
 
     @property
     def height(self) -> float:
         """Of the picture [m]."""
-        return self.width * self._found.height / self._found.width
+        width, height = self._texture[1]
+        return self.width * height / width
 
     @cached_property
     def points(self) -> Array:
@@ -220,14 +218,14 @@ class PictureTarget(Target):
         if not self.at_px:
             x, y = self.width / 2, self.height / 2
             return np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
-        found = self._found
-        off = np.array(self.at_px) + 0.5 - [found.width / 2, found.height / 2]
-        return np.column_stack([off * self.width / found.width, np.zeros(len(off))])
+        width, height = self._texture[1]
+        off = np.array(self.at_px) + 0.5 - [width / 2, height / 2]
+        return np.column_stack([off * self.width / width, np.zeros(len(off))])
 
     @property
-    def sheet(self) -> Sheet:
-        """The picture."""
-        return Sheet(self.width, self.height, self._found.png, self._found.share, self.lit, self.gloss, self.albedo)
+    def sheet(self) -> Self:
+        """Itself."""
+        return self
 
     @property
     def shows_markers(self) -> bool:

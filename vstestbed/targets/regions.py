@@ -14,7 +14,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Angle, Length, PositiveLength
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.targets.base import Body, Globe, RoundOutline, Target
+from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import Outline
 
 
@@ -364,7 +364,7 @@ class Shape(OneRegion):
         """The figure's corners; None of a disc."""
         return None if self.figure.round else self.figure.corners
 
-    def round_outline(self, ray: Array) -> RoundOutline | None:
+    def round_outline(self, ray: Array) -> tuple[Array, Array] | None:
         """Of a disc the ellipse that fits the rays in the picture's plane."""
         if not self.figure.round or not (ray[:, 2] > LEAST_AHEAD).all():
             return None
@@ -374,7 +374,7 @@ class Shape(OneRegion):
         if not np.isfinite(found).all():
             return None
         off = np.abs(distance_to_conic(conic, xy)) / math.sqrt(abs(signed_area(found)) / math.pi)
-        return RoundOutline(np.column_stack([found, np.ones(len(found))]), off)
+        return np.column_stack([found, np.ones(len(found))]), off
 
     @property
     def places(self) -> Array:
@@ -396,7 +396,7 @@ class Shape(OneRegion):
     @property
     def body(self) -> Body:
         """The region, a sheet without thickness."""
-        return Body(self._triangles, self._rgb, self.marker.lit)
+        return self._triangles, self._rgb, self.marker.lit
 
     @cached_property
     def _triangles(self) -> Array:
@@ -440,9 +440,9 @@ class Ball(OneRegion):
         return np.empty((0, 3))
 
     @property
-    def body(self) -> Globe:
+    def body(self) -> Body:
         """The ball."""
-        return Globe(self.radius, self._rgb, self.marker.lit)
+        return self.radius, self._rgb, self.marker.lit
 
     def points_at(self, T_camera_target: Array) -> Array:
         """The outline (..., count, 3) in the camera's frame [m]; NaN from inside the ball."""
@@ -475,7 +475,7 @@ class Ball(OneRegion):
         sine = math.sqrt(1 - 1 / size2)
         return n / math.sqrt(size2) * (self.radius / sine)
 
-    def round_outline(self, ray: Array) -> RoundOutline | None:
+    def round_outline(self, ray: Array) -> tuple[Array, Array] | None:
         """That of the ball which the rays touch best."""
         centre = self.centre_of(ray)
         if centre is None:
@@ -483,7 +483,7 @@ class Ball(OneRegion):
         far = float(np.linalg.norm(centre))
         theta = math.asin(self.radius / far)
         off = np.abs(np.arccos(np.clip(ray @ centre / far, -1.0, 1.0)) - theta) / theta
-        return RoundOutline(self.outline_of(centre), off)
+        return self.outline_of(centre), off
 
     def by_size(self, ray: Array) -> Array | None:
         """The outline (count, 3) [m] from its unit rays (count, 3): the ball's place follows from its size."""

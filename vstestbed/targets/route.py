@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -21,14 +20,8 @@ SPACING_M = 0.01  # distance between the samples of a route [m]. Linear interpol
 LONGEST_M = 10_000.0  # longest track [m]: its table has a million samples
 
 
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps, curvature (K,) [1/m]."""
-
-    s: Array
-    xy: Array
-    heading: Array
-    curvature: Array
+Samples = tuple[Array, Array, Array, Array]
+"""A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps, curvature (K,) [1/m]."""
 
 
 @spec
@@ -49,19 +42,19 @@ class Route(ABC):
     @cached_property
     def samples(self) -> Samples:
         """The table in the world."""
-        local, h = self._local(), self.start.heading
+        (s, xy, heading, curvature), h = self._local(), self.start.heading
         R = np.array([[np.cos(h), -np.sin(h)], [np.sin(h), np.cos(h)]])
-        return Samples(local.s, local.xy @ R.T + [self.start.x, self.start.y], local.heading + h, local.curvature)
+        return s, xy @ R.T + [self.start.x, self.start.y], heading + h, curvature
 
     @property
     def length(self) -> float:
         """Arc length from start to end [m]."""
-        return float(self.samples.s[-1])
+        return float(self.samples[0][-1])
 
     @property
     def least_radius_m(self) -> float:
         """Radius of its sharpest bend [m]; infinite for a straight route."""
-        sharpest = float(np.abs(self.samples.curvature).max())
+        sharpest = float(np.abs(self.samples[3]).max())
         return 1 / sharpest if sharpest > 0 else np.inf
 
     def at(self, s: Array | float) -> Array:
@@ -69,15 +62,15 @@ class Route(ABC):
 
         A closed route is periodic; an open one continues straight beyond both ends.
         """
-        table, s = self.samples, np.asarray(s, dtype=float)
+        (way, xy, turned, bent), s = self.samples, np.asarray(s, dtype=float)
         # Not np.mod: the number of laps is needed for the heading, too.
         rounds = np.floor(s / self.length) if self.closed else np.zeros_like(s)
         along = s - rounds * self.length
         inside = np.clip(along, 0.0, self.length)
-        x, y, heading, curvature = (np.interp(inside, table.s, c) for c in (*table.xy.T, table.heading, table.curvature))
+        x, y, heading, curvature = (np.interp(inside, way, c) for c in (*xy.T, turned, bent))
         beyond = along - inside
         # A route that turns by 360 degrees a lap has a heading that grows: without jumps, as followers of it expect.
-        heading = heading + rounds * (table.heading[-1] - table.heading[0])
+        heading = heading + rounds * (turned[-1] - turned[0])
         curvature = np.where(beyond == 0, curvature, 0.0)
         return np.stack([x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, curvature], axis=-1)
 
@@ -88,7 +81,7 @@ class Route(ABC):
             around: arc length near which to search, which selects the branch where a route crosses itself; None: everywhere.
             reach: largest distance from it along the route [m].
         """
-        s = self.samples.s if around is None else around + np.arange(-reach, reach, SPACING_M)
+        s = self.samples[0] if around is None else around + np.arange(-reach, reach, SPACING_M)
         places = self.at(s)
         i = int(np.argmin(np.hypot(places[:, 0] - xy[0], places[:, 1] - xy[1])))
         x, y, heading, _ = places[i]
@@ -109,13 +102,13 @@ class Route(ABC):
 
         Where the route crosses itself, the branch within 45 degrees of the vehicle's heading, in either sense, counts.
         """
-        way = self.samples
-        distance = np.hypot(way.xy[:, 0] - place[0], way.xy[:, 1] - place[1])
-        with_it = np.cos(way.heading - place[2])
+        s, xy, heading, _ = self.samples
+        distance = np.hypot(xy[:, 0] - place[0], xy[:, 1] - place[1])
+        with_it = np.cos(heading - place[2])
         # Both senses (|cos|): a painted line has no direction. Far off, square to it, no branch qualifies, and the nearest counts.
         near = np.where(np.abs(with_it) > np.sqrt(0.5), distance, np.inf)
         i = int(np.argmin(near if np.isfinite(near).any() else distance))
-        return float(way.s[i]), float(with_it[i])
+        return float(s[i]), float(with_it[i])
 
 
 @spec
@@ -183,7 +176,7 @@ class FigureEight(Route):
         turn = heading[0]  # the first branch runs along x
         c, sn = np.cos(turn), np.sin(turn)
         xy = np.stack([c * columns[0] + sn * columns[1], -sn * columns[0] + c * columns[1]], axis=1)
-        return Samples(even, xy, columns[2] - turn, columns[3])
+        return even, xy, columns[2] - turn, columns[3]
 
 
 @spec
@@ -233,9 +226,9 @@ class Track(Route):
     @cached_property
     def closed(self) -> bool:
         """Whether place and heading at its end are those at its start, within 1 mm and 1/1000 of a turn."""
-        local = self._local()
-        turn = local.heading[-1] / (2 * np.pi)
-        return bool(np.hypot(*local.xy[-1]) < 1e-3 and abs(turn - round(turn)) < 1e-3 and len(local.s) > 2)
+        s, xy, heading, _ = self._local()
+        turn = heading[-1] / (2 * np.pi)
+        return bool(np.hypot(*xy[-1]) < 1e-3 and abs(turn - round(turn)) < 1e-3 and len(s) > 2)
 
     def _local(self) -> Samples:
         return _joined([piece.length_and_curvature for piece in self.pieces])
@@ -254,7 +247,7 @@ def _joined(pieces: list[tuple[float, float]]) -> Samples:
         heading.append(h0 + k * u)
         s.append(s[-1][-1] + u)
         curvature.append(np.full(len(u), k))
-    return Samples(np.concatenate(s), np.concatenate(xy), np.concatenate(heading), np.concatenate(curvature))
+    return np.concatenate(s), np.concatenate(xy), np.concatenate(heading), np.concatenate(curvature)
 
 
 ROUTES = OneOf("route", Straight, CircularRoute, FigureEight, Track)

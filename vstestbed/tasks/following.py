@@ -168,7 +168,7 @@ class GoalLine(Continuing):
     def _check_drive(self, robot: Robot, route: Route, law: Law[Any]) -> None:
         """Refuse bends tighter than the turning circle, and a cruising speed beyond the limits."""
         # The parallel at an offset d to the left of a bend of curvature k has the curvature k / (1 - k d).
-        k = route.samples.curvature
+        k = route.samples[3]
         tightest = float(np.abs(k / np.maximum(1 - k * self.offset_m, 1e-9)).max())
         if tightest * robot.turning_radius_m > 1:
             words = f"has a bend of {1 / tightest:.3g} m where the vehicle shall drive, which turns no tighter than"

@@ -17,7 +17,6 @@ Kim 2012, doi:10.1109/ICRA.2012.6225103 (virtual image plane); Corke 2017, doi:1
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -49,15 +48,8 @@ def level_twist(twist: Array, tilt: Array, R_base_camera: Array) -> Array:
     return np.concatenate([R @ twist[:3], heading * R_base_camera[2]])
 
 
-@dataclass(frozen=True, slots=True)
-class Trim:
-    """Estimated correction of the IMU's roll and pitch (2,) [rad], and the number of pictures that it is from."""
-
-    angles: Array
-    count: int = 0
-
-
-NO_TRIM = Trim(np.zeros(2))
+Trim = tuple[Array, int]  # estimated correction of the IMU's roll and pitch (2,) [rad], and the number of pictures that it is from
+NO_TRIM: Trim = np.zeros(2), 0
 
 
 def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Array, R_base_camera: Array, gain: float) -> Trim:
@@ -74,7 +66,8 @@ def trimmed(trim: Trim, tilt: Array, T_camera_target: Array, T_goal_target: Arra
     up = -R_base_camera @ T_camera_target[:3, :3] @ T_goal_target[:3, :3].T @ down
     seen = np.array([math.atan2(up[1], up[2]), -math.asin(max(-1.0, min(1.0, float(up[0]))))])
     # 1/n is the running mean of the first n pictures, until the constant gain is larger.
-    return Trim(trim.angles + max(gain, 1 / (trim.count + 1)) * (seen - tilt - trim.angles), trim.count + 1)
+    angles, count = trim
+    return angles + max(gain, 1 / (count + 1)) * (seen - tilt - angles), count + 1
 
 
 def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Array:
@@ -89,35 +82,21 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
     seen = np.isfinite(ray[:, 0])
     if not seen.any():
         return out
+    rays, one = ray[seen], np.ones(np.count_nonzero(seen))
     if how == "first_order" and isinstance(camera, Perspective):
-        out[seen] = _on_plane(ray[seen], turn)
-    else:
-        out[seen] = _on_sphere(ray[seen], turn, how)
+        xy = rays[:, :2] / rays[:, 2:]
+        xy = xy - _PLANE.interaction(xy, one).reshape(-1, 2, 6)[..., 3:] @ turn
+        level = np.column_stack([xy, one])
+        out[seen] = level / np.linalg.norm(level, axis=1, keepdims=True)
+        return out
+    s, L = _ANGLES.measure(rays).reshape(-1, 2), _ANGLES.interaction(rays, one).reshape(-1, 2, 6)
+    theta, phi = (s - (_printed(s) @ turn[:2] if how == "as_printed" else L[..., 3:] @ turn)).T
+    out[seen] = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     return out
 
 
-def _on_plane(ray: Array, turn: Array) -> Array:
-    xy = ray[:, :2] / ray[:, 2:]
-    L = _PLANE.interaction(xy, np.ones(len(xy))).reshape(-1, 2, 6)
-    xy = xy - L[..., 3:] @ turn
-    out = np.column_stack([xy, np.ones(len(xy))])
-    return out / np.linalg.norm(out, axis=1, keepdims=True)
-
-
-def _on_sphere(ray: Array, turn: Array, how: Derotation) -> Array:
-    s = _ANGLES.measure(ray).reshape(-1, 2)
-    if how == "as_printed":
-        rate = printed_matrix(s) @ turn[:2]
-    else:
-        rate = _ANGLES.interaction(ray, np.ones(len(ray))).reshape(-1, 2, 6)[..., 3:] @ turn
-    theta, phi = (s - rate).T
-    return np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-
-
-def printed_matrix(s: Array) -> Array:
+def _printed(s: Array) -> Array:
     """The derotation matrix (N, 2, 2) as printed, at angles (theta, phi) (N, 2): wrong, see the module's docstring."""
     theta, phi = s.T
-    return np.stack(
-        [np.stack([np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], axis=-1), np.stack([np.sin(phi), -np.cos(phi)], axis=-1)],
-        axis=-2,
-    )
+    rows = [[np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], [np.sin(phi), -np.cos(phi)]]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), -1, 0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,17 +164,6 @@ class ObserverMemory(NamedTuple):
     trim: Trim = NO_TRIM
 
 
-class _View(NamedTuple):
-    """Measurements of one frame, in the camera's frame or, where the scenario derotates, in the level camera's."""
-
-    ray: Array | None
-    xy: Array
-    depth: Array
-    range: Array | None
-    T_camera_target: Array | None
-    motion: OwnMotion | None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Observer:
     """Turns detections into observations.
@@ -279,22 +267,26 @@ class Observer:
         if estimator is not None and flow is not None and ray is not None:
             flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
-        view, trim = self._view(ray, T, flow, cues, own), memory.trim
+        view, trim = self._view(t, uv, ray, T, flow, cues, own), memory.trim
         if tilt is not None:
             if self.trim_s and solved and T is not None:
                 gain = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
                 trim = trimmed(trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
-            view = self._leveled(view, tilt + trim.angles)
+            view = self._leveled(view, tilt + trim[0])
         odometry, place = self._driven(memory, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
-        return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(t, uv, view, solved, odometry, place)
+        return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(view, solved, odometry, place)
 
-    def _view(self, ray: Array | None, T: Array | None, flow: FlowMemory | None, cues: DepthCues, own: OwnMotion | None) -> _View:
+    def _view(
+        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowMemory | None, cues: DepthCues, own: OwnMotion | None
+    ) -> Observation:
+        """What is measured in the camera's frame."""
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
         sized = self.target.by_size(ray) if ray is not None and self.depth.needs_size else None
         cues = cues._replace(p_estimated=p, p_by_size=sized, by_flow=None if flow is None else (flow.ray, 1 / flow.inverse_range))
         needs_ranges = "ray" in self.required_fields or self.derotation != "none"
-        return _View(ray, cues.xy, self.depth.depths(cues), self.depth.ranges(cues) if needs_ranges else None, T, own)
+        ranges = self.depth.ranges(cues) if needs_ranges else None
+        return Observation(t, uv, cues.xy, self.depth.depths(cues), T, ray, ranges, motion=own)
 
     def _reported(self, detection: Detection, t: float, rng: np.random.Generator) -> tuple[Array, Array | None]:
         """The detection's pixels (N, 2) with dropout and noise, and its pose; None where dropout took a marker from under it."""
@@ -334,7 +326,8 @@ class Observer:
             found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
         return found
 
-    def _leveled(self, view: _View, tilt: Array) -> _View:
+    def _leveled(self, view: Observation, tilt: Array) -> Observation:
+        """The same in the level camera's frame."""
         assert view.ray is not None
         mount = self.camera.mount.T[:3, :3]
         ray, T, depth, own = level_rays(view.ray, tilt, self.camera, self.derotation), view.T_camera_target, view.depth, view.motion
@@ -348,7 +341,7 @@ class Observer:
             depth = view.range * ray[:, 2]  # the rotation leaves ranges alone
         if own is not None:
             own = replace(own, twist=level_twist(own.twist, tilt, mount), moved=level_twist(own.moved, tilt, mount))
-        return _View(ray, xy, depth, view.range, T, own)
+        return replace(view, ray=ray, xy=xy, depth=depth, T_camera_target=T, motion=own)
 
     def _driven(
         self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
@@ -364,7 +357,8 @@ class Observer:
         T_map_camera = None if T is None else self.target.pose.T @ inverse(T)  # by the landmarks, whose places are known
         return odometry, fused_place(predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt))
 
-    def _observation(self, t: float, uv: Array, view: _View, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
+    def _observation(self, view: Observation, solved: bool, odometry: Array | None, place: Array | None) -> Observation:
+        """What the law requires of a view, with the errors of the calibration in its depths."""
         required = self.required_fields
         predictable = not self.target.moves or self.target.on_gripper  # else the target's pose is known only while it is seen
         pose = view.T_camera_target if solved or predictable else None
@@ -377,7 +371,7 @@ class Observer:
         motion = view.motion if "motion" in required else None
         radius = None
         if "radius_px" in required:  # the larger of half width and half height; without ranges by the depths
-            ray = self.camera.ray(uv)
+            ray = self.camera.ray(view.uv)
             p = ray * (depth / ray[:, 2] if reach is None else reach)[:, None]
             radius = self.camera.half_size(p, self.target.marker.radius).max(axis=1)
-        return Observation(t, uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius)
+        return Observation(view.t, view.uv, view.xy, depth, pose, *rays, relative, odometry, place, motion, radius)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from functools import cache, lru_cache
-from itertools import combinations
-from typing import Literal, NamedTuple
+from itertools import combinations, permutations, product
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -110,13 +110,8 @@ def solve_pose_all_round(rays: Array, points: Array, previous: Array | None = No
 
 @cache
 def _turns() -> list[Array]:
-    axes = np.eye(3)
-    turns = []
-    for i in range(3):
-        for j in range(3):
-            for a in (1, -1) if i != j else ():
-                turns += [np.stack([a * axes[i], b * axes[j], a * b * np.cross(axes[i], axes[j])], axis=1) for b in (1, -1)]
-    return turns
+    pairs = product(permutations(np.eye(3), 2), (1, -1), (1, -1))
+    return [np.stack([a * x, b * y, a * b * np.cross(x, y)], axis=1) for (x, y), a, b in pairs]
 
 
 def _placed(rays: Array, points: Array, R: Array) -> Array:
@@ -176,11 +171,7 @@ _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
 
 
-class _Candidate(NamedTuple):
-    """A pose (4, 4) that a solver found, and its reprojection error [rms of one coordinate]."""
-
-    error: float
-    T: Array
+_Candidate = tuple[float, Array]  # reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
 
 
 def solve_pose(xy: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -225,21 +216,21 @@ def _of_many(xy: Array, points: Array, shape: Layout, previous: Array | None) ->
         T, error = _refine(xy, points, previous)
         if error < min(STANDS * spread, MIRRORED * spread**3) and _step(T, previous, points) < CONTINUES:
             return T
-    solutions = [c for c in _candidates(xy, points, shape) if c.error < FITS * spread]
+    solutions = [c for c in _candidates(xy, points, shape) if c[0] < FITS * spread]
     if not solutions:
         return None
-    best = _preferred(solutions, previous, points)
-    T, error = _refine(xy, points, best.T)
-    return T if error <= best.error + ROUNDING else best.T
+    least, best = _preferred(solutions, previous, points)
+    T, error = _refine(xy, points, best)
+    return T if error <= least + ROUNDING else best
 
 
 def _preferred(solutions: list[_Candidate], previous: Array | None, points: Array) -> _Candidate:
     """The best fit or, of several that fit about as well, the one nearest to the previous pose."""
-    best = min(solutions, key=lambda c: c.error)
+    best = min(solutions, key=lambda c: c[0])
     if previous is None:
         return best
-    rivals = [c for c in solutions if c.error <= CLEARLY_WORSE * best.error]
-    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c.T, previous, points))
+    rivals = [c for c in solutions if c[0] <= CLEARLY_WORSE * best[0]]
+    return rivals[0] if len(rivals) == 1 else min(rivals, key=lambda c: _step(c[1], previous, points))
 
 
 def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = None) -> Array | None:
@@ -250,44 +241,46 @@ def solve_pose_from_rays(rays: Array, points: Array, previous: Array | None = No
     """
     if len(rays) < 3:
         return None
-    if rays[:, 2].min() > WIDE:
-        return solve_pose(rays[:, :2] / rays[:, 2:], points, previous)
-    T = _virtual(rays)
-    if T is None:
+    view = _pinhole(rays)
+    if view is None:
         return None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else solve_pose_all_round(rays, points, previous)
-    turned = rays @ T[:3, :3]
-    found = solve_pose(turned[:, :2] / turned[:, 2:], points, None if previous is None else inverse(T) @ previous)
+    xy, T = view
+    if T is None:
+        return solve_pose(xy, points, previous)
+    found = solve_pose(xy, points, None if previous is None else inverse(T) @ previous)
     return None if found is None else T @ found
 
 
 def three_ray_poses(rays: Array, points: Array) -> list[Array]:
     """All poses (4, 4), at most four, of three points (3, 3) [m] on three rays (3, 3); none unless a virtual camera sees them."""
-    if _layout(np.ascontiguousarray(points).tobytes()) == "line":
+    view = None if _layout(np.ascontiguousarray(points).tobytes()) == "line" else _pinhole(rays)
+    if view is None:
         return []
+    xy, T = view
+    return _three(xy, points) if T is None else [T @ found for found in _three(xy, points)]
+
+
+def _pinhole(rays: Array) -> tuple[Array, Array | None] | None:
+    """Normalised coordinates (N, 2) of rays (N, 3) in a pinhole camera that sees them all; None where there is none.
+
+    It is the camera itself, or a virtual one at the same position that looks along the rays' mean: then with T_camera_virtual (4, 4).
+    """
     if rays[:, 2].min() > WIDE:
-        return _three(rays[:, :2] / rays[:, 2:], points)
-    T = _virtual(rays)
-    if T is None:
-        return []
-    turned = rays @ T[:3, :3]
-    return [T @ found for found in _three(turned[:, :2] / turned[:, 2:], points)]
-
-
-def _virtual(rays: Array) -> Array | None:
-    """T_camera_virtual (4, 4) of a camera at the same position that looks along the rays' mean; None where it does not see all."""
+        return rays[:, :2] / rays[:, 2:], None
     mean = rays.mean(axis=0)
     if np.linalg.norm(mean) < WIDE:
         return None
     T = np.eye(4)
     T[:3, :3] = looking_along(mean)
-    return T if (rays @ T[:3, 2]).min() > WIDE else None
+    turned = rays @ T[:3, :3]
+    return (turned[:, :2] / turned[:, 2:], T) if turned[:, 2].min() > WIDE else None
 
 
 def _candidates(xy: Array, points: Array, shape: Layout) -> list[_Candidate]:
     solvers = {"line and one": (_from_three,), "plane": (planar_poses,), "space": (_from_space, _from_three)}[shape]
     for solver in solvers:
-        found = [_Candidate(_misfit(T, xy, points), T) for T in solver(xy, points)]
-        if any(math.isfinite(c.error) for c in found):
+        found = [(_misfit(T, xy, points), T) for T in solver(xy, points)]
+        if any(math.isfinite(error) for error, _ in found):
             return found
     return []
 

@@ -299,7 +299,7 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         return _polygon(border, rays, target, target.figure_corners, turn, expected)
     # A round region of pixels with standard deviation s has the radius 2 s.
     found = target.round_outline(rays)
-    return None if found is None else OutlineFit(found.p, found.off * 2 * border.size_px, found.p)
+    return None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
 
 
 def turn_at(goal: Goal, target: Target) -> float:

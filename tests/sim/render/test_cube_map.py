@@ -15,8 +15,8 @@ from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
+from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Sphere
-from vstestbed.targets.points import Points
 from vstestbed.vision import Blobs
 from vstestbed.vision.blobs import BlobsMemory
 

@@ -22,9 +22,8 @@ from vstestbed.sim.render.pixel_check import BALLS, pixel_convention
 from vstestbed.sim.scene.compose import Parts, compose
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Square, Target
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.points import Square
 
 BARREL = (-0.2, 0.05, 0.002, -0.001, 0.0)
 NONE = np.zeros(0)

@@ -27,9 +27,8 @@ from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
-from vstestbed.targets.base import Target
+from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Disc, Sphere, Tag
-from vstestbed.targets.points import Points, Square
 from vstestbed.vision import Blobs
 from vstestbed.vision.colour import noise_level
 

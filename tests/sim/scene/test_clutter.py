@@ -17,8 +17,8 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.scene.world import Clutter, Decoy, Light, World
+from vstestbed.targets.base import Square
 from vstestbed.targets.markers import Disc
-from vstestbed.targets.points import Square
 from vstestbed.vision import Blobs
 
 CAMERA = Perspective()  # 640 x 480

@@ -18,10 +18,10 @@ from vstestbed.sim.render.still import Lamp
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
+from vstestbed.targets.base import Square
 from vstestbed.targets.markers import Disc, Tag
 from vstestbed.targets.motion import Line, Sinusoid
 from vstestbed.targets.picture import PictureTarget
-from vstestbed.targets.points import Square
 
 
 @pytest.fixture

@@ -62,7 +62,7 @@ def way(s: Scenario) -> Array:
     if isinstance(s.target, GroundLines):
         return np.concatenate([[start[:2]], Setting.of(s).reference_path[::4]])
     if not goals:
-        return np.concatenate([[start[:2]], s.target.motion.route.samples.xy[::20]])
+        return np.concatenate([[start[:2]], s.target.motion.route.samples[1][::20]])
     corners = np.array([start[:2], *(g[:2] for g in goals)])
     share = np.linspace(0, 1, 20)[:, None]
     return np.concatenate([a + share * (b - a) for a, b in pairwise(corners)])

@@ -17,7 +17,7 @@ from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
-from vstestbed.targets.points import Square
+from vstestbed.targets.base import Square
 
 LENS = Perspective(width=320, height=240, fovy_deg=60)
 FAR = Square(side=0.3, pose=Pose(xyz=(0, 0, 30)))

@@ -28,7 +28,7 @@ from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.batch import fly, ideal, start_of, started_at
 from vstestbed.targets import Target
-from vstestbed.targets.points import Points, Square
+from vstestbed.targets.base import Points, Square
 from vstestbed.tasks import GoalView
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle

@@ -15,8 +15,8 @@ from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 from vstestbed.sim.scene.world import World
+from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Sphere
-from vstestbed.targets.points import Points
 from vstestbed.vision import Blobs
 
 BALLS = tuple((x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for x in (-0.5, -0.17, 0.17, 0.5))

@@ -29,9 +29,10 @@ from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
-from vstestbed.targets.base import Body, Globe, Sheet
-from vstestbed.targets.markers import HALF_THICKNESS_M, Marker, Solid
+from vstestbed.targets.base import Body
+from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
 from vstestbed.targets.mesh import as_stl
+from vstestbed.targets.picture import SHARE, PictureTarget
 from vstestbed.vision.tags import printed
 
 SHININESS = 0.5
@@ -60,13 +61,13 @@ def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, A
     geom.meshname, geom.material = mesh.name, paint.name
 
 
-def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: float) -> float:
+def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, front: float) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
     scene.texturedir = ASSETS
     scene.assets = {**scene.assets, f"{ASSETS}/target_picture.png": sheet.png}
     scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
-    paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, sheet.share
+    paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
     paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "target/picture"
     size, pos = [sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M], [0, 0, front + HALF_THICKNESS_M]
     geom = _visual(body, "target/picture", mujoco.mjtGeom.mjGEOM_BOX, size, rgba, TARGET_GROUP, pos, FACE_VIEWER)
@@ -74,17 +75,18 @@ def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: Sheet, front: f
     return front + 2 * HALF_THICKNESS_M
 
 
-def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body | Globe) -> None:
+def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
     """A target's solid, without collisions. MuJoCo smooths the shading of curved surfaces."""
-    rgba, paint = _paint(scene, "solid", np.array(solid.rgb), solid.lit)
+    shape, rgb, lit = solid
+    rgba, paint = _paint(scene, "solid", np.array(rgb), lit)
     geom = body.add_geom(name="target/solid", rgba=rgba, material=paint.name, group=TARGET_GROUP, contype=0, conaffinity=0, mass=0)
-    if isinstance(solid, Globe):
+    if not isinstance(shape, np.ndarray):
         # Its outline is measured: with MuJoCo's own 28 facets round the equator it would be a polygon .6 % of the radius too small.
         scene.visual.quality.numslices, scene.visual.quality.numstacks = 2 * FACETS, FACETS
-        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [solid.radius, 0, 0]
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape, 0, 0]
         return
     scene.meshdir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(solid.triangles)}
+    scene.assets = {**scene.assets, f"{ASSETS}/target_solid.stl": as_stl(shape)}
     mesh = scene.add_mesh(name="target/solid", file="target_solid.stl")
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # it need not be closed
     geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, "target/solid"
@@ -281,7 +283,7 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [*half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, board)
 
 
-def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
+def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Body) -> None:
     marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:

@@ -88,10 +88,10 @@ def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
     paint.specular, paint.shininess, paint.reflectance = floor.gloss, floor.sharpness / 128, floor.mirror
     if floor.texture is None:
         return
-    tile = read_tile(place_of_picture(floor.texture), floor.albedo)
+    png, (width, height) = read_tile(place_of_picture(floor.texture), floor.albedo)
     scene.texturedir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/floor_picture.png": tile.png}
+    scene.assets = {**scene.assets, f"{ASSETS}/floor_picture.png": png}
     scene.add_texture(name="floor_picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="floor_picture.png")
     paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor_picture"
     # `texuniform`: so many tiles in two metres
-    paint.texrepeat = [2 / floor.tile_m, 2 / (floor.tile_m * tile.height / tile.width)]
+    paint.texrepeat = [2 / floor.tile_m, 2 / (floor.tile_m * height / width)]
