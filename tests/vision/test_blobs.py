@@ -224,10 +224,10 @@ def test_windows_give_the_same_bytes_as_the_whole_picture(
     target, blobs = _square(Sphere(radius=0.02)), Blobs()
     frames = [picture(target, T, camera) for T in _path(25)]
     whole = [_detect(frame, target, blobs, camera) for frame in frames]
-    memory, _ = blobs.detect(blobs.init(), frames[0], None, camera, target, RNG)
+    state, _ = blobs.detect(blobs.init(), frames[0], None, camera, target, RNG)
     monkeypatch.setattr(Blobs, "_search", None)  # from here on, windows must do
     for frame, expected in zip(frames[1:], whole[1:], strict=True):
-        memory, found = blobs.detect(memory, frame, None, camera, target, RNG)
+        state, found = blobs.detect(state, frame, None, camera, target, RNG)
         assert found.seen.all()
         assert found.uv.tobytes() == expected.uv.tobytes()
 
@@ -237,13 +237,13 @@ def test_what_was_drawn_of_a_picture_does_not_change_what_is_found(picture: Take
     target, blobs = _square(Sphere(radius=0.02)), Blobs()
     jump = inverse(exp(np.array([0, 0, 0, 0.15, -0.1, 0.3])))  # 60 px and more, without warning
     views = _path(6) + [jump @ T for T in _path(12)[6:]]
-    memory, asked, needed = blobs.init(), [], []
+    state, asked, needed = blobs.init(), [], []
     for k, T in enumerate(views):
         whole = picture(target, T, camera)
-        look = blobs.look(memory, camera, target)
+        look = blobs.look(state, camera, target)
         asked.clear()
         part = whole if look is None else in_windows(whole, look, asked)
-        (memory, found), (_, expected) = (blobs.detect(memory, p, None, camera, target, RNG) for p in (part, whole))
+        (state, found), (_, expected) = (blobs.detect(state, p, None, camera, target, RNG) for p in (part, whole))
         assert found.seen.all() and found.uv.tobytes() == expected.uv.tobytes()
         needed += [k] if asked else []
     assert needed == [6, 7]  # the jump; and after it, since it was no steady motion
@@ -252,34 +252,34 @@ def test_what_was_drawn_of_a_picture_does_not_change_what_is_found(picture: Take
 def test_motion_of_a_marker_is_remembered_while_it_is_lost(picture: TakePicture, monkeypatch: pytest.MonkeyPatch) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     steps = [Pose(xyz=(-0.3 + 0.06 * k, 0, 1)).T for k in range(7)]  # 23 px a frame: more than the windows' margin
-    memory = blobs.init()
+    state = blobs.init()
     for k, T in enumerate(steps[:5]):
         frame = picture(target, T, CAMERA, PLATE.format(w=0.8, x=0, y=0, z=0.5, rgba=".5 .5 .5 1") if k == 3 else "")
-        memory, found = blobs.detect(memory, frame, None, CAMERA, target, RNG)
+        state, found = blobs.detect(state, frame, None, CAMERA, target, RNG)
         assert found.seen.all() == (k != 3)
     monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("not in its window"))
     for T in steps[5:]:
-        memory, found = blobs.detect(memory, picture(target, T, CAMERA), None, CAMERA, target, RNG)
+        state, found = blobs.detect(state, picture(target, T, CAMERA), None, CAMERA, target, RNG)
         assert found.seen.all()
 
 
 def test_lost_and_found_again(picture: TakePicture) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
-    memory = blobs.init()
+    state = blobs.init()
     screen = PLATE.format(w=0.4, x=0, y=0, z=0.5, rgba=".5 .5 .5 1")
     seen = []
     for k, T in enumerate(_path(12)):
-        memory, found = blobs.detect(memory, picture(target, T, CAMERA, screen if 4 <= k < 8 else ""), None, CAMERA, target, RNG)
+        state, found = blobs.detect(state, picture(target, T, CAMERA, screen if 4 <= k < 8 else ""), None, CAMERA, target, RNG)
         seen.append(int(found.seen.sum()))
     assert seen == [4] * 4 + [0] * 4 + [4] * 4
 
 
 def test_marker_that_leaves_the_picture_and_comes_back(picture: TakePicture) -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
-    memory = blobs.init()
+    state = blobs.init()
     for x in [*np.arange(0.5, 0.8, 0.02), *np.arange(0.8, 0.5, -0.02)]:
         T = Pose(xyz=(float(x), 0, 1)).T
-        memory, found = blobs.detect(memory, picture(target, T, CAMERA), None, CAMERA, target, RNG)
+        state, found = blobs.detect(state, picture(target, T, CAMERA), None, CAMERA, target, RNG)
         true = CAMERA.project(transform(T, target.points))
         whole = CAMERA.inside(true, margin=0.02 * CAMERA.f + 0.7)
         assert found.seen[whole].all()
@@ -378,10 +378,10 @@ def test_noise_does_not_shift_shaded_markers(picture: TakePicture, marker: Marke
 
 def test_much_noise_while_tracking(picture: TakePicture) -> None:
     target, blobs, rng = _square(Disc(radius=0.02)), Blobs(), np.random.default_rng(6)
-    memory, seen = blobs.init(), []
+    state, seen = blobs.init(), []
     for T in _path(40):
         frame = _noisy(picture(target, T, CAMERA), 20, rng)
-        memory, found = blobs.detect(memory, frame, None, CAMERA, target, RNG)
+        state, found = blobs.detect(state, frame, None, CAMERA, target, RNG)
         whole = _detect(frame, target, blobs)
         errors = np.array([d.uv - CAMERA.project(transform(T, target.points)) for d in (found, whole)])
         assert np.nanmax(np.abs(errors)) < 0.8
@@ -400,10 +400,10 @@ def test_noise_alone_holds_no_markers() -> None:
 def test_grey_pictures_hold_no_markers() -> None:
     target, blobs = _square(Disc(radius=0.02)), Blobs()
     ramp = np.repeat(np.tile(np.arange(640) * 255 // 639, (480, 1))[..., None], 3, axis=2).astype(np.uint8)
-    memory, found = blobs.detect(blobs.init(), Picture(t=0.0, images=(ramp,)), None, CAMERA, target, RNG)
+    state, found = blobs.detect(blobs.init(), Picture(t=0.0, images=(ramp,)), None, CAMERA, target, RNG)
     assert not found.seen.any()
-    assert memory.blobs == (None,) * 4
-    assert memory.T_camera_target is None
+    assert state.blobs == (None,) * 4
+    assert state.T_camera_target is None
 
 
 def test_what_a_mirror_camera_cannot_see_is_no_marker() -> None:

@@ -67,11 +67,11 @@ def test_a_decoy_beside_a_hidden_marker_is_not_it(picture: TakePicture, marker: 
 
 def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture: TakePicture) -> None:
     blobs = Blobs()
-    memory, whole = blobs.init(), 0
+    state, whole = blobs.init(), 0
     u, v, _ = transform(FRONT, TARGET.points)[2]
     for x in np.arange(-0.12, 0.12, 0.02):  # 8.5 px a frame, right through marker 2's window
         frame = picture(TARGET, FRONT, CAMERA, _ball(2, u * 0.9 + float(x), v * 0.9, 0.018, 0.9))
-        memory, found = blobs.detect(memory, frame, None, CAMERA, TARGET, RNG)
+        state, found = blobs.detect(state, frame, None, CAMERA, TARGET, RNG)
         true = CAMERA.project(transform(FRONT, TARGET.points))
         assert found.seen[[0, 1, 3]].all()
         # While it covers a part, what is left may be taken whole: off by at most a third of a marker's radius.
@@ -87,12 +87,12 @@ def test_a_decoy_that_passes_in_front_of_a_marker_does_not_take_it_along(picture
 def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: TakePicture, known: bool) -> None:
     """Three markers continue a pose that is known; without one any three blobs make a pose, and nothing is told from another."""
     blobs, p = Blobs(), transform(FRONT, TARGET.points)[0] * 0.9
-    memory = blobs.init()
+    state = blobs.init()
     if known:
-        memory, _ = blobs.detect(memory, picture(TARGET, FRONT, CAMERA, ""), None, CAMERA, TARGET, RNG)
+        state, _ = blobs.detect(state, picture(TARGET, FRONT, CAMERA, ""), None, CAMERA, TARGET, RNG)
     decoys = "".join(_ball(m, -0.45 + 0.3 * m, (-0.36, 0.36)[m % 2], 0.024) for m in range(4))
     extra = SCREEN.format(x=p[0], y=p[1], z=p[2]) + decoys
-    _, found = blobs.detect(memory, picture(TARGET, FRONT, CAMERA, extra), None, CAMERA, TARGET, RNG)
+    _, found = blobs.detect(state, picture(TARGET, FRONT, CAMERA, extra), None, CAMERA, TARGET, RNG)
     if known:
         _check(found, [False, True, True, True], FRONT)
     else:
@@ -101,12 +101,12 @@ def test_with_a_marker_hidden_none_jumps_to_decoys_of_all_hues(picture: TakePict
 
 def test_tracked_windows_are_not_left_for_a_decoy_nearby(picture: TakePicture) -> None:
     blobs = Blobs()
-    memory = blobs.init()
+    state = blobs.init()
     extra = _ball(0, transform(FRONT, TARGET.points)[0][0] + 0.06, transform(FRONT, TARGET.points)[0][1], 0.02)
     for shift in [*np.linspace(0, 0.05, 8), *np.linspace(0.05, 0, 8)]:  # marker 0 goes behind the decoy and comes back
         T = FRONT.copy()
         T[0, 3] += shift
-        memory, found = blobs.detect(memory, picture(TARGET, T, CAMERA, extra), None, CAMERA, TARGET, RNG)
+        state, found = blobs.detect(state, picture(TARGET, T, CAMERA, extra), None, CAMERA, TARGET, RNG)
         assert np.nanmax(np.abs(found.uv - CAMERA.project(transform(T, TARGET.points)))) < 2.6  # a third of a marker's radius
         assert np.count_nonzero(found.seen) >= 2  # of three markers the areas may rule out one more
     assert found.seen.all()

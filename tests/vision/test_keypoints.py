@@ -24,7 +24,7 @@ from vstestbed.loop.controller import detail
 from vstestbed.vision import Keypoints, keypoints
 from vstestbed.vision.keypoints import Klt, Slots
 from vstestbed.vision.local_features import Orb, extracted
-from vstestbed.vision.observe import FlowMemory
+from vstestbed.vision.observe import FlowState
 
 T_GOAL = np.eye(4)
 T_GOAL[2, 3] = 0.61
@@ -37,8 +37,8 @@ def the_goal() -> Goal:
     return replace(Goal.from_view(CAMERA, TARGET.points, T_GOAL), image=Sight(goal()))
 
 
-def seen(detector: Keypoints, memory: Any, H: Array, sigma: float = 2.0) -> Any:
-    return detector.detect(memory, Picture(0.0, (picture_by(H, sigma),)), None, CAMERA, TARGET, RNG)
+def seen(detector: Keypoints, state: Any, H: Array, sigma: float = 2.0) -> Any:
+    return detector.detect(state, Picture(0.0, (picture_by(H, sigma),)), None, CAMERA, TARGET, RNG)
 
 
 def begun(detector: Keypoints) -> Any:
@@ -70,10 +70,10 @@ def test_the_rows_show_points_of_the_goal_s_picture_with_their_depths_there(dete
 
 def test_points_are_followed_and_matched_again_now_and_then():
     detector = Keypoints(features=Orb(most=400), track=Klt(redetect_every=3))
-    memory, ids = begun(detector), []
+    state, ids = begun(detector), []
     for k in range(5):
         H = homography_of((0.02 + 0.004 * k, 0.01, -0.63), (1, 2, 5 + 0.5 * k))
-        memory, detection = seen(detector, memory, H)
+        state, detection = seen(detector, state, H)
         ids.append(detection.ids)
         error = np.linalg.norm(detection.uv - places(H, detection.goal.uv), axis=1)
         assert detection.seen.sum() > 12 and np.nanmedian(error) < 0.06, k
@@ -83,24 +83,24 @@ def test_points_are_followed_and_matched_again_now_and_then():
 
 def test_an_empty_picture_shows_nothing_and_keeps_what_the_rows_were():
     detector = Keypoints(features=Orb(most=400))
-    memory, before = seen(detector, begun(detector), GOAL_H)
+    state, before = seen(detector, begun(detector), GOAL_H)
     empty = Picture(0.0, (np.full((240, 320, 3), 128, np.uint8),))
-    memory, detection = detector.detect(memory, empty, None, CAMERA, TARGET, RNG)
+    state, detection = detector.detect(state, empty, None, CAMERA, TARGET, RNG)
     assert detection.goal is not None and np.isnan(detection.uv).all()
     np.testing.assert_array_equal(detection.ids, before.ids)
     np.testing.assert_array_equal(detection.goal.uv, before.goal.uv)
-    assert seen(detector, memory, GOAL_H)[1].seen.sum() > 12
+    assert seen(detector, state, GOAL_H)[1].seen.sum() > 12
 
 
 def test_few_points_are_those_whose_patches_are_whole_and_without_patches_the_reason_says_so():
     """Spread over the picture, the first ones are at its border, where patches are cut."""
     detector = Keypoints(features=Orb(most=400), best=5, track=Klt())
     assert not detector._due(Slots.empty(5).placed(*np.zeros((2, 4, 2))), 1)  # 4 of 5 will do, since `keep` is the user's alone
-    memory, detection = seen(detector, begun(detector), GOAL_H)
+    state, detection = seen(detector, begun(detector), GOAL_H)
     assert detection.seen.all() and not detection.why
     for uv in (detection.uv, detection.goal.uv):
         assert (uv > 10).all() and (uv < [309, 229]).all()
-    blurred = replace(memory, smooth=np.random.default_rng(0).normal(128, 40, (240, 320)).astype(np.float32), last=None)
+    blurred = replace(state, smooth=np.random.default_rng(0).normal(128, 40, (240, 320)).astype(np.float32), last=None)
     detection = seen(detector, blurred, GOAL_H)[1]
     assert not detection.seen.any()
     sentence = detail(vs.load("camera_keypoints"), observed(detection.uv, list(detection.ids)), True, detection.why)
@@ -119,8 +119,8 @@ def test_only_the_board_s_points_count_where_that_is_asked_for():
     near = replace(TARGET, width=0.2)  # of the poster in the picture its middle alone
     on_board, anywhere = Keypoints(features=Orb(most=400), within="board", best=100), Keypoints(features=Orb(most=400), best=100)
     for detector, outside in ((on_board, False), (anywhere, True)):
-        memory = detector.begin(replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near)
-        _, detection = detector.detect(memory, Picture(0.0, (goal(),)), None, CAMERA, near, RNG)
+        state = detector.begin(replace(Goal.from_view(CAMERA, near.points, T_GOAL), image=Sight(goal())), CAMERA, near)
+        _, detection = detector.detect(state, Picture(0.0, (goal(),)), None, CAMERA, near, RNG)
         assert detection.goal is not None
         xy = (detection.goal.ray * detection.goal.range[:, None])[detection.seen, :2]
         assert (np.abs(xy) > [0.1, 0.075]).any() == outside
@@ -224,13 +224,13 @@ def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
     before, other = observed(xy, list(range(8))), xy.copy()
     other[3] += 0.2  # another point in this row
     now = observed(other, [0, 1, 2, 30, 4, 5, 6, 7])
-    memory = Followed(before, 0.0, np.zeros(8), KalmanCV().update(None, None, 0.1, 6))
-    change = IBVS()._change(memory, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6))
+    state = Followed(before, 0.0, np.zeros(8), KalmanCV().update(None, None, 0.1, 6))
+    change = IBVS()._change(state, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6))
     assert change is not None and change[0].shape == (14,) and np.abs(change[0]).max() < 1e-12
     lost = other.copy()
     lost[[3, 5]] = np.nan
     carried = carried_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))
     np.testing.assert_allclose(carried.xy[5], xy[5], atol=1e-9)
     assert np.isnan(carried.xy[3]).all()
-    flow = FlowMemory(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))
+    flow = FlowState(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))
     assert np.isnan(flow.inverse_range[1]) and flow.inverse_range[2] == 2.0 and flow.information.tolist() == [1, 0, 1]

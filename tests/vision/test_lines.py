@@ -95,11 +95,11 @@ def test_what_stands_before_a_line_hides_it():
 def test_where_a_way_crosses_itself_it_keeps_its_own():
     way = FigureEight(length_m=10, width_m=5)
     bench, detector = Bench(GroundLines(route=way), CAMERA), Lines()
-    memory, offs = detector.init(), []
+    state, offs = detector.init(), []
     for s in np.arange(-0.8, 0.1, 0.04):
         x, y, heading, _ = way.at(s)
         frame, T = bench.frame(x, y, np.degrees(heading))
-        memory, found = detector.detect(memory, frame, None, CAMERA, bench.lines, RNG)
+        state, found = detector.detect(state, frame, None, CAMERA, bench.lines, RNG)
         offs.append(found.uv - CAMERA.project(bench.lines.seen_from(T)))
     bench.stage.close()
     # Where both branches run into one another the stripe is wider than a stripe, and the point is not told: 3 of 46.
@@ -110,12 +110,12 @@ def test_only_the_strips_are_looked_at():
     camera = Perspective(fovy_deg=100, mount=MOUNT, renderer="rays")
     bench, detector = Bench(GroundLines(route=WAY), camera), Lines()
     frame, _ = bench.frame(*PLACES[1])
-    memory, whole = detector.detect(detector.init(), frame, None, camera, bench.lines, RNG)
-    look = detector.look(memory, camera, bench.lines)
+    state, whole = detector.detect(detector.init(), frame, None, camera, bench.lines, RNG)
+    look = detector.look(state, camera, bench.lines)
     assert look is not None and sum((r - a) * (b - t) for a, t, r, b in look[0]) < 0.2 * 640 * 480
     part, _ = bench.frame(*PLACES[1], look=look)
     assert not part.whole
-    np.testing.assert_array_equal(detector.detect(memory, part, None, camera, bench.lines, RNG)[1].uv, whole.uv)
+    np.testing.assert_array_equal(detector.detect(state, part, None, camera, bench.lines, RNG)[1].uv, whole.uv)
     bench.stage.close()
 
 

@@ -104,10 +104,10 @@ def test_no_pose_no_depth() -> None:
 def test_pose_is_carried_on_by_the_commanded_motion() -> None:
     observer, rng = _observer(PnP()), np.random.default_rng(0)
     twist = np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.3])
-    memory, T = observer.init(), START
+    state, T = observer.init(), START
     for k in range(20):
         lost = () if k < 5 else (0, 1, 2)
-        memory, seen = observer.observe(memory, k * DT, _detection(T, lost), twist, rng)
+        state, seen = observer.observe(state, k * DT, _detection(T, lost), twist, rng)
         assert seen.T_camera_target is not None
         assert rigid_error(seen.T_camera_target, T) == pytest.approx((0, 0), abs=1e-6)  # constant twist: the step is exact
         assert seen.seen.tolist() == [i not in lost for i in range(4)]
@@ -116,9 +116,9 @@ def test_pose_is_carried_on_by_the_commanded_motion() -> None:
 
 def test_three_markers_go_on_with_the_pose() -> None:
     observer, rng = _observer(PnP()), np.random.default_rng(0)
-    memory, _ = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
+    state, _ = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
     moved = exp(np.array([0.01, 0, 0.01, 0, 0.01, 0])) @ START
-    _, seen = observer.observe(memory, DT, _detection(moved, lost=(2,)), REST, rng)
+    _, seen = observer.observe(state, DT, _detection(moved, lost=(2,)), REST, rng)
     assert seen.T_camera_target is not None
     assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-5)
 
@@ -139,9 +139,9 @@ def test_pixel_noise_is_drawn_from_the_generator_and_is_solved_again() -> None:
 def _run_estimate(twist_at: Depth | None = None, *, sigma: float = 0.0, frames: int = 75, still: int = 0) -> tuple[Array, Array]:
     """Estimated and true depths (4,) after a slow curve that starts at the wrong depth of 1 m; at rest for the last frames."""
     observer, rng = _observer(Estimate(initial_m=1.0, forget_s=0.5), sigma), np.random.default_rng(0)
-    memory, T, twist, depth = observer.init(), START, REST, np.zeros(4)
+    state, T, twist, depth = observer.init(), START, REST, np.zeros(4)
     for k in range(frames + still):
-        memory, seen = observer.observe(memory, k * DT, _detection(T), twist, rng)
+        state, seen = observer.observe(state, k * DT, _detection(T), twist, rng)
         depth = seen.depth
         twist = REST if k >= frames - 1 else np.array([0.15 * np.cos(0.1 * k), 0.15 * np.sin(0.1 * k), 0.05, 0.05, -0.04, 0.1])
         T = inverse(exp(twist * DT)) @ T
@@ -166,9 +166,9 @@ def test_estimate_under_noise_and_kept_at_rest() -> None:
 def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(ratio: float, sigma: float) -> None:
     # The motion of a servo: it dies away over 2 s. Depths within 1 % after 1 s, and still so at the end.
     observer, rng = _observer(Estimate(initial_m=1.6 * ratio), sigma), np.random.default_rng(0)
-    memory, T, twist = observer.init(), START, REST
+    state, T, twist = observer.init(), START, REST
     for k in range(400):
-        memory, seen = observer.observe(memory, k * DT, _detection(T), twist, rng)
+        state, seen = observer.observe(state, k * DT, _detection(T), twist, rng)
         if k >= 25:
             assert seen.depth == pytest.approx(transform(T, TARGET.points)[:, 2], rel=0.01)
         twist = np.exp(-k * DT / 2) * np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
@@ -177,19 +177,19 @@ def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(rati
 
 def test_estimate_without_motion_keeps_the_initial_depth() -> None:
     observer, rng = _observer(Estimate(initial_m=0.8), sigma=0.2), np.random.default_rng(0)
-    memory = observer.init()
+    state = observer.init()
     for k in range(50):
-        memory, seen = observer.observe(memory, k * DT, _detection(START), REST, rng)
+        state, seen = observer.observe(state, k * DT, _detection(START), REST, rng)
         assert seen.depth == pytest.approx([0.8] * 4, rel=1e-3)  # the pixels' own noise, a range being what is kept
 
 
 def test_estimate_survives_a_gap() -> None:
     observer, rng = _observer(Estimate(initial_m=1.0)), np.random.default_rng(0)
-    memory, seen = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
+    state, seen = observer.observe(observer.init(), 0.0, _detection(START), REST, rng)
     twist = np.array([0.1, 0.05, 0, 0, 0, 0])
     T = inverse(exp(twist * DT)) @ START
     for k in range(1, 60):
-        memory, seen = observer.observe(memory, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng)
+        state, seen = observer.observe(state, k * DT, _detection(T, lost=(1,) if 20 <= k < 40 else ()), twist, rng)
         assert np.all(seen.depth[seen.seen] > 0)
         assert seen.depth[0] == pytest.approx(transform(T, TARGET.points)[0, 2], rel=0.01) or k < 20
         T = inverse(exp(twist * DT)) @ T
@@ -200,10 +200,10 @@ def test_estimate_of_what_is_behind_the_camera() -> None:
     camera, T = SphericalCamera(width=720, height=720), Pose(xyz=(0.2, 0.1, -1.6), rpy_deg=(10, -15, 20)).T
     goal = Goal.from_view(camera, TARGET.points, T)
     observer = Observer(camera=camera, target=TARGET, goal=goal, depth=Estimate(), required_fields=("ray", "range"))
-    memory, twist = observer.init(), np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
+    state, twist = observer.init(), np.array([0.15, -0.1, 0.1, 0.05, -0.04, 0.1])
     for k in range(50):
         p = transform(T, TARGET.points)
-        memory, seen = observer.observe(memory, k * DT, Detection(uv=camera.project(p)), twist, np.random.default_rng(0))
+        state, seen = observer.observe(state, k * DT, Detection(uv=camera.project(p)), twist, np.random.default_rng(0))
         T = inverse(exp(twist * DT)) @ T
     assert seen.range == pytest.approx(np.linalg.norm(p, axis=1), rel=5e-3)
     assert seen.depth == pytest.approx(p[:, 2], rel=5e-3)
@@ -219,12 +219,12 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
     observer = Observer(
         camera=camera, target=TARGET, goal=Goal.from_view(camera, TARGET.points, T), depth=PnP(), required_fields=("ray", "range")
     )
-    memory, rng = observer.init(), np.random.default_rng(0)
-    memory, _ = observer.observe(memory, 0.0, Detection(uv=uv), REST, rng)
+    state, rng = observer.init(), np.random.default_rng(0)
+    state, _ = observer.observe(state, 0.0, Detection(uv=uv), REST, rng)
     moved = inverse(exp(np.array([0.01, 0, 0, 0, 0, 0]))) @ T
     now = camera.project(transform(moved, TARGET.points))
     now[0] = out[0]
-    seen = observer.observe(memory, DT, Detection(uv=now), REST, rng)[1]
+    seen = observer.observe(state, DT, Detection(uv=now), REST, rng)[1]
     assert seen.T_camera_target is not None
     assert rigid_error(seen.T_camera_target, moved) == pytest.approx((0, 0), abs=1e-4)  # by the other three
 
@@ -233,10 +233,10 @@ def test_a_pixel_that_noise_puts_off_the_map_costs_no_more_than_itself() -> None
 def test_a_picture_without_a_pose_costs_no_later_one(failed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first picture or a later one: the next is solved as if there had been no failure."""
     observer, rng = _observer(PnP()), np.random.default_rng(0)
-    memory, solver, poses = observer.init(), observe.solve_pose_from_rays, []
+    state, solver, poses = observer.init(), observe.solve_pose_from_rays, []
     for k in range(4):
         monkeypatch.setattr(observe, "solve_pose_from_rays", (lambda *_: None) if k == failed else solver)
-        memory, seen = observer.observe(memory, k * DT, _detection(START), REST, rng)
+        state, seen = observer.observe(state, k * DT, _detection(START), REST, rng)
         poses.append(seen.T_camera_target)
     for k, T in enumerate(poses):
         if k == failed == 0:

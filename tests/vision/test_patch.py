@@ -19,7 +19,7 @@ from vstestbed.sim.scene.world import Plate
 from vstestbed.targets.base import Square
 from vstestbed.targets.picture import PictureTarget
 from vstestbed.vision import Detection, PatchDetector
-from vstestbed.vision.patch import PatchMemory, normalised, template_of
+from vstestbed.vision.patch import PatchState, normalised, template_of
 
 RNG = np.random.default_rng(0)
 
@@ -48,15 +48,15 @@ def _view(tilt: float, spin: float, t: tuple[float, float, float], direction: fl
 FRONT = _view(0.3, 0.2, (0.02, -0.03, 0.8))
 
 
-def _detect(poster: PictureTarget, seen: Picture, camera: Camera = CAMERA, memory: PatchMemory | None = None) -> Detection:
-    return PatchDetector().detect(memory or PatchDetector().init(), seen, None, camera, poster, RNG)[1]
+def _detect(poster: PictureTarget, seen: Picture, camera: Camera = CAMERA, state: PatchState | None = None) -> Detection:
+    return PatchDetector().detect(state or PatchDetector().init(), seen, None, camera, poster, RNG)[1]
 
 
-def _known(poster: PictureTarget, T: Array, before: Array | None = None) -> PatchMemory:
-    """The memory after a picture from a pose, and one before it."""
+def _known(poster: PictureTarget, T: Array, before: Array | None = None) -> PatchState:
+    """The state after a picture from a pose, and one before it."""
     unit = template_of(poster.source, poster.width, PatchDetector().texels).unit_m
     G, G_before = (None if at is None else normalised(at[:3][:, [0, 1, 3]] @ np.diag([unit, unit, 1])) for at in (T, before))
-    return PatchMemory(G, G_before, True, 0.0)
+    return PatchState(G, G_before, True, 0.0)
 
 
 def _errors(poster: PictureTarget, found: Detection, T: Array, camera: Camera = CAMERA) -> Array:
@@ -91,38 +91,38 @@ def test_it_tracks_what_keypoints_no_longer_find(poster: PictureTarget, scene_pi
     before, last, now = (_view(tilt, 0.2, (0, 0, 1)) for tilt in (1.23, 1.265, 1.3))
     seen = scene_picture(poster, now)
     assert not _detect(poster, seen).seen.any()
-    assert np.abs(_errors(poster, _detect(poster, seen, memory=_known(poster, last, before)), now)).max() < 0.3
+    assert np.abs(_errors(poster, _detect(poster, seen, state=_known(poster, last, before)), now)).max() < 0.3
 
 
 def test_a_wrong_prediction_costs_nothing(poster: PictureTarget, scene_picture: TakeScene):
     """It moved by 25 px, and stands still now."""
     before = _view(0.3, 0.2, (-0.03, -0.03, 0.8))
-    memory = _known(poster, FRONT, before)
-    assert np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT), memory=memory), FRONT)).max() < 0.12
+    state = _known(poster, FRONT, before)
+    assert np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT), state=state), FRONT)).max() < 0.12
 
 
 def test_hidden_corners_are_known_by_the_others(poster: PictureTarget, scene_picture: TakeScene):
     plate = Plate(pose=Pose(xyz=(-0.17, 0, 0.6)), width=0.2, height=0.6)  # its left 40 %, with two corners
-    error = np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT, CAMERA, (plate,)), memory=_known(poster, FRONT)), FRONT))
+    error = np.abs(_errors(poster, _detect(poster, scene_picture(poster, FRONT, CAMERA, (plate,)), state=_known(poster, FRONT)), FRONT))
     assert error[1:3].max() < 0.25 and error.max() < 1.5
 
 
 def test_out_of_the_picture_corners_are_extrapolated_until_too_little_is_seen(poster: PictureTarget, scene_picture: TakeScene):
     beyond, gone = _view(0.2, 0.2, (0.38, 0, 0.7)), _view(0.2, 0.2, (0.72, 0, 0.7))
-    found = _detect(poster, scene_picture(poster, beyond), memory=_known(poster, beyond))
+    found = _detect(poster, scene_picture(poster, beyond), state=_known(poster, beyond))
     assert not CAMERA.inside(found.uv).all() and np.abs(_errors(poster, found, beyond)).max() < 0.6
-    assert not _detect(poster, scene_picture(poster, gone), memory=_known(poster, gone)).seen.any()
+    assert not _detect(poster, scene_picture(poster, gone), state=_known(poster, gone)).seen.any()
 
 
 def test_lost_and_found_again_at_the_next_search(poster: PictureTarget, scene_picture: TakeScene):
     there, d = scene_picture(poster, FRONT), PatchDetector(search_s=0.2)
     elsewhere = scene_picture(poster, _view(0.3, 1.8, (0.1, 0.05, 1.1)))
-    memory, found = d.detect(d.init(), there, None, CAMERA, poster, RNG)
+    state, found = d.detect(d.init(), there, None, CAMERA, poster, RNG)
     assert found.seen.all()
     empty = _changed(there, lambda image: 0 * image + 128)
     seen = []
     for t, what in ((0.24, empty), (0.28, elsewhere), (0.32, elsewhere), (0.48, elsewhere), (0.52, elsewhere)):
-        memory, found = d.detect(memory, replace(what, t=t), None, CAMERA, poster, RNG)
+        state, found = d.detect(state, replace(what, t=t), None, CAMERA, poster, RNG)
         seen.append(bool(found.seen.all()))
     assert seen == [False, False, False, True, True]  # it searched at 0.24 s, and again 0.2 s later
 
@@ -150,13 +150,13 @@ def test_every_lens(poster: PictureTarget, scene_picture: TakeScene, camera: Cam
 
 def test_in_its_window_it_finds_the_same(poster: PictureTarget, scene_picture: TakeScene):
     far = _view(0.3, 0.2, (0.05, 0, 1.6))
-    memory, whole, asked = _known(poster, far), scene_picture(poster, far), []
-    look = PatchDetector().look(memory, CAMERA, poster)
+    state, whole, asked = _known(poster, far), scene_picture(poster, far), []
+    look = PatchDetector().look(state, CAMERA, poster)
     assert look is not None
-    found = _detect(poster, in_windows(whole, look, asked), memory=memory)
-    assert np.abs(found.uv - _detect(poster, whole, memory=memory).uv).max() < 0.02 and not asked
+    found = _detect(poster, in_windows(whole, look, asked), state=state)
+    assert np.abs(found.uv - _detect(poster, whole, state=state).uv).max() < 0.02 and not asked
     elsewhere = scene_picture(poster, _view(0.3, 0.2, (0.15, 0, 1.6)))  # not there: the whole picture of the same exposure is searched
-    assert _detect(poster, in_windows(elsewhere, look, asked), memory=replace(memory, searched_s=-1.0)).seen.all() and asked
+    assert _detect(poster, in_windows(elsewhere, look, asked), state=replace(state, searched_s=-1.0)).seen.all() and asked
 
 
 def test_what_cannot_be_tracked_is_refused(poster: PictureTarget):

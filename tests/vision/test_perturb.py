@@ -60,8 +60,8 @@ class TestShadow:
     @pytest.mark.parametrize("shape", ["band", "blob"])
     def test_it_crosses_the_picture_again_and_again(self, shape: Literal["band", "blob"]):
         kind, white = Shadow(shape=shape, darkness=0.6, period_s=2.0), np.full((60, 80, 3), 200, np.uint8)
-        memory = kind.begin(np.random.default_rng(1))
-        seen = np.array([kind.picture(memory, white, t, np.random.default_rng(0)) for t in np.arange(0, 4, 0.1)], int)
+        state = kind.begin(np.random.default_rng(1))
+        seen = np.array([kind.picture(state, white, t, np.random.default_rng(0)) for t in np.arange(0, 4, 0.1)], int)
         assert np.array_equal(seen[:20], seen[20:])
         assert seen.max() == 200 and seen.min() == 80  # 40 % of 200, in its middle
         assert (seen.min(axis=(1, 2, 3)) == 200).any()  # between two crossings it is beyond the picture
@@ -135,7 +135,7 @@ def test_a_picture_of_another_shape_is_said(own_kinds):
 
         kind: Literal["cropped"] = "cropped"
 
-        def picture(self, memory, image, t, rng):
+        def picture(self, state, image, t, rng):
             return image[1:]
 
     with pytest.raises(ParameterError, match=r"cropped.*picture must return an image \(60, 80, 3\) uint8"):

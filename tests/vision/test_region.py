@@ -71,9 +71,9 @@ def painted(*borders: Array, color: tuple[int, int, int] = (220, 0, 0), hidden: 
     return Picture(0.0, (np.asarray(cv2.resize(large, (CAMERA.width, CAMERA.height), interpolation=cv2.INTER_AREA), np.uint8),))
 
 
-def found(target: Target, picture: Picture, detector: RegionDetector | None = None, memory: Any = None) -> tuple[Any, Detection]:
+def found(target: Target, picture: Picture, detector: RegionDetector | None = None, state: Any = None) -> tuple[Any, Detection]:
     detector = detector or RegionDetector()
-    return detector.detect(detector.init() if memory is None else memory, picture, None, CAMERA, target, RNG)
+    return detector.detect(detector.init() if state is None else state, picture, None, CAMERA, target, RNG)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 27.0, 45.0, 63.0, 200.0])
@@ -93,26 +93,26 @@ def test_a_straight_border_is_measured_exactly(turn_deg: float):
 @pytest.mark.parametrize("T", [FACING, TURNED], ids=["facing", "turned"])
 def test_the_outline_in_the_targets_order(kind: str, T: Array):
     target = Ball(pose=Pose(), radius=0.15) if kind == "ball" else shape(kind)
-    memory, detection = found(target, painted(border_of(target, T)))
+    state, detection = found(target, painted(border_of(target, T)))
     true = CAMERA.project(target.points_at(T))
     assert np.abs(detection.uv - true).max() < 0.15
     assert np.linalg.norm(centroid(detection.uv) - centroid(true)) < 0.05
     assert signed_area(detection.uv) == pytest.approx(signed_area(true), rel=2e-3)
-    again = found(target, painted(border_of(target, T)), memory=memory)[1]
+    again = found(target, painted(border_of(target, T)), state=state)[1]
     np.testing.assert_allclose(again.uv, detection.uv, atol=0.01)
 
 
 def test_a_window_is_enough_and_gives_the_same():
     target, detector, asked = shape("l_shape"), RegionDetector(), []
     picture = painted(border_of(target, TURNED))
-    memory, first = found(target, picture)
-    look = detector.look(memory, CAMERA, target)
+    state, first = found(target, picture)
+    look = detector.look(state, CAMERA, target)
     assert look is not None
-    _, windowed = found(target, in_windows(picture, look, asked), memory=memory)
+    _, windowed = found(target, in_windows(picture, look, asked), state=state)
     assert not asked
     np.testing.assert_allclose(windowed.uv, first.uv, atol=0.01)
     moved = painted(border_of(target, Pose(xyz=(-0.2, 0.1, 1.1)).T))
-    _, searched = found(target, in_windows(moved, look, asked), memory=memory)
+    _, searched = found(target, in_windows(moved, look, asked), state=state)
     assert len(asked) == 1 and searched.seen.all()
 
 
@@ -163,7 +163,7 @@ def test_a_shape_with_symmetry_is_turned_as_the_goal_shows_it(goal_deg: float):
     target, detector = shape("polygon"), RegionDetector()
     goal = Goal.of_points(CAMERA, target.points_at(Pose(xyz=(0, 0, 1), rpy_deg=(0, 0, goal_deg)).T), np.eye(4))
     T = Pose(xyz=(0, 0, 1), rpy_deg=(10, 0, goal_deg + 30)).T
-    _, detection = found(target, painted(border_of(target, T)), memory=detector.begin(goal, CAMERA, target))
+    _, detection = found(target, painted(border_of(target, T)), state=detector.begin(goal, CAMERA, target))
     np.testing.assert_allclose(detection.uv, CAMERA.project(target.points_at(T)), atol=0.15)
 
 

@@ -202,13 +202,13 @@ def test_windows_say_what_the_whole_picture_says(scene_picture: TakeScene, monke
     target, tags, looked = _square(side=0.4), Tags(), []
     read = module._read
     monkeypatch.setattr(module, "_read", lambda grey, window, *rest: looked.append(window) or read(grey, window, *rest))
-    memory = tags.init()
+    state = tags.init()
     for k in range(12):
         T = _view(0.4, 0.1 * k, 0.03 * k, np.array([0.01 * k, 0.0, 1.3 - 0.02 * k]))
         frame = scene_picture(target, T)
         looked.clear()
-        look = tags.look(memory, CAMERA, target)
-        memory, found = tags.detect(memory, frame, None, CAMERA, target, RNG)
+        look = tags.look(state, CAMERA, target)
+        state, found = tags.detect(state, frame, None, CAMERA, target, RNG)
         assert len(looked) == (4 if k else 1)
         assert look == ((tuple(looked),) if k else None)
         assert np.abs(found.uv - _detect(frame, target).uv).max() < 0.02
@@ -216,13 +216,13 @@ def test_windows_say_what_the_whole_picture_says(scene_picture: TakeScene, monke
 
 def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_is_kept(scene_picture: TakeScene) -> None:
     target, tags, asked, needed = _square(), Tags(), [], []
-    memory, gone = tags.init(), np.array([3.0, 0.0, 1.2])
+    state, gone = tags.init(), np.array([3.0, 0.0, 1.2])
     places = [np.array([x, 0.0, 1.2]) for x in (-0.3, -0.2, -0.1)] + [gone] + [np.array([x, 0.0, 1.2]) for x in (0.1, 0.2, 0.3)]
     for k, t in enumerate(places):  # 32 px a frame: more than the windows' margin
-        whole, look = scene_picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(memory, CAMERA, target)
+        whole, look = scene_picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(state, CAMERA, target)
         asked.clear()
         part = whole if look is None else in_windows(whole, look, asked)
-        memory, found = tags.detect(memory, part, None, CAMERA, target, RNG)
+        state, found = tags.detect(state, part, None, CAMERA, target, RNG)
         assert found.seen.all() == (t is not gone)
         needed += [k] if asked else []
     # The first move; out of view. Found again in a whole picture, they are where their last known motion takes them.
@@ -231,10 +231,10 @@ def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_
 
 def test_lost_and_found_again(scene_picture: TakeScene) -> None:
     target, tags = _square(), Tags()
-    memory, away = tags.init(), FRONT.copy()
+    state, away = tags.init(), FRONT.copy()
     away[0, 3] += 0.65
     for T, seen in ((FRONT, 4), (away, 2), (FRONT, 4)):
-        memory, found = tags.detect(memory, scene_picture(target, T), None, CAMERA, target, RNG)
+        state, found = tags.detect(state, scene_picture(target, T), None, CAMERA, target, RNG)
         assert np.count_nonzero(found.seen) == seen
         assert found.T_camera_target is not None
         assert rigid_error(found.T_camera_target, T)[0] < 1e-3

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_
 from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Sphere
 from vstestbed.vision import Blobs, Oracle, TruthView
-from vstestbed.vision.blobs import BlobsMemory, hand_over, look_of
+from vstestbed.vision.blobs import BlobsState, hand_over, look_of
 
 RNG = np.random.default_rng(0)
 CAMERA = SphericalCamera(width=640, height=640)
@@ -72,7 +72,7 @@ def test_markers_all_around_are_found_once_and_exactly(theta: float, phi: float)
 def test_three_markers_behind_have_a_pose_from_the_first_picture_on():
     target = Points(pose=Pose(), at=((0, 0, 0), (0.5, 0, 0), (0, 0.5, 0)), marker=Sphere(radius=0.06))
     T = placed(2.6, 0.5)
-    found = Blobs().detect(BlobsMemory(), drawn(target, T), None, CAMERA, target, RNG)[1]
+    found = Blobs().detect(BlobsState(), drawn(target, T), None, CAMERA, target, RNG)[1]
     assert found.T_camera_target is not None
     assert rigid_error(found.T_camera_target, T)[0] < 0.05
 
@@ -88,17 +88,17 @@ def turning(rate: float, n: int) -> list[Array]:
 
 def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest.MonkeyPatch):
     blobs, asked, homes = Blobs(), [], set()
-    memory, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG)
+    state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG)
     monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("a marker was lost"))
     for T in turning(-0.13, 52):
-        look = blobs.look(memory, CAMERA, TARGET)
+        look = blobs.look(state, CAMERA, TARGET)
         assert look is not None
         panels = tuple(i for i, windows in enumerate(look) if windows)
-        memory, found = blobs.detect(memory, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)
+        state, found = blobs.detect(state, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)
         assert found.seen.all()
         assert errors(found.uv, T).max() < 4e-3
         asked.append(len(panels))
-        homes.update(memory.panels)
+        homes.update(state.panels)
     assert homes >= {FRONT, RIGHT, BACK, LEFT}
     assert max(asked) <= 4
     assert np.mean(asked) < 3
@@ -106,23 +106,23 @@ def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest
 
 def test_a_jump_beyond_the_window_is_found_in_the_same_pictures():
     blobs = Blobs()
-    memory, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.6, 0.0)), None, CAMERA, TARGET, RNG)
-    look = blobs.look(memory, CAMERA, TARGET)
+    state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.6, 0.0)), None, CAMERA, TARGET, RNG)
+    look = blobs.look(state, CAMERA, TARGET)
     assert look is not None
     panels = tuple(i for i, windows in enumerate(look) if windows)
     assert panels == (FRONT, RIGHT)  # .2 rad from the seam at pi/4
     T = placed(0.85, 0.0)  # a quarter of a radian in one frame, without warning
-    assert blobs.detect(memory, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)[1].seen.all()
+    assert blobs.detect(state, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)[1].seen.all()
 
 
 def test_handed_over_only_where_the_border_is_near():
     blobs, T = Blobs(), placed(0.2, 0.0)
-    memory, _ = blobs.detect(blobs.init(), drawn(TARGET, T), None, CAMERA, TARGET, RNG)
-    assert memory.panels == (FRONT,) * 4
-    assert hand_over(memory, CAMERA, 8) == memory
-    assert look_of(memory, CAMERA, 8) is not None
-    assert [len(w) for w in look_of(memory, CAMERA, 8) or ()] == [4, 0, 0, 0, 0, 0]
-    moving = BlobsMemory(memory.blobs, ((110.0, 0.0),) * 4, None, None, memory.panels)
+    state, _ = blobs.detect(blobs.init(), drawn(TARGET, T), None, CAMERA, TARGET, RNG)
+    assert state.panels == (FRONT,) * 4
+    assert hand_over(state, CAMERA, 8) == state
+    assert look_of(state, CAMERA, 8) is not None
+    assert [len(w) for w in look_of(state, CAMERA, 8) or ()] == [4, 0, 0, 0, 0, 0]
+    moving = BlobsState(state.blobs, ((110.0, 0.0),) * 4, None, None, state.panels)
     moved = hand_over(moving, CAMERA, 8)
     assert RIGHT in moved.panels
     for before, after, home, now in zip(moving.blobs, moved.blobs, moving.panels, moved.panels, strict=True):

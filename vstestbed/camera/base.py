@@ -1,4 +1,4 @@
-"""The camera model shared by every lens: image size, rate, latency, mount, rendering; and the Picture that it takes."""
+"""The camera model shared by every lens: image size, rate, latency, mount, rendering; its pictures, and errors of its calibration."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from functools import cached_property
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, Image, Pose
-from vstestbed.core.quantity import Frequency, Narrower, Pixel, Time
+from vstestbed.core.quantity import Frequency, Narrower, Pixel, PositiveGain, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.chain import Imaging
 from vstestbed.imaging.depth import DEPTH_SENSORS, DepthSensor
@@ -135,8 +135,18 @@ class Camera(ABC):
             raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
         if self.depth_sensor is not None and not self.with_depth:
             raise ParameterError("depth_sensor", "is for camera perspective, with distortion or without: depth cameras have no wide lenses")
-        if self.imaged:
-            self._check_imaging()
+        if not self.imaged:
+            return
+        if len(self.panels) > 1:
+            field = next(name for name in ("optics", "exposure", "sensor", "stream") if getattr(self, name) is not None)
+            words = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several"
+            raise ParameterError(field, f"{words}; works: perspective, fisheye or catadioptric")
+        if self.optics is not None:
+            self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))
+        if self.exposure is not None and self.exposure.auto is not None:
+            self.exposure.auto.check(self.period)
+        if self.stream is not None:
+            self.stream.check(self.width, self.height)
 
     @property
     def blurring(self) -> ExposureControl | None:
@@ -161,18 +171,6 @@ class Camera(ABC):
         focal = getattr(self, "f", 0.0), getattr(self, "focal_length_m", None)
         lens = None if self.optics is None else LensEffects(self.optics, size, self.centre, self.ray, *focal)
         return Imaging(size, self.rate_hz, lens, self.exposure, self.sensor, self.stream, rng)
-
-    def _check_imaging(self) -> None:
-        if len(self.panels) > 1:
-            field = next(name for name in ("optics", "exposure", "sensor", "stream") if getattr(self, name) is not None)
-            words = f"is of a camera with one picture, and {getattr(self, 'kind', 'this lens')} has several"
-            raise ParameterError(field, f"{words}; works: perspective, fisheye or catadioptric")
-        if self.optics is not None:
-            self.optics.check(self.with_depth, getattr(self, "focal_length_m", None))
-        if self.exposure is not None and self.exposure.auto is not None:
-            self.exposure.auto.check(self.period)
-        if self.stream is not None:
-            self.stream.check(self.width, self.height)
 
     @property
     def period(self) -> float:
@@ -264,3 +262,69 @@ class Camera(ABC):
         a = -1 / (sign + z)
         first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], axis=-1)
         return first, np.stack([x * y * a, sign + y * y * a, -y], axis=-1)
+
+
+@spec
+class Calibration:
+    """Errors of the calibration that robot, detector, observer and law work with; the simulator's camera is the true one.
+
+    believed mount = true mount * mount_error,  believed f = true f * (1 + focal_error),
+    believed principal point = true one + principal_error_px.
+
+    Args:
+        mount_error: pose of the believed camera in the true one's frame [m, deg].
+        focal_error: relative error of the focal length [1]; e.g. `0.02`.
+        principal_error_px: error of the principal point (u, v) [px]; e.g. `[3, -2]`.
+        ignores_distortion: the distortion is not modelled: a perspective lens is taken for a pinhole, a fisheye for equidistant.
+        depth_factor, depth_spread: error of every depth Z_i (and range) given to the law, whatever its source, and of the
+            distance in an estimated pose: Z_i * factor * exp(spread n_i), with one normal number n_i for each marker and run [1].
+        goal: how the goal view was given. `told`: as a pose in numbers; the law converges where the true camera sees the reference pixels
+            of the believed one, off by the calibration's error. `shown`: the true camera took the picture at the goal; pose and depth there
+            are estimated from it with the believed calibration, so that the errors at the goal cancel.
+
+    Reference: Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives 2003, doi:10.1109/ROBOT.2003.1241749.
+    """
+
+    mount_error: Pose = Pose()
+    focal_error: Annotated[float, Gt(-0.9), Lt(9)] = 0.0
+    principal_error_px: Pixel = (0.0, 0.0)
+    ignores_distortion: bool = False
+    depth_factor: Annotated[PositiveGain, Narrower(le=100)] = 1.0
+    depth_spread: Annotated[float, Ge(0), Le(3)] = 0.0
+    goal: Literal["told", "shown"] = "told"
+
+    @cached_property
+    def lens_exact(self) -> bool:
+        """Whether the believed intrinsics are the true ones."""
+        return not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion)
+
+    @cached_property
+    def camera_exact(self) -> bool:
+        """Whether the believed intrinsics and mount are the true ones."""
+        return self.lens_exact and self.mount_error == Pose()
+
+    @cached_property
+    def depth_exact(self) -> bool:
+        """Whether depths have no error."""
+        return self.depth_factor == 1 and self.depth_spread == 0
+
+    @property
+    def draws(self) -> bool:
+        """Whether a seed makes a difference: errors of the depths are drawn."""
+        return self.depth_spread > 0
+
+    def depth_scale(self, markers: int, rng: np.random.Generator) -> Array | None:
+        """Factor on each marker's depth in one run, shape (markers,); None where depths have no error."""
+        if self.depth_exact:
+            return None
+        return self.depth_factor * np.exp(self.depth_spread * rng.standard_normal(markers))
+
+    def believed(self, camera: Camera) -> Camera:
+        """The camera as robot, detector, observer and law know it; ParameterError where the lens is impossible with this error."""
+        if self.camera_exact:
+            return camera
+        mount = Pose.of(camera.mount.T @ self.mount_error.T)
+        if self.lens_exact:
+            return replace(camera, mount=mount)
+        cx, cy = (camera.centre + self.principal_error_px).tolist()
+        return replace(camera.miscalibrated(self.focal_error, (cx, cy), self.ignores_distortion), mount=mount)

@@ -22,6 +22,13 @@ DEFAULT_FOVY_DEG = 64.0  # 8 mm lens on a 10.24 mm sensor, the textbook's defaul
 X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
 
+def first_root(coefficients: list[float]) -> float:
+    """The first positive root of a polynomial, its highest power first; infinite where it has none."""
+    roots = np.roots(np.trim_zeros(coefficients, "f"))
+    real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
+    return float(real.min()) if len(real) else math.inf
+
+
 @spec
 class Perspective(Camera):
     """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy.
@@ -103,9 +110,7 @@ class Perspective(Camera):
     def reach2(self) -> float:
         """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6."""
         k1, k2, _, _, k3 = self.distortion or (0.0,) * 5
-        roots = np.roots(np.trim_zeros([7 * k3, 5 * k2, 3 * k1, 1.0], "f"))
-        real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
-        return float(real.min()) if len(real) else math.inf
+        return first_root([7 * k3, 5 * k2, 3 * k1, 1.0])
 
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""

@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len, Lt
 
 from vstestbed.camera.base import Camera, Panel
-from vstestbed.camera.perspective import Perspective
+from vstestbed.camera.perspective import Perspective, first_root
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, direction, joined
 from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositivePixels
@@ -156,9 +156,7 @@ class Fisheye(Radial):
     def turn(self) -> float:
         """Angle up to which m rises [rad]: the first positive root of dm/dtheta = 1 + 3 k1 theta^2 + ... + 9 k4 theta^8."""
         k1, k2, k3, k4 = self.coefficients
-        roots = np.roots(np.trim_zeros([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0], "f"))
-        real = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)]
-        return math.sqrt(real.min()) if len(real) else math.inf
+        return math.sqrt(first_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
 
     def radius(self, theta: Array) -> Array:
         """Distance m from the principal point in focal lengths [1] of angles theta (...) [rad]."""
@@ -258,20 +256,12 @@ class SphericalCamera(Radial):
     @cached_property
     def panels(self) -> tuple[Panel, ...]:
         """The six pictures in which markers are looked for, FACE_DEG wide each, in the order of `CUBE`."""
-        lens = Perspective(
-            width=self.face_px,
-            height=self.face_px,
-            fovy_deg=FACE_DEG,
-            rate_hz=self.rate_hz,
-            multisampling=self.multisampling,
-            anisotropy=self.anisotropy,
-            shadows=self.shadows,
-        )
+        same = {name: getattr(self, name) for name in ("rate_hz", "multisampling", "anisotropy", "shadows")}
+        lens = Perspective(width=self.face_px, height=self.face_px, fovy_deg=FACE_DEG, **same)
         return tuple(Panel(lens, R) for R in CUBE.values())
 
-    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> SphericalCamera:
-        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
-        raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
+    # Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them.
+    miscalibrated = Camera.miscalibrated
 
     @property
     def reach(self) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import colorsys
 import pathlib
 from abc import abstractmethod
+from collections import Counter
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -217,11 +218,9 @@ class Target:
     def _check_names(self) -> None:
         if self.names and len(self.names) != len(self.points):
             raise ParameterError("names", f"must be {len(self.points)} names, one for each marker, or none", list(self.names))
-        twice = [name for name in self.names if self.names.count(name) > 1]
-        if twice:
-            raise ParameterError(
-                "names", f"must be different: {twice[0]} stands there {self.names.count(twice[0])} times", list(self.names)
-            )
+        name, times = Counter(self.names).most_common(1)[0] if self.names else ("", 1)
+        if times > 1:
+            raise ParameterError("names", f"must be different: {name} stands there {times} times", list(self.names))
 
 
 BOARD_MARGIN = 1.5  # the board behind a square reaches this many marker radii beyond the markers' edges

@@ -92,26 +92,21 @@ class GroundLines(Target):
     @property
     def stripes(self) -> tuple[tuple[Array, Array], ...]:
         """Left and right edge of each line in the target frame, each (K, 2) [m]."""
-        half = self.marker.width_m / 2
-        return tuple((self._beside(offset + half), self._beside(offset - half)) for offset in self.offsets_m)
-
-    def _beside(self, offset: float) -> Array:
-        """The parallel of the route at an offset to the left [m], every centimetre of the route, shape (K, 2) [m]."""
-        _, xy, heading, _ = self.route.samples
-        return xy + offset * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+        half, (_, xy, heading, _) = self.marker.width_m / 2, self.route.samples
+        return tuple((_beside(xy, heading, offset + half), _beside(xy, heading, offset - half)) for offset in self.offsets_m)
 
     # Cached: `seen_from` runs for every frame, and a route has hundreds of samples.
     @cached_property
     def _lines(self) -> tuple[Array, ...]:
-        return tuple(self._beside(offset) for offset in self.offsets_m)
+        _, xy, heading, _ = self.route.samples
+        return tuple(_beside(xy, heading, offset) for offset in self.offsets_m)
 
     @cached_property
     def points(self) -> Array:
         """The points measured by a camera over the start of the route, facing along it, in the target frame, shape (N, 3) [m]."""
-        places = self.route.at(np.array(self.look_m))
-        sides = np.stack([-np.sin(places[:, 2]), np.cos(places[:, 2])], axis=-1)
-        xy = np.concatenate([places[:, :2] + offset * sides for offset in self.offsets_m])
-        return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
+        x, y, heading, _ = self.route.at(np.array(self.look_m)).T
+        xy = np.concatenate([_beside(np.column_stack([x, y]), heading, offset) for offset in self.offsets_m])
+        return np.column_stack([xy, np.zeros(len(xy))])
 
     def seen_from(self, T_target_camera: Array) -> Array:
         """Where the lines cross the look-ahead distances of a camera at a pose (4, 4): (N, 3) in its frame [m], NaN where one does not."""
@@ -131,6 +126,11 @@ class GroundLines(Target):
         """The hue of each point's line [deg]."""
         n = len(self.offsets_m)
         return tuple(360 * i / n for i in range(n) for _ in self.look_m)
+
+
+def _beside(xy: Array, heading: Array, offset: float) -> Array:
+    """Points (K, 2) beside points xy (K, 2) of a route with headings (K,) [rad], at an offset to the left [m]."""
+    return xy + offset * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
 
 
 def _crossings(line: Array, foot: Array, aheads: tuple[float, ...]) -> Array:

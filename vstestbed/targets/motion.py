@@ -142,8 +142,7 @@ class Sinusoid(MotionBase):
 
         def at(t: float) -> Array:
             s = math.sin(w * t)
-            D = np.eye(4)
-            D[:3, 3] = xyz * s
+            D = _shift(*(xyz * s))
             if rpy.any():
                 D[:3, :3] = rotation_from_rpy(np.radians(rpy * s))
             return D
@@ -208,8 +207,7 @@ class RandomWalk(MotionBase):
             while len(states) < k + 2:
                 states.append(F @ states[-1] + chol @ rng.standard_normal((2, 3)))
             (x0, v0), (x1, v1) = states[k], states[k + 1]
-            s = t / DRAW_S - k
-            h = DRAW_S
+            s, h = t / DRAW_S - k, DRAW_S
             x = x0 * (1 + 2 * s) * (1 - s) ** 2 + v0 * h * s * (1 - s) ** 2 + x1 * s * s * (3 - 2 * s) + v1 * h * s * s * (s - 1)
             return _shift(*(rms * x))
 

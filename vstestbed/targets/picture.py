@@ -129,10 +129,9 @@ def decoded(path: Path) -> NDArray[np.uint8]:
     try:
         plain = cv2.imdecode(raw, cv2.IMREAD_COLOR)
         full = cv2.imdecode(raw, cv2.IMREAD_UNCHANGED) if len(raw) and raw[0] == 0x89 else None  # of PNG, which alone has transparency
+        why = "it is damaged, or another kind of file"
     except cv2.error as error:  # empty, or more pixels than OpenCV reads
         plain, full, why = None, None, " ".join(str(error.err).split())
-    else:
-        why = "it is damaged, or another kind of file"
     if plain is None:
         raise ParameterError("file", f"cannot be read as a picture ({why}); works: a PNG or JPEG file", str(path))
     image = np.asarray(plain, np.uint8)

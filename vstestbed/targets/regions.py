@@ -5,6 +5,7 @@ from __future__ import annotations
 import colorsys
 import math
 from functools import cached_property, lru_cache
+from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -72,11 +73,9 @@ def distance_to_conic(C: Array, xy: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def unit_circle(count: int) -> Array:
-    """(cos, sin) at `count` equal angles from 0 on, shape (count, 2), read-only."""
+    """(cos, sin) at `count` equal angles from 0 on, shape (count, 2); kept, so nobody may write to it."""
     angle = np.arange(count) * (2 * np.pi / count)
-    out = np.column_stack([np.cos(angle), np.sin(angle)])
-    out.setflags(write=False)
-    return out
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _inverse_2x2(A: Array) -> Array:
@@ -120,9 +119,7 @@ def evenly_along(xy: Array, count: int) -> Array:
 
 def crossing(xy: Array) -> tuple[int, int] | None:
     """Numbers of two sides of a polygon (E, 2) that meet elsewhere than neighbours do, or fold back onto each other; None without such."""
-    n = len(xy)
-    pairs = ((i, j) for i in range(n) for j in range(i + 1, n))
-    return next(((i, j) for i, j in pairs if _meet(xy, i, j)), None)
+    return next(((i, j) for i, j in combinations(range(len(xy)), 2) if _meet(xy, i, j)), None)
 
 
 def _meet(xy: Array, i: int, j: int) -> bool:

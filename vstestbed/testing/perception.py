@@ -37,7 +37,7 @@ MARGIN_PX = 10.0  # a marker that must be found is this far inside the picture [
 
 
 def check_detector(detector: Detector[Any], scenario: Scenario | None = None, within_px: float = 0.5) -> None:
-    """A detector finds all markers of a rendered picture, at their places; none in an empty one; and its memory is passed.
+    """A detector finds all markers of a rendered picture, at their places; none in an empty one; and its state is passed.
 
     detector: with the parameters to test. scenario: whose start shows all markers; None: a bundled one with a marker that it sees.
     within_px: largest distance from the true image of a marker's centre [px].
@@ -52,11 +52,11 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
     with closing(plant):
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None
-    true, memory, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
+    true, state, rng = s.camera.project(truth.p_camera), detector.init(), np.random.default_rng(0)
     undrawn = rng.bit_generator.state
     shown = _shown(s, truth)
     for turn in ("from the whole picture", "beside the last one"):  # the second time it may look in windows
-        memory, detection = detector.detect(memory, picture, view, s.camera, s.target, rng)
+        state, detection = detector.detect(state, picture, view, s.camera, s.target, rng)
         assert detection.uv.shape == true.shape, f"{detector.kind}: uv must have shape {true.shape}, got {detection.uv.shape}"
         error = np.linalg.norm(detection.uv - true, axis=1)[shown]
         assert (error < within_px).all(), f"{detector.kind} {turn}: every marker must be within {within_px:g} px, off by {error.round(3)}"

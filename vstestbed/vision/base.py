@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Picture, Window
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.features.depth import depth_at
 from vstestbed.features.observation import Goal
@@ -80,19 +81,24 @@ class Detector(Generic[M]):
         """The state before the first picture of a run to a goal, with the picture taken there where `needs_goal` is set."""
         return self.init()
 
-    def look(self, memory: M, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: M, camera: Camera, target: Target) -> Look | None:
         """Regions of interest in the next picture; None for the whole picture."""
         return None
 
     @abstractmethod
     def detect(
-        self, memory: M, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, state: M, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[M, Detection]:
         """One picture: the next state and the marker positions.
 
         Raises ParameterError: the picture, or the truth, is missing; or the target is of another kind.
         """
         ...
+
+    def _given(self, picture: Picture | None) -> Picture:
+        if picture is None or picture.empty:
+            raise ParameterError("picture", f"is missing: detector {self.kind} needs one; use detector oracle where there is none")
+        return picture
 
 
 DetectorBase = Detector  # the name from which plugins derive
@@ -144,16 +150,19 @@ def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window
 
 
 def windows_round(
-    boxes: Sequence[Window | None], moves: Sequence[Move], panels: Sequence[int], camera: Camera, margin: float
+    boxes: Sequence[Window | None], moves: Sequence[Move], camera: Camera, margin: float, panels: Sequence[int] | None = None
 ) -> list[Window] | None:
     """A window around each object's predicted box, in its panel; None where an object is lost or a whole search is faster.
 
     Args:
         boxes: bounding boxes in the last picture [px]; None for a lost object. moves: displacements since the picture before [px].
-        panels: index of the camera's panel in which each object is. margin: around the predicted box [px].
+        margin: around the predicted box [px].
+        panels: index of the camera's panel in which each object is; None: of a camera with one panel, in others it is None.
     """
+    if panels is None and len(camera.panels) > 1:
+        return None
     out: list[Window] = []
-    for box, move, panel in zip(boxes, moves, panels, strict=True):
+    for box, move, panel in zip(boxes, moves, panels or [0] * len(boxes), strict=True):
         window = window_round(box, move, camera.panels[panel].lens, margin) if box else None
         if window is None:
             return None

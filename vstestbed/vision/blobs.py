@@ -14,7 +14,6 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Panel, Picture, Window
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths, transform
 from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
 from vstestbed.core.spec import spec
@@ -230,7 +229,7 @@ TWIN_COSINE = math.cos(math.radians(3))
 
 
 @dataclass(frozen=True, slots=True)
-class BlobsMemory:
+class BlobsState:
     """State of the blob detector, of N markers.
 
     Attributes:
@@ -246,20 +245,20 @@ class BlobsMemory:
     panels: tuple[int, ...] = ()
 
 
-def windows(memory: BlobsMemory, camera: Camera, margin: int) -> list[Window] | None:
+def windows(state: BlobsState, camera: Camera, margin: int) -> list[Window] | None:
     """A window around each marker's predicted blob, in its panel; None where one is lost or a whole search is faster."""
-    return windows_round([b.box if b else None for b in memory.blobs], memory.moves, memory.panels, camera, margin)
+    return windows_round([b.box if b else None for b in state.blobs], state.moves, camera, margin, state.panels)
 
 
-def look_of(memory: BlobsMemory, camera: Camera, margin: int) -> Look | None:
+def look_of(state: BlobsState, camera: Camera, margin: int) -> Look | None:
     """Regions of interest, in each panel, of the next detection; None for everything."""
-    own = windows(memory, camera, margin + MEASURED_PX)
+    own = windows(state, camera, margin + MEASURED_PX)
     if own is None:
         return None
     if len(camera.panels) == 1:
         return (tuple(own),)
     out: list[list[Window]] = [[] for _ in camera.panels]
-    for blob, move, home in zip(memory.blobs, memory.moves, memory.panels, strict=True):
+    for blob, move, home in zip(state.blobs, state.moves, state.panels, strict=True):
         if blob is None:
             return None
         for panel, window in _enlarged_windows(blob, move, home, camera, margin):
@@ -279,14 +278,14 @@ def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin:
             yield panel, window
 
 
-def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
+def moves_of(state: BlobsState, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:
     """Displacement of each blob since the last picture [px]; the last known one of a blob that was not seen then, or is not now.
 
     Zero where none is known in the panel in which the blob is now.
     """
     none = (None,) * len(blobs)
     out: list[Move] = []
-    last = zip(memory.blobs or none, memory.moves or none, memory.panels or none, strict=True)
+    last = zip(state.blobs or none, state.moves or none, state.panels or none, strict=True)
     for (a, move, before), b, panel in zip(last, blobs, panels, strict=True):
         if before is not None and before != panel:
             seen = seen_from(a, (0.0, 0.0), before, panel, camera) if a else None
@@ -295,10 +294,10 @@ def moves_of(memory: BlobsMemory, blobs: list[Blob | None], panels: list[int], c
     return tuple(out)
 
 
-def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
+def hand_over(state: BlobsState, camera: Camera, margin: int) -> BlobsState:
     """The same with each blob that nears its panel's border in the panel where it will be farthest from a border."""
-    blobs, moves, panels = list(memory.blobs), list(memory.moves), list(memory.panels)
-    for i, (blob, move, home) in enumerate(zip(memory.blobs, memory.moves, memory.panels, strict=True)):
+    blobs, moves, panels = list(state.blobs), list(state.moves), list(state.panels)
+    for i, (blob, move, home) in enumerate(zip(state.blobs, state.moves, state.panels, strict=True)):
         if blob is None:
             continue
         most = _slack(blob, move, camera.panels[home].lens)
@@ -309,7 +308,7 @@ def hand_over(memory: BlobsMemory, camera: Camera, margin: int) -> BlobsMemory:
             if seen is not None and _slack(*seen, camera.panels[panel].lens) > most:
                 most = _slack(*seen, camera.panels[panel].lens)
                 (blobs[i], moves[i]), panels[i] = seen, panel
-    return replace(memory, blobs=tuple(blobs), moves=tuple(moves), panels=tuple(panels))
+    return replace(state, blobs=tuple(blobs), moves=tuple(moves), panels=tuple(panels))
 
 
 def seen_from(blob: Blob, move: Move, panel: int, other: int, camera: Camera) -> tuple[Blob, Move] | None:
@@ -377,20 +376,20 @@ class MarkerFit:
         self.outliers = np.zeros(len(target.points), dtype=bool)
         """Which blobs are no markers of this target: they lie far from where the pose of the others predicts them, (N,)."""
 
-    def centres(self, blobs: list[Blob | None], memory: BlobsMemory, correct: bool) -> tuple[Array, Array | None, Array]:
+    def centres(self, blobs: list[Blob | None], state: BlobsState, correct: bool) -> tuple[Array, Array | None, Array]:
         """Marker centres (N, 2) in the camera's own pixels, the pose (4, 4), and the perspective bias (N, 2) in the panels'.
 
         Args:
-            blobs: of each marker; None where none was found. memory: the last picture, whose bias and pose start the iteration.
+            blobs: of each marker; None where none was found. state: the last picture, whose bias and pose start the iteration.
             correct: subtract the bias from the centres.
         """
         whole = [b if b and b.whole else None for b in blobs]
         centroid = np.array([(b.u, b.v) if b else (np.nan, np.nan) for b in whole])
         area = np.array([b.area if b else np.nan for b in whole])
-        assumed = np.zeros_like(centroid) if memory.bias is None else memory.bias
-        T, bias = self._fitted(centroid, area, assumed, memory.T_camera_target)
+        assumed = np.zeros_like(centroid) if state.bias is None else state.bias
+        T, bias = self._fitted(centroid, area, assumed, state.T_camera_target)
         if T is None:
-            bias = self._bias_without_pose(centroid, area, bias, memory.T_camera_target)
+            bias = self._bias_without_pose(centroid, area, bias, state.T_camera_target)
         uv = centroid - bias if correct else centroid
         return (uv if self._of is None else self._camera.project(self._rays(uv))), T, bias
 
@@ -583,38 +582,37 @@ class Blobs(DetectorBase):
     needs_image: ClassVar[bool] = True
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")
 
-    def init(self) -> BlobsMemory:
+    def init(self) -> BlobsState:
         """Nothing seen yet."""
-        return BlobsMemory()
+        return BlobsState()
 
-    def look(self, memory: BlobsMemory, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: BlobsState, camera: Camera, target: Target) -> Look | None:
         """Windows around the predicted markers, in a camera with panels also across the seams; None where a marker is lost."""
-        return look_of(memory, camera, self.window_margin_px) if memory.blobs else None
+        return look_of(state, camera, self.window_margin_px) if state.blobs else None
 
     def detect(
-        self, memory: BlobsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
-    ) -> tuple[BlobsMemory, Detection]:
+        self, state: BlobsState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[BlobsState, Detection]:
         """Marker centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
-        if picture is None or picture.empty:
-            raise ParameterError("picture", "is missing: detector blobs needs one; use detector oracle where there is none")
+        picture = self._given(picture)
         noise = _noise_levels(picture)
-        found = self._track(picture, noise, memory, camera, target)
+        found = self._track(picture, noise, state, camera, target)
         if found is None:
             picture = picture.completed()
             noise = _noise_levels(picture)
-            found = self._search(picture, noise, memory, camera, target)
+            found = self._search(picture, noise, state, camera, target)
         blobs = [f[1] if f else None for f in found]
         # A marker that is not found stays in the panel in which it was seen last, at first 0.
-        panels = [f[0] if f else last for f, last in zip(found, memory.panels or (0,) * len(found), strict=True)]
+        panels = [f[0] if f else last for f, last in zip(found, state.panels or (0,) * len(found), strict=True)]
         noisy = any(noise[f[0]] > 0 for f in found if f)
         # A clean image of one sample a pixel has exact colours.
         edge = EDGE_PX if noisy or _smooth(camera.panels[0].lens) else 0.0
         markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
-        uv, T, bias = markers.centres(blobs, memory, self.correct_centre)
+        uv, T, bias = markers.centres(blobs, state, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
             blobs[i] = None  # not tracked: its window would follow the wrong object
-        kept = T if T is not None else memory.T_camera_target
-        after = BlobsMemory(tuple(blobs), moves_of(memory, blobs, panels, camera), kept, bias, tuple(panels))
+        kept = T if T is not None else state.T_camera_target
+        after = BlobsState(tuple(blobs), moves_of(state, blobs, panels, camera), kept, bias, tuple(panels))
         if len(camera.panels) > 1:
             after = hand_over(after, camera, self.window_margin_px)
         return after, Detection(uv=uv, T_camera_target=T)
@@ -634,15 +632,15 @@ class Blobs(DetectorBase):
                 blobs[:] = [blob for blob, is_seen in zip(blobs, seen.tolist(), strict=True) if is_seen]
         return found
 
-    def _track(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found] | None:
+    def _track(self, picture: Picture, noise: list[float], state: BlobsState, camera: Camera, target: Target) -> list[Found] | None:
         """Each marker's blob from a window of its own; None where one is lost and the whole image must be searched."""
-        own = windows(memory, camera, self.window_margin_px)
-        if own is None or any(picture.images[panel] is None for panel in memory.panels):
+        own = windows(state, camera, self.window_margin_px)
+        if own is None or any(picture.images[panel] is None for panel in state.panels):
             return None
-        places = list(zip(memory.panels, own, strict=True))
+        places = list(zip(state.panels, own, strict=True))
         found: list[Found] = []
         by_marker = self._blobs_in(places, picture, noise, camera)
-        for hue, last, move, (panel, window), blobs in zip(target.hues_deg, memory.blobs, memory.moves, places, by_marker, strict=True):
+        for hue, last, move, (panel, window), blobs in zip(target.hues_deg, state.blobs, state.moves, places, by_marker, strict=True):
             lens = camera.panels[panel].lens
             if last is None:
                 return None
@@ -656,7 +654,7 @@ class Blobs(DetectorBase):
             found.append((panel, blob))
         return found
 
-    def _search(self, picture: Picture, noise: list[float], memory: BlobsMemory, camera: Camera, target: Target) -> list[Found]:
+    def _search(self, picture: Picture, noise: list[float], state: BlobsState, camera: Camera, target: Target) -> list[Found]:
         """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains; with panels the largest
         one.
         """
@@ -666,7 +664,7 @@ class Blobs(DetectorBase):
         everywhere = [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
         by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
-            return list(assign_blobs(by_marker, camera, target, memory.T_camera_target))
+            return list(assign_blobs(by_marker, camera, target, state.T_camera_target))
         return [largest(some, camera) for some in by_marker]
 
     def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:

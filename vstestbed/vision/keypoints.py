@@ -171,26 +171,17 @@ CONFIDENCE, MOST_SAMPLES = 0.9999, 5000
 STEP_PX = 0.5  # half the distance over which the map's derivatives are taken [px]
 
 
-@dataclass(frozen=True, slots=True)
-class PlanarMap:
-    """The map of a plane's points from the goal's picture into another, by their rays: r ~ H r*, H (3, 3), through the lens of both."""
-
-    H: Array
-    camera: Camera
-
-    def __call__(self, uv_goal: Array) -> Array:
-        """Pixels (..., 2) in this picture of pixels (..., 2) of the goal's; NaN where the lens does not see them."""
-        return self.camera.project(self.camera.ray(uv_goal) @ self.H.T)
-
-    def derivatives(self, uv_goal: Array) -> Array:
-        """How the map turns, stretches and shears the picture's parts at uv_goal (K, 2): d uv / d uv_goal (K, 2, 2)."""
-        steps = STEP_PX * np.eye(2)
-        ahead, back = (self(uv_goal[:, None] + sign * steps) for sign in (1, -1))  # (K, 2 directions, 2 coordinates)
-        return ((ahead - back) / (2 * STEP_PX)).mT
+def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
+    """How the homography H of rays, r ~ H r*, turns, stretches and shears the picture at uv_goal (K, 2): d uv / d uv_goal (K, 2, 2)."""
+    steps = STEP_PX * np.eye(2)
+    ahead, back = (camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1))  # (K, 2 directions, 2)
+    return ((ahead - back) / (2 * STEP_PX)).mT
 
 
-def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> tuple[PlanarMap, NDArray[np.bool_]] | None:
-    """The homography with which the most pairs uv_goal (M, 2), uv (M, 2) agree, and which do (M,); None where too few do.
+def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
+    """The homography H (3, 3) of rays with which the most pairs uv_goal (M, 2), uv (M, 2) agree, and which do (M,); None where too few do.
+
+    It maps the rays of a plane's points in the goal's picture to those in another, r ~ H r*.
 
     By random samples and a local optimisation of the best (LO-RANSAC with truncated squares), in the picture of a camera without
     distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
@@ -212,7 +203,7 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     # Its sign is the one that leaves the points in front of the camera.
     H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
     ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
-    return PlanarMap(H * np.sign(np.median(ahead)), camera), agree
+    return H * np.sign(np.median(ahead)), agree
 
 
 def _focal_px(camera: Camera) -> float:
@@ -290,7 +281,7 @@ SLIPPED_PX = 0.25  # a patch that is farther than this from where the other patc
 
 
 @dataclass(frozen=True, slots=True)
-class KeypointsMemory:
+class KeypointsState:
     """State of the detector in a run to one goal.
 
     Attributes:
@@ -377,14 +368,14 @@ class Keypoints(DetectorBase):
         """Without tracking, others are found in every picture."""
         return isinstance(self.track, NoTracking)
 
-    def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsMemory:
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsState:
         """The goal picture's key points. Raises ParameterError: it has no picture, or too few key points; or the target has no board."""
         if goal.image is None:
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
         if self.within == "board" and target.board_half_m is None:
             raise ParameterError("detector.within", f"may not be board with target {kind_of(type(target))}, which has none; use picture")
         learned = self._learned(goal, target) if self._extractor else None
-        return KeypointsMemory(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
+        return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
     @property
     def _matching(self) -> int:
@@ -424,32 +415,32 @@ class Keypoints(DetectorBase):
 
     def detect(
         self,
-        memory: KeypointsMemory,
+        state: KeypointsState,
         picture: Picture | None,
         view: TruthView | None,
         camera: Camera,
         target: Target,
         rng: np.random.Generator,
-    ) -> tuple[KeypointsMemory, Detection]:
+    ) -> tuple[KeypointsState, Detection]:
         """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points."""
         image = None if picture is None else picture.completed().image
         if image is None:
             raise ParameterError("picture", "is missing: detector keypoints needs one whole picture")
-        if not isinstance(memory, KeypointsMemory):
-            raise ParameterError("memory", "must be that of `begin`, which learns the goal's picture")
+        if not isinstance(state, KeypointsState):
+            raise ParameterError("state", "must be that of `begin`, which learns the goal's picture")
         dim = grey(image)
-        slots = self._followed(memory, dim, camera)
-        since, why = memory.since + 1, ""
+        slots = self._followed(state, dim, camera)
+        since, why = state.since + 1, ""
         if slots is None or self._due(slots, since):
             kept = (slots.uv_goal[slots.taken], slots.uv[slots.taken]) if slots is not None else None
-            pairs = self._matches(memory, image, target)
-            found, agreeing = self._chosen(memory, pairs, kept, dim, camera)
-            slots, since, why = memory.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
+            pairs = self._matches(state, image, target)
+            found, agreeing = self._chosen(state, pairs, kept, dim, camera)
+            slots, since, why = state.slots.placed(*found), 0, self._why(len(pairs[0]), agreeing, len(found[0]))
         if np.count_nonzero(slots.taken) < self.least:
-            last = memory.slots  # its points: a law that coasts knows what it saw there
+            last = state.slots  # its points: a law that coasts knows what it saw there
             slots = Slots(last.uv_goal, np.full(last.uv.shape, np.nan), last.ids, last.next_id)
-        memory = replace(memory, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
-        return memory, Detection(slots.uv, goal=goal_of_points(memory.goal, slots.uv_goal), ids=slots.ids, why=why)
+        state = replace(state, slots=slots, last=dim if isinstance(self.track, Klt) else None, since=since)
+        return state, Detection(slots.uv, goal=goal_of_points(state.goal, slots.uv_goal), ids=slots.ids, why=why)
 
     def _why(self, matching: int, agreeing: int, measured: int) -> str:
         """Why nothing is reported though points match; "" where too few do, or enough are measured."""
@@ -466,34 +457,34 @@ class Keypoints(DetectorBase):
         keep = max(self.least, self.best // 2) if self.track.keep is None else self.track.keep
         return since >= self.track.redetect_every or int(np.count_nonzero(slots.taken)) < keep
 
-    def _followed(self, memory: KeypointsMemory, dim: Image, camera: Camera) -> Slots | None:
-        if memory.last is None or not isinstance(self.track, Klt):
+    def _followed(self, state: KeypointsState, dim: Image, camera: Camera) -> Slots | None:
+        if state.last is None or not isinstance(self.track, Klt):
             return None
-        slots = memory.slots.moved(followed(self.track, memory.last, dim, memory.slots.uv))
+        slots = state.slots.moved(followed(self.track, state.last, dim, state.slots.uv))
         there = slots.taken
         found = planar_map(camera, slots.uv_goal[there], slots.uv[there], self.ransac_px) if there.any() else None
         if found is None:
             return slots
-        plane, agree = found
+        H, agree = found
         uv = slots.uv.copy()
         if self.ransac == "homography":
             uv[np.flatnonzero(there)[~agree]] = np.nan
         if self.subpixel:
-            uv[there] = self._refined(memory, slots.uv_goal[there], uv[there], dim, plane)
+            uv[there] = self._refined(state, slots.uv_goal[there], uv[there], dim, camera, H)
         return slots.moved(uv)
 
-    def _matches(self, memory: KeypointsMemory, image: Image, target: Target) -> Pairs:
-        if self._extractor is not None and memory.learned is not None:
+    def _matches(self, state: KeypointsState, image: Image, target: Target) -> Pairs:
+        if self._extractor is not None and state.learned is not None:
             uv, descriptors = extracted(self._extractor, image)
-            i, j, _ = mutual_matches(memory.learned[1], descriptors, self.ratio)
-            return memory.learned[0][i], uv[j]
-        assert memory.goal.image is not None
-        uv_goal, uv, distance = matched(cast(Matcher, self.features), memory.goal.image.image, image)
+            i, j, _ = mutual_matches(state.learned[1], descriptors, self.ratio)
+            return state.learned[0][i], uv[j]
+        assert state.goal.image is not None
+        uv_goal, uv, distance = matched(cast(Matcher, self.features), state.goal.image.image, image)
         order = np.argsort(distance, kind="stable")
-        order = order[self._usable(memory.goal, target, uv_goal)[order]]
+        order = order[self._usable(state.goal, target, uv_goal)[order]]
         return uv_goal[order], uv[order]
 
-    def _chosen(self, memory: KeypointsMemory, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> tuple[Pairs, int]:
+    def _chosen(self, state: KeypointsState, pairs: Pairs, kept: Pairs | None, dim: Image, camera: Camera) -> tuple[Pairs, int]:
         """The pairs that are reported: those that were followed, then others by distance or spread; and how many there were to choose."""
         first = 0 if kept is None else len(kept[0])
         if kept is not None:
@@ -505,15 +496,17 @@ class Keypoints(DetectorBase):
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
-        return self._measured(memory, *those(pairs, whole(dim, *pairs, found[0].derivatives(pairs[0])), first), dim, found[0]), agreeing
+        H = found[0]
+        pairs, first = those(pairs, whole(dim, *pairs, map_derivatives(camera, H, pairs[0])), first)
+        return self._measured(state, pairs, first, dim, camera, H), agreeing
 
-    def _measured(self, memory: KeypointsMemory, pairs: Pairs, first: int, dim: Image, plane: PlanarMap) -> Pairs:
+    def _measured(self, state: KeypointsState, pairs: Pairs, first: int, dim: Image, camera: Camera, H: Array) -> Pairs:
         """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
         tried = max(round(SPARE * self.best), LEAST_TRIED)
         most = FURTHER * tried
         while True:
             some = self._best(pairs, first, tried)
-            uv = self._refined(memory, *some, dim, plane)
+            uv = self._refined(state, *some, dim, camera, H)
             there = np.flatnonzero(np.isfinite(uv[:, 0]))[: self.best]
             if len(there) == self.best or len(some[0]) < tried or tried >= most:
                 return some[0][there], uv[there]
@@ -524,8 +517,8 @@ class Keypoints(DetectorBase):
         index = spread_out(pairs[0], most, first) if self.choose == "spread" else np.arange(min(most, len(pairs[0])))
         return pairs[0][index], pairs[1][index]
 
-    def _refined(self, memory: KeypointsMemory, uv_goal: Array, uv: Array, dim: Image, plane: PlanarMap) -> Array:
+    def _refined(self, state: KeypointsState, uv_goal: Array, uv: Array, dim: Image, camera: Camera, H: Array) -> Array:
         """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""
-        found = refined(memory.smooth, smooth(dim), uv_goal, uv, plane.derivatives(uv_goal))
-        better = planar_map(plane.camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
+        found = refined(state.smooth, smooth(dim), uv_goal, uv, map_derivatives(camera, H, uv_goal))
+        better = planar_map(camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
         return found if better is None else np.where(better[1][:, None], found, np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -55,12 +55,8 @@ class Strip:
         return max(0, int(left)), max(0, int(top)), min(lens.width, int(right)), min(lens.height, int(bottom))
 
 
-@dataclass(frozen=True, slots=True)
-class LinesMemory:
-    """The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where never seen."""
-
-    strips: tuple[Strip, ...] = ()
-    lefts: Array | None = None
+LinesState = tuple[tuple[Strip, ...], Array | None]
+"""The strips, built with the first picture, and the last y of each point, shape (N,) [m], NaN where never seen."""
 
 
 @spec
@@ -92,27 +88,25 @@ class Lines(DetectorBase):
     needs_image: ClassVar[bool] = True
     markers: ClassVar[tuple[str, ...]] = ("stripe",)
 
-    def init(self) -> LinesMemory:
+    def init(self) -> LinesState:
         """Nothing seen yet."""
-        return LinesMemory()
+        return (), None
 
-    def look(self, memory: LinesMemory, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: LinesState, camera: Camera, target: Target) -> Look | None:
         """The windows that hold the strips; None before the first picture."""
-        if not memory.strips:
+        if not state[0]:
             return None
         panels = enumerate(camera.panels)
-        return tuple(tuple(w for s in memory.strips if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
+        return tuple(tuple(w for s in state[0] if (w := s.window(i, panel.lens)) is not None) for i, panel in panels)
 
     def detect(
-        self, memory: LinesMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
-    ) -> tuple[LinesMemory, Detection]:
+        self, state: LinesState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[LinesState, Detection]:
         """Crossings (N, 2) [px] in one picture, in the target's order, NaN where not seen."""
-        if picture is None or picture.empty:
-            raise ParameterError("picture", "is missing: detector lines needs one; use detector oracle where there is none")
+        picture, (strips, last), n = self._given(picture), state, len(target.points)
         assert isinstance(target, GroundLines)  # a scenario refuses others
-        strips = memory.strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
-        n = len(target.points)
-        last = np.full(n, np.nan) if memory.lefts is None else memory.lefts
+        strips = strips or tuple(_strip(camera, ahead, self.reach_m) for ahead in target.look_m)
+        last = np.full(n, np.nan) if last is None else last
         hues, lefts = target.hues_deg, np.full(n, np.nan)
         for k, strip in enumerate(strips):
             floor = _from_above(picture, strip)
@@ -126,7 +120,7 @@ class Lines(DetectorBase):
                 lefts[i] = self._cross(strip, colour, mask, target.marker.width_m, last[i])
         aheads = np.tile(np.array([s.ahead for s in strips]), n // len(strips))
         uv = camera.project(on_foot(camera.mount.T, np.column_stack([aheads, lefts])))
-        return LinesMemory(strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
+        return (strips, np.where(np.isfinite(lefts), lefts, last)), Detection(uv=uv)
 
     def _cross(self, strip: Strip, colour: Image, mask: Image, width_m: float, last: float) -> float:
         """Y at which a line crosses the middle row of its strip [m]; NaN where it is not seen well enough.
@@ -146,18 +140,15 @@ class Lines(DetectorBase):
             return math.nan
         mass = weight[rows].sum(axis=1)
         columns = weight[rows] @ np.arange(weight.shape[1]) / mass
-        slope, crossing = _fit(np.column_stack([(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]))
+        points = np.column_stack([(rows - ROWS // 2) * strip.row_m / strip.column_m, columns]).astype(np.float32)
+        # With Huber's loss, outliers beyond a unit or so weigh little.
+        vx, vy, x0, y0 = cv2.fitLine(points, cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
+        slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
+        crossing = y0 - slope * x0
         width = float(np.median(mass)) / float(weight.max()) * strip.column_m / math.hypot(1.0, slope)
         if abs(width - width_m) > self.width_tolerance * width_m:
             return math.nan
         return float(strip.lefts[0] + crossing * (strip.lefts[1] - strip.lefts[0]))
-
-
-def _fit(points: NDArray[np.floating[Any]]) -> tuple[float, float]:
-    """Slope and intercept of the line through points (K, 2), with Huber's loss: outliers beyond a unit or so weigh little."""
-    vx, vy, x0, y0 = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 1e-3, 1e-3).ravel().tolist()
-    slope = vy / vx if abs(vx) > 1e-6 else math.copysign(1e6, vy)
-    return slope, y0 - slope * x0
 
 
 def _strip(camera: Camera, ahead: float, reach: float) -> Strip:

@@ -35,7 +35,7 @@ _AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class FlowMemory:
+class FlowState:
     """State of the estimator, of N markers.
 
     Attributes:
@@ -50,21 +50,21 @@ class FlowMemory:
     t: float
     ids: NDArray[np.intp] | None = None
 
-    def of(self, ids: NDArray[np.intp] | None) -> FlowMemory:
+    def of(self, ids: NDArray[np.intp] | None) -> FlowState:
         """The state for rows with points `ids` (N,): of a point that was not in its row nothing is known."""
         if ids is None or self.ids is None:
             return self if ids is None else replace(self, ids=ids)
         same = ids == self.ids
         theta, ray = np.where(same, self.inverse_range, np.nan), np.where(same[:, None], self.ray, np.nan)
-        return FlowMemory(theta, np.where(same, self.information, 0.0), ray, self.t, ids)
+        return FlowState(theta, np.where(same, self.information, 0.0), ray, self.t, ids)
 
 
-def init_flow(n: int) -> FlowMemory:
+def init_flow(n: int) -> FlowState:
     """No marker seen yet."""
-    return FlowMemory(np.full(n, np.nan), np.zeros(n), np.full((n, 3), np.nan), np.nan)
+    return FlowState(np.full(n, np.nan), np.zeros(n), np.full((n, 3), np.nan), np.nan)
 
 
-def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, twist: Array) -> FlowMemory:
+def update_flow(estimate: Estimate, state: FlowState, t: float, ray: Array, twist: Array) -> FlowState:
     """One frame of recursive least squares on theta = 1/R of each marker, under the camera's twist (6,) in force since the last frame.
 
     The flow of a unit ray r to a point at the range R:   r_dot = -(v - r (r.v)) / R - w x r
@@ -78,23 +78,23 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     Reference: De Luca, Oriolo & Robuffo Giordano 2008, doi:10.1177/0278364908095847 (depth from flow and known motion);
     Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
     """
-    dt = t - memory.t
+    dt = t - state.t
     begin = np.where(ray[:, 2] > BESIDE, ray[:, 2], 1.0) / estimate.initial_m
-    theta = np.where(np.isnan(memory.inverse_range) & np.isfinite(ray[:, 0]), begin, memory.inverse_range)
+    theta = np.where(np.isnan(state.inverse_range) & np.isfinite(ray[:, 0]), begin, state.inverse_range)
     if not dt > 0:  # also the first frame, whose dt is NaN
-        return FlowMemory(theta, memory.information, np.where(np.isfinite(ray), ray, memory.ray), t, memory.ids)
-    known = np.isfinite(ray[:, 0]) & np.isfinite(memory.ray[:, 0])
+        return FlowState(theta, state.information, np.where(np.isfinite(ray), ray, state.ray), t, state.ids)
+    known = np.isfinite(ray[:, 0]) & np.isfinite(state.ray[:, 0])
     # Lost markers get any unit ray, so that no NaN spreads; `known` masks the result.
-    middle = np.where(known[:, None], ray + memory.ray, _AHEAD)
+    middle = np.where(known[:, None], ray + state.ray, _AHEAD)
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     nearing = middle @ twist[:3]
     theta = _advance(theta, nearing, dt / 2)  # to mid-interval, where the flow is measured
     phi = middle * nearing[:, None] - twist[:3]
-    y = np.where(known[:, None], (ray - memory.ray) / dt + np.cross(twist[3:], middle), 0.0)
+    y = np.where(known[:, None], (ray - state.ray) / dt + np.cross(twist[3:], middle), 0.0)
     evidence = np.einsum("ni,ni->n", phi, phi)
     least = (np.sqrt(2) * FLOW_NOISE / (dt * theta)) ** 2
     teaches = known & (evidence > least)
-    information = np.fmax(memory.information, least)
+    information = np.fmax(state.information, least)
     forgotten = np.exp(-dt / estimate.forget_s * evidence / (evidence + CLEAR * least))
     information = np.where(teaches, information * forgotten + evidence, information)
     innovation = np.einsum("ni,ni->n", phi, y - phi * theta[:, None])
@@ -102,7 +102,7 @@ def update_flow(estimate: Estimate, memory: FlowMemory, t: float, ray: Array, tw
     theta = theta + np.where(teaches, innovation / information, 0.0)
     low, high = 1 / (RANGE * estimate.initial_m), RANGE / estimate.initial_m
     theta = np.clip(_advance(np.clip(theta, low, high), nearing, dt / 2), low, high)
-    return FlowMemory(theta, information, ray, t, memory.ids)
+    return FlowState(theta, information, ray, t, state.ids)
 
 
 def _advance(theta: Array, nearing: Array, dt: float) -> Array:
@@ -146,7 +146,7 @@ def pose_by_depth(T: Array, points: Array, scale: Array) -> Array:
     return out
 
 
-class ObserverMemory(NamedTuple):
+class ObserverState(NamedTuple):
     """What an observer keeps from one frame to the next.
 
     Attributes:
@@ -158,7 +158,7 @@ class ObserverMemory(NamedTuple):
 
     t: float = np.nan
     T_camera_target: Array | None = None
-    flow: FlowMemory | None = None
+    flow: FlowState | None = None
     place: Array | None = None
     odometry: Array | None = None
     trim: Trim = NO_TRIM
@@ -176,7 +176,7 @@ class Observer:
         grounded: the robot is a ground vehicle; its planar pose is estimated where the target stands still.
         derotation: how the measurements of a tilted craft are rotated into its level frame (`derotate`).
         trim_s: time constant with which the goal view corrects the craft's measured tilt [s]; 0 leaves it uncorrected.
-        depth_scale: factor on each marker's reported depth (N,), a calibration error. The memory stays unscaled.
+        depth_scale: factor on each marker's reported depth (N,), a calibration error. The state stays unscaled.
         perturbed: perturbs the measured coordinates further. rows: number of points that the detector reports, where not the markers.
         points: what is measured (N, 3), in the target's frame [m]; None: the target's markers.
     """
@@ -200,10 +200,10 @@ class Observer:
     def _points(self) -> Array:
         return self.target.points if self.points is None else self.points
 
-    def init(self) -> ObserverMemory:
-        """The memory before the first frame."""
+    def init(self) -> ObserverState:
+        """The state before the first frame."""
         flow = None if self.depth.estimator is None else init_flow(len(self.target.points) if self.rows is None else self.rows)
-        return ObserverMemory(flow=flow, odometry=np.zeros(3) if self.grounded else None)
+        return ObserverState(flow=flow, odometry=np.zeros(3) if self.grounded else None)
 
     @cached_property
     def needs_pose(self) -> bool:
@@ -226,7 +226,7 @@ class Observer:
 
     def observe(
         self,
-        memory: ObserverMemory,
+        state: ObserverState,
         t: float,
         detection: Detection,
         twist: Array,
@@ -235,7 +235,7 @@ class Observer:
         tilt: Array | None = None,
         own: OwnMotion | None = None,
         depth_image: NDArray[np.float32] | None = None,
-    ) -> tuple[ObserverMemory, Observation]:
+    ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
 
         The pose is the detector's where it solved one (and no noise is added), else it is solved from the pixels; with too few
@@ -251,34 +251,34 @@ class Observer:
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            memory, seen = own_points.observe(memory, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
-            return memory, replace(seen, ids=detection.ids)
+            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            return state, replace(seen, ids=detection.ids)
         if self._direct:
             xy = self.camera.normalise(detection.uv)
             depth = self.depth.depths(DepthCues(self.goal, xy, p_true=detection.p_camera))
-            return memory, Observation(t, detection.uv, xy, depth, detection.T_camera_target)
+            return state, Observation(t, detection.uv, xy, depth, detection.T_camera_target)
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
         asked = "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
         ray = self.camera.ray(uv) if self._solves(T) or asked or tilt is not None else None
-        T, solved = self._pose(ray, t, memory, T, twist)
-        flow, estimator = memory.flow, self.depth.estimator
+        T, solved = self._pose(ray, t, state, T, twist)
+        flow, estimator = state.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
             flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
-        view, trim = self._view(t, uv, ray, T, flow, cues, own), memory.trim
+        view, trim = self._view(t, uv, ray, T, flow, cues, own), state.trim
         if tilt is not None:
             if self.trim_s and solved and T is not None:
-                gain = 0.0 if math.isnan(memory.t) else 1 - math.exp(-(t - memory.t) / self.trim_s)
+                gain = 0.0 if math.isnan(state.t) else 1 - math.exp(-(t - state.t) / self.trim_s)
                 trim = trimmed(trim, tilt, T, self.goal.T_camera_target, self.camera.mount.T[:3, :3], gain)
             view = self._leveled(view, tilt + trim[0])
-        odometry, place = self._driven(memory, t, twist, view.T_camera_target if solved else None, compass)
+        odometry, place = self._driven(state, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
-        return ObserverMemory(t, T, flow, place, odometry, trim), self._observation(view, solved, odometry, place)
+        return ObserverState(t, T, flow, place, odometry, trim), self._observation(view, solved, odometry, place)
 
     def _view(
-        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowMemory | None, cues: DepthCues, own: OwnMotion | None
+        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: OwnMotion | None
     ) -> Observation:
         """What is measured in the camera's frame."""
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None
@@ -303,12 +303,12 @@ class Observer:
     def _solves(self, T: Array | None) -> bool:
         return self.needs_pose and (T is None or self.pixel_sigma_px > 0)
 
-    def _pose(self, ray: Array | None, t: float, memory: ObserverMemory, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
+    def _pose(self, ray: Array | None, t: float, state: ObserverState, T: Array | None, twist: Array) -> tuple[Array | None, bool]:
         """The pose (4, 4) in this frame, from rays (N, 3) or the detector's pose T, and whether it was measured rather than propagated."""
         if ray is None or not self._solves(T):
             return T, T is not None
-        last = memory.T_camera_target
-        predicted = T if last is None else exp(-twist * (t - memory.t)) @ last
+        last = state.T_camera_target
+        predicted = T if last is None else exp(-twist * (t - state.t)) @ last
         seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's image circle
         if np.count_nonzero(seen) < (1 if self.depth.on_floor else 3):
             return predicted, False
@@ -344,16 +344,16 @@ class Observer:
         return replace(view, ray=ray, xy=xy, depth=depth, T_camera_target=T, motion=own)
 
     def _driven(
-        self, memory: ObserverMemory, t: float, twist: Array, T: Array | None, compass: float | None
+        self, state: ObserverState, t: float, twist: Array, T: Array | None, compass: float | None
     ) -> tuple[Array | None, Array | None]:
-        if memory.odometry is None:
-            return None, memory.place
-        dt = t - memory.t
-        step = np.zeros(3) if np.isnan(memory.t) else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
-        odometry = composed(memory.odometry, step)
+        if state.odometry is None:
+            return None, state.place
+        dt = t - state.t
+        step = np.zeros(3) if np.isnan(state.t) else arc(adjoint(self.camera.mount.T)[[0, 1, 5]] @ twist, dt)
+        odometry = composed(state.odometry, step)
         if self.target.moves:  # no landmark
             return odometry, None
-        predicted = None if memory.place is None else composed(memory.place, step)
+        predicted = None if state.place is None else composed(state.place, step)
         T_map_camera = None if T is None else self.target.pose.T @ inverse(T)  # by the landmarks, whose places are known
         return odometry, fused_place(predicted, T_map_camera, self.camera.mount.T, compass, corrections(dt))
 

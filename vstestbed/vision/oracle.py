@@ -35,7 +35,7 @@ class Oracle(DetectorBase):
     needs_truth: ClassVar[bool] = True
 
     def detect(
-        self, memory: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, state: None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[None, Detection]:
         """True pixels (N, 2) and centres (N, 3) of the visible markers, NaN for the others."""
         if view is None:
@@ -64,7 +64,7 @@ class NoDetector(DetectorBase):
         return goal.rows(np.zeros(0, np.intp))
 
     def detect(
-        self, memory: Goal | None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+        self, state: Goal | None, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[Goal | None, Detection]:
         """No point."""
-        return memory, Detection(uv=np.empty((0, 2)), goal=memory)
+        return state, Detection(uv=np.empty((0, 2)), goal=state)

@@ -157,62 +157,55 @@ OUTSIDE = -1e4  # a pixel far outside of every picture
 GRID = np.linspace(-1, 1, 9)  # places along a template's sides at which its size in the picture is measured
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """A rectangle of one panel's image in several sizes, each half of the one before (`cv2.pyrDown`), and where it begins [px]."""
-
-    panel: int
-    sizes: list[GreyImage]
-    smooth: dict[int, GreyImage]
-    begin: Array
-
-
 class GreyPicture:
     """An exposure's grey levels, in the camera's panels, or in one window of its image alone."""
 
     def __init__(self, picture: Picture, camera: Camera, window: Window | None = None):
         self.camera = camera
-        self._parts: list[_Part] = []
+        # Of each panel with an image: its grey levels, and those halved again and again (`cv2.pyrDown`); where they begin [px].
+        self._sizes: dict[int, list[GreyImage]] = {}
+        self._begin: dict[int, Array] = {}
+        self._smooth: dict[tuple[int, int], GreyImage] = {}
         for k, image in enumerate(picture.images):
             if image is None:
                 continue
             left, top, right, bottom = window or (0, 0, image.shape[1], image.shape[0])
             grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(image[top:bottom, left:right]), cv2.COLOR_RGB2GRAY), np.uint8)
-            self._parts.append(_Part(k, [grey.astype(np.float32)], {}, np.array([left, top], float)))
+            self._sizes[k], self._begin[k] = [grey.astype(np.float32)], np.array([left, top], float)
 
     def sampled(self, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
         """Grey levels (h, w) of a grid in a plane, from the picture halved so many times; NaN where it shows nothing.
 
         rays: (3, 3), from a grid's place (column, row, 1) to its direction in the camera's frame. shape: h and w of the grid.
         """
-        parts = [self._sampled(part, rays, shape, halvings) for part in self._parts]
+        parts = [self._sampled(k, rays, shape, halvings) for k in self._sizes]
         out = parts[0]
         for more in parts[1:]:
             np.copyto(out, more, where=np.isnan(out))
         return out
 
-    def _sampled(self, part: _Part, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
-        panel, image = self.camera.panels[part.panel], self._size(part, halvings)
+    def _sampled(self, k: int, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
+        panel, image, begin = self.camera.panels[k], self._size(k, halvings), self._begin[k]
         turned, lens = panel.R_camera_panel.T @ rays, panel.lens
         h, w = shape
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
         if isinstance(lens, Perspective) and lens.distortion is None and ahead.min() > 0:
-            to_part = np.array([[1, 0, -part.begin[0]], [0, 1, -part.begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
+            to_part = np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             found = cv2.warpPerspective(image, to_part, (w, h), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
             return np.asarray(found, np.float32)
-        u, v = np.moveaxis(lens.project(_grid(shape) @ turned.T), -1, 0)
-        u, v = ((at - begin) / 2**halvings for at, begin in ((u, part.begin[0]), (v, part.begin[1])))
-        u, v = (np.nan_to_num(at.astype(np.float32), nan=OUTSIDE) for at in (u, v))
+        at = (lens.project(_grid(shape) @ turned.T) - begin) / 2**halvings
+        u, v = np.ascontiguousarray(np.moveaxis(np.nan_to_num(at.astype(np.float32), nan=OUTSIDE), -1, 0))
         found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
         return np.asarray(found, np.float32)
 
-    def _size(self, part: _Part, halvings: int) -> GreyImage:
-        while len(part.sizes) <= halvings:
-            part.sizes.append(np.asarray(cv2.pyrDown(part.sizes[-1]), np.float32))
-        if halvings not in part.smooth:
-            part.smooth[halvings] = np.asarray(cv2.GaussianBlur(part.sizes[halvings], (0, 0), BLUR), np.float32)
-        return part.smooth[halvings]
+    def _size(self, k: int, halvings: int) -> GreyImage:
+        if (k, halvings) not in self._smooth:
+            sizes = self._sizes[k]
+            while len(sizes) <= halvings:
+                sizes.append(np.asarray(cv2.pyrDown(sizes[-1]), np.float32))
+            self._smooth[k, halvings] = np.asarray(cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32)
+        return self._smooth[k, halvings]
 
 
 @lru_cache(maxsize=16)
@@ -258,27 +251,9 @@ COARSEST = 4.0  # the smallest copy is that whose texels are up to so many times
 SHARP = 0.7  # pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """How a template fits a picture.
-
-    Attributes:
-        G: the homography (3, 3). correlation: zero-mean normalised cross-correlation over the visible blocks.
-        visible: share of the textured blocks that the picture shows: inside it, and alike.
-    """
-
-    G: Array
-    correlation: float
-    visible: float
-
-
-@dataclass(frozen=True, slots=True)
-class BlockFits:
-    """Which blocks (B,) of a template count; the correlation of those that are alike, and their share of the textured ones."""
-
-    counted: NDArray[np.bool_]
-    correlation: float
-    share: float
+BlockFits = tuple[NDArray[np.bool_], float, float]
+"""Which blocks (B,) of a template count; zero-mean normalised cross-correlation of the picture with those that are alike, and their share
+of the textured ones."""
 
 
 def normalised(G: Array) -> Array:
@@ -287,8 +262,10 @@ def normalised(G: Array) -> Array:
     return G / np.cbrt(det) if abs(det) > 1e-12 * np.abs(G).max() ** 3 else np.zeros((3, 3))
 
 
-def align(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> Fit | None:
+def align(template: Template, picture: GreyPicture, G: Array, least_correlation: float, least_visible: float) -> Array | None:
     """The homography near G that aligns a template with a picture; None where the plane leaves the picture.
+
+    It is None, too, where less than `least_visible` of the textured blocks are inside the picture and alike.
 
     From the template's small copies to a large one, each against the picture in a similar size, the residuals
     r = (a . l) I(w(G exp(A(z)) q)) + b . l - T(q), l = (1, x, y), over its texels q are minimised over z in sl(3) and the light's gain and
@@ -296,15 +273,15 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     convergence quadratic. Weights of Tukey, and zero for blocks that do not correlate, leave out what hides the plane.
     References: Benhimane & Malis 2007, doi:10.1177/0278364907080252; Malis & Marchand 2006, doi:10.1109/IROS.2006.281831 (weights).
     """
-    blocks = None
+    visible = 0.0
     sizes = _sizes(template, picture, G)
     for (level, halvings), rounds in zip(sizes, MOST_ROUNDS[-len(sizes) :], strict=True):
         still = STILL_PX * (1 if level is sizes[-1][0] else EARLIER)
         found = _aligned(level, picture, halvings, G, rounds, still, least_correlation, template.corners)
         if found is None:
             return None
-        G, blocks = found
-    return None if blocks is None else Fit(G, blocks.correlation, blocks.share)
+        G, visible = found[0], found[1][2]
+    return G if sizes and visible >= least_visible else None
 
 
 def similarity(template: Template, picture: GreyPicture, G: Array, least_correlation: float) -> tuple[float, float]:
@@ -313,8 +290,8 @@ def similarity(template: Template, picture: GreyPicture, G: Array, least_correla
     if not sizes:
         return 0.0, 0.0
     level, halvings = sizes[0]
-    blocks = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
-    return blocks.share, blocks.correlation
+    _, correlation, share = _compared(level, _sampled(level, picture, halvings, G), least_correlation)
+    return share, correlation
 
 
 def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[TemplateSize, int]]:
@@ -341,7 +318,7 @@ def _aligned(
     for _ in range(rounds):
         grey = _sampled(level, picture, halvings, G)
         if counted is None:
-            counted = _compared(level, grey, least).counted
+            counted = _compared(level, grey, least)[0]
         seen = counted[level.block] & level.inner & np.isfinite(grey)
         if np.count_nonzero(seen) < LEAST_TEXELS:
             return None
@@ -353,9 +330,9 @@ def _aligned(
         moved, before = np.abs(now - before), now
         if not (moved > still).any():
             blocks = _compared(level, _sampled(level, picture, halvings, G), least)
-            if (blocks.counted == counted).all():
+            if (blocks[0] == counted).all():
                 return G, blocks
-            counted = blocks.counted
+            counted = blocks[0]
     return G, _compared(level, _sampled(level, picture, halvings, G), least)
 
 
@@ -418,7 +395,7 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
     # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
     counted = alike & (each >= PARTLY * np.median(each[alike])) if share >= ENOUGH else inside
-    return BlockFits(counted, total, share)
+    return counted, total, share
 
 
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
@@ -476,7 +453,7 @@ ALONG = np.linspace(-1, 1, 5)  # places along a template's sides whose images ma
 
 
 @dataclass(frozen=True, slots=True)
-class PatchMemory:
+class PatchState:
     """The plane's homography (3, 3) when last seen and in the picture before; whether the last one showed it; when it was searched [s]."""
 
     G: Array | None = None
@@ -516,86 +493,78 @@ class PatchDetector(DetectorBase):
     needs_image: ClassVar[bool] = True
     needs_sheet: ClassVar[bool] = True
 
-    def init(self) -> PatchMemory:
+    def init(self) -> PatchState:
         """Nothing seen yet."""
-        return PatchMemory()
+        return PatchState()
 
-    def begin(self, goal: Goal, camera: Camera, target: Target) -> PatchMemory:
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> PatchState:
         """Nothing seen yet; the target's picture and its keypoints are read now, not while a robot waits for the first picture."""
         if target.sheet is not None:
             self._template(target)
         return self.init()
 
-    def look(self, memory: PatchMemory, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: PatchState, camera: Camera, target: Target) -> Look | None:
         """The window of the next picture; None for everything, always so in a camera with panels."""
-        window = self._window(memory, camera, target)
+        window = self._window(state, camera, target)
         return None if window is None else ((window,),)
 
     def detect(
-        self, memory: PatchMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
-    ) -> tuple[PatchMemory, Detection]:
+        self, state: PatchState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[PatchState, Detection]:
         """Pixels (N, 2) of the target's points in one picture, all NaN where its picture is not found."""
-        if picture is None or picture.empty:
-            raise ParameterError("picture", "is missing: detector patch needs one; use detector oracle where there is none")
-        template = self._template(target)
-        fit, searched_s = self._tracked(memory, picture, template, camera, target), memory.searched_s
-        if fit is None and picture.t - searched_s >= self.search_s:
-            fit, searched_s = self._found(picture, template, camera), picture.t
-        if fit is None:
-            lost = replace(memory, before=None, tracked=False, searched_s=searched_s)
+        picture, template = self._given(picture), self._template(target)
+        G, searched_s = self._tracked(state, picture, template, camera, target), state.searched_s
+        if G is None and picture.t - searched_s >= self.search_s:
+            whole, searched_s = picture.completed(), picture.t
+            if (rough := found(template, whole, camera)) is not None:
+                G = align(template, GreyPicture(whole, camera), rough, self.least_correlation, self.least_visible)
+        if G is None:
+            lost = replace(state, before=None, tracked=False, searched_s=searched_s)
             return lost, Detection(uv=np.full((len(target.points), 2), np.nan))
         points = np.column_stack([target.points[:, :2] / template.unit_m, np.ones(len(target.points))])
-        next_memory = PatchMemory(fit.G, memory.G if memory.tracked else None, True, searched_s)
-        return next_memory, Detection(uv=camera.project(points @ fit.G.T))
+        after = PatchState(G, state.G if state.tracked else None, True, searched_s)
+        return after, Detection(uv=camera.project(points @ G.T))
 
     def _template(self, target: Target) -> Template:
         if target.sheet is None or target.source is None:
             raise ParameterError("target", "must be a picture for detector patch, which tracks it")
         return template_of(target.source, target.sheet.width, self.texels)
 
-    def _tracked(self, memory: PatchMemory, picture: Picture, template: Template, camera: Camera, target: Target) -> Fit | None:
-        if memory.G is None:
+    def _tracked(self, state: PatchState, picture: Picture, template: Template, camera: Camera, target: Target) -> Array | None:
+        if state.G is None:
             return None
-        window = self._window(memory, camera, target)
-        fit = self._aligned(memory, GreyPicture(picture, camera, window), template)
-        if fit is None and window is not None:
-            fit = self._aligned(memory, GreyPicture(picture.completed(), camera), template)
-        return fit
+        window = self._window(state, camera, target)
+        G = self._aligned(state, GreyPicture(picture, camera, window), template)
+        if G is None and window is not None:
+            G = self._aligned(state, GreyPicture(picture.completed(), camera), template)
+        return G
 
-    def _aligned(self, memory: PatchMemory, grey: GreyPicture, template: Template) -> Fit | None:
+    def _aligned(self, state: PatchState, grey: GreyPicture, template: Template) -> Array | None:
         """Aligned from the last homography and the one predicted at constant velocity, from the more similar one first."""
-        if memory.G is None:
+        if state.G is None:
             return None
-        starts = [memory.G]
-        if memory.before is not None:
-            starts.append(normalised(memory.G @ np.linalg.inv(memory.before) @ memory.G))
+        starts = [state.G]
+        if state.before is not None:
+            starts.append(normalised(state.G @ np.linalg.inv(state.before) @ state.G))
             starts.sort(key=lambda G: similarity(template, grey, G, self.least_correlation))
         for G in reversed(starts):
-            fit = self._good(align(template, grey, G, self.least_correlation))
-            if fit is not None:
-                return fit
+            aligned = align(template, grey, G, self.least_correlation, self.least_visible)
+            if aligned is not None:
+                return aligned
         return None
 
-    def _found(self, picture: Picture, template: Template, camera: Camera) -> Fit | None:
-        whole = picture.completed()
-        G = found(template, whole, camera)
-        return None if G is None else self._good(align(template, GreyPicture(whole, camera), G, self.least_correlation))
-
-    def _good(self, fit: Fit | None) -> Fit | None:
-        return fit if fit is not None and fit.visible >= self.least_visible else None
-
-    def _window(self, memory: PatchMemory, camera: Camera, target: Target) -> Window | None:
-        if len(camera.panels) > 1 or not memory.tracked or memory.G is None:
+    def _window(self, state: PatchState, camera: Camera, target: Target) -> Window | None:
+        if not state.tracked or state.G is None:
             return None
         half = self._template(target).half
         x, y = np.meshgrid(ALONG * half[0], ALONG * half[1])
         plane = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
-        uv = camera.project(plane @ memory.G.T)
-        before = uv if memory.before is None else camera.project(plane @ memory.before.T)
+        uv = camera.project(plane @ state.G.T)
+        before = uv if state.before is None else camera.project(plane @ state.before.T)
         if not (np.isfinite(uv).all() and np.isfinite(before).all()):
             return None
         (left, top), (right, bottom) = uv.min(axis=0).tolist(), uv.max(axis=0).tolist()
         box = max(-camera.width, int(left)), max(-camera.height, int(top)), math.ceil(right) + 1, math.ceil(bottom) + 1
         du, dv = (uv - before).mean(axis=0).tolist()
-        windows = windows_round([box], [(du, dv)], [0], camera, self.window_margin_px)
+        windows = windows_round([box], [(du, dv)], camera, self.window_margin_px)
         return None if windows is None else windows[0]

@@ -35,14 +35,14 @@ class PerturbationBase:
         """What is drawn once a run, for `picture` and `pixels`."""
         return None
 
-    def picture(self, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+    def picture(self, state: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
         """The picture (H, W, 3) uint8 RGB of time t [s], changed; `image` is a copy that may be written to.
 
         rng: of this picture. Of a camera with panels each is changed by itself, with the same random numbers.
         """
         return image
 
-    def pixels(self, memory: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
+    def pixels(self, state: Any, uv: Array, t: float, rng: np.random.Generator) -> Array:
         """Measured coordinates uv (N, 2) [px] of time t [s], changed; NaN for a marker that is not seen."""
         return uv
 
@@ -74,7 +74,7 @@ class Erasing(PerturbationBase):
         if self.area[0] > self.area[1]:
             raise ParameterError("area", "must be the smallest and the largest share, in this order", list(self.area))
 
-    def picture(self, memory: None, image: Image, t: float, rng: np.random.Generator) -> Image:
+    def picture(self, state: None, image: Image, t: float, rng: np.random.Generator) -> Image:
         """With the rectangle."""
         if rng.random() >= self.probability:
             return image
@@ -112,9 +112,9 @@ class ColorJitter(PerturbationBase):
         """Factors b, c, s of the run (3,)."""
         return self._factors(rng)
 
-    def picture(self, memory: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
+    def picture(self, state: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
         """With the run's factors, or with its own."""
-        b, c, s = (memory if self.each == "run" else self._factors(rng)).astype(np.float32)
+        b, c, s = (state if self.each == "run" else self._factors(rng)).astype(np.float32)
         contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
         grey = (contrasted @ LUMA)[..., None]
         return np.clip(b * (s * (contrasted - grey) + grey) + np.float32(0.5), 0, 255).astype(np.uint8)
@@ -151,10 +151,10 @@ class Shadow(PerturbationBase):
         """Direction [rad], place at the start as a share of the way, and distance from the middle, (3,)."""
         return rng.random(3) * [2 * np.pi, 1, 0.5] - [0, 0, 0.25]
 
-    def picture(self, memory: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
+    def picture(self, state: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
         """With the shadow."""
         height, width = image.shape[:2]
-        angle, begun, beside = memory
+        angle, begun, beside = state
         reach = (np.hypot(1, height / width) + self.width + self.edge) / 2
         at = reach * (2 * ((t / self.period_s + begun) % 1) - 1)
         x = ((np.arange(width, dtype=np.float32) - (width - 1) / 2) / width)[None]
@@ -183,7 +183,7 @@ class Outliers(PerturbationBase):
     radius_px: Annotated[PositivePixels, Narrower(le=1e4)] = 20.0
     changes: ClassVar[tuple[str, ...]] = ("pixels",)
 
-    def pixels(self, memory: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
+    def pixels(self, state: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
         """With the errors."""
         hit = rng.random(len(uv)) < self.probability
         r, a = self.radius_px * np.sqrt(rng.random(len(uv))), rng.uniform(0, 2 * np.pi, len(uv))
@@ -211,27 +211,27 @@ class Perturbed:
 
     def next_picture(self) -> Callable[[float, Images], Images]:
         """What changes the next picture: a function of its time [s] and its panels' images, the same however often it is called."""
-        drawn = [(kind, memory, int(rng.integers(2**63))) for kind, memory, rng in self._pictures]
+        drawn = [(kind, state, int(rng.integers(2**63))) for kind, state, rng in self._pictures]
 
         def changed(t: float, images: Images) -> Images:
-            for kind, memory, seed in drawn:
-                images = tuple(None if i is None else _picture(kind, memory, i.copy(), t, np.random.default_rng(seed)) for i in images)
+            for kind, state, seed in drawn:
+                images = tuple(None if i is None else _picture(kind, state, i.copy(), t, np.random.default_rng(seed)) for i in images)
             return images
 
         return changed
 
     def pixels(self, uv: Array, t: float) -> Array:
         """Measured coordinates (N, 2) [px] of time t [s], changed."""
-        for kind, memory, rng in self._pixels:
-            after = np.asarray(kind.pixels(memory, uv.copy(), t, rng), dtype=float)
+        for kind, state, rng in self._pixels:
+            after = np.asarray(kind.pixels(state, uv.copy(), t, rng), dtype=float)
             if after.shape != uv.shape:
                 raise ParameterError(f"noise.perturb: {kind.kind}", f"pixels must return an array {uv.shape}", after.shape)
             uv = after
         return uv
 
 
-def _picture(kind: PerturbationBase, memory: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
-    shape, after = image.shape, kind.picture(memory, image, t, rng)
+def _picture(kind: PerturbationBase, state: Any, image: Image, t: float, rng: np.random.Generator) -> Image:
+    shape, after = image.shape, kind.picture(state, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
         found = f"{after.shape} {after.dtype}" if isinstance(after, np.ndarray) else type(after).__name__
         raise ParameterError(f"noise.perturb: {kind.kind}", f"picture must return an image {shape} uint8", found)

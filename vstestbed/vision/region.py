@@ -5,7 +5,7 @@ from __future__ import annotations
 import colorsys
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -113,18 +113,9 @@ FLAT = 1e3
 PREFERRED = 1.02  # of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken
 
 
-@dataclass(frozen=True, slots=True)
-class PolygonFit:
-    """The images of a polygon's plane that fit points of a border best.
-
-    Attributes:
-        H: homography (3, 3) from the polygon's plane to the picture. turn: the rotation in it, after both were made round [rad].
-        off: distance of each point from the polygon, shape (K,), in standard deviations of the region.
-    """
-
-    H: Array
-    turn: float
-    off: Array
+PolygonFit = tuple[Array, float, Array]
+"""How an image of a polygon's plane fits points of a border: the homography (3, 3) from the plane to the picture, the rotation in it after
+both were made round [rad], and the distance of each point (K,) from the polygon, in standard deviations of the region."""
 
 
 def fit_polygon(
@@ -148,19 +139,18 @@ def fit_polygon(
         if found is None:
             continue
         G, off, left = found
-        size = float(np.sqrt(np.mean(np.minimum(off, 0.5) ** 2)))
-        if best is not None and not _better(size, turn, best, expected):
+        if best is not None and not _better(off, turn, best, expected):
             continue
         to_plane = _affine(colour, plane[0]) @ G @ inverted(_affine(inverted(whiten), middle))
-        best = PolygonFit(inverted(to_plane), left, off)
+        best = inverted(to_plane), left, off
     return best
 
 
-def _better(size: float, turn: float, best: PolygonFit, expected: float) -> bool:
-    before = float(np.sqrt(np.mean(np.minimum(best.off, 0.5) ** 2)))
+def _better(off: Array, turn: float, best: PolygonFit, expected: float) -> bool:
+    size, before = (float(np.sqrt(np.mean(np.minimum(distance, 0.5) ** 2))) for distance in (off, best[2]))
     if max(size, before) > PREFERRED * min(size, before) + FAINT:
         return size < before
-    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(math.remainder(best.turn - expected, 2 * math.pi))
+    return abs(math.remainder(turn - expected, 2 * math.pi)) < abs(math.remainder(best[1] - expected, 2 * math.pi))
 
 
 def _likely(e: Array, q: Array, expected: float) -> list[float]:
@@ -278,7 +268,7 @@ class OutlineFit:
     Attributes:
         p: its points as directions in the camera's frame (M, 3), in the target's order. off_px: distance of each border point (K,) [px].
         close: directions along it (S, 3), evenly: of a polygon closer together than its points, of what is round the points.
-        turn: how the target is turned in the picture (`PolygonFit.turn`) [rad]; 0 for what is round.
+        turn: how the target is turned in the picture (`PolygonFit`) [rad]; 0 for what is round.
     """
 
     p: Array
@@ -326,9 +316,10 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
     if found is None:
         return None
-    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ found.H.T for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
+    H, turned, off = found
+    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ H.T for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
     # directions, turned to lie before the camera
-    return OutlineFit(p * np.sign(p[:, 2:]), found.off * border.size_px, close * np.sign(close[:, 2:]), found.turn)
+    return OutlineFit(p * np.sign(p[:, 2:]), off * border.size_px, close * np.sign(close[:, 2:]), turned)
 
 
 MOST_EDGES = 400  # points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better
@@ -341,16 +332,11 @@ under noise, then had under 0.015 of their length farther from the region's pixe
 BESIDE_PX = 3  # a region is measured so far beyond its box [px], which may touch the window in which it was searched
 
 
-class Found(NamedTuple):
-    """A region: its box [px], its centroid (2,) [px], and the outline fitted to it."""
-
-    box: Window
-    middle: Array
-    fit: OutlineFit
+Found = tuple[Window, Array, OutlineFit]  # a region: its box [px], its centroid (2,) [px], and the outline fitted to it
 
 
 @dataclass(frozen=True, slots=True)
-class RegionMemory:
+class RegionState:
     """State of the region detector.
 
     Attributes:
@@ -402,59 +388,56 @@ class RegionDetector(DetectorBase):
     needs_image: ClassVar[bool] = True
     markers: ClassVar[tuple[str, ...]] = ("outline",)
 
-    def init(self) -> RegionMemory:
+    def init(self) -> RegionState:
         """Nothing seen yet."""
-        return RegionMemory()
+        return RegionState()
 
-    def begin(self, goal: Goal, camera: Camera, target: Target) -> RegionMemory:
+    def begin(self, goal: Goal, camera: Camera, target: Target) -> RegionState:
         """Nothing seen yet; a shape is expected as the goal view shows it."""
-        return RegionMemory(expected=turn_at(goal, target))
+        return RegionState(expected=turn_at(goal, target))
 
-    def look(self, memory: RegionMemory, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: RegionState, camera: Camera, target: Target) -> Look | None:
         """A window around the predicted region; None where it is lost or large, and in a camera with panels."""
-        own = self._window(memory, camera, self.window_margin_px + BESIDE_PX)
+        own = self._window(state, camera, self.window_margin_px + BESIDE_PX)
         return None if own is None else ((own,),)
 
-    def _window(self, memory: RegionMemory, camera: Camera, margin: int) -> Window | None:
-        if len(camera.panels) > 1:
-            return None
-        own = windows_round([memory.box], [memory.move], [0], camera, margin)
+    def _window(self, state: RegionState, camera: Camera, margin: int) -> Window | None:
+        own = windows_round([state.box], [state.move], camera, margin)
         return own[0] if own else None
 
     def detect(
         self,
-        memory: RegionMemory,
+        state: RegionState,
         picture: Picture | None,
         view: TruthView | None,
         camera: Camera,
         target: Target,
         rng: np.random.Generator,
-    ) -> tuple[RegionMemory, Detection]:
+    ) -> tuple[RegionState, Detection]:
         """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole."""
-        if picture is None or picture.empty:
-            raise ParameterError("picture", "is missing: detector region needs one; use detector oracle where there is none")
+        picture = self._given(picture)
         if not target.outlined:
             raise ParameterError("target", "must be a shape or a ball for detector region")
-        found = self._tracked(picture, memory, camera, target) or self._searched(picture.completed(), memory, camera, target)
+        found = self._tracked(picture, state, camera, target) or self._searched(picture.completed(), state, camera, target)
         if found is None:
-            return RegionMemory(memory.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
-        du, dv = (0.0, 0.0) if memory.middle is None else (found.middle - memory.middle).tolist()
-        after = RegionMemory(memory.expected, found.box, found.middle, (du, dv), found.fit.turn)
-        return after, Detection(uv=camera.project(found.fit.p))
+            return RegionState(state.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
+        box, middle, fit = found
+        du, dv = (0.0, 0.0) if state.middle is None else (middle - state.middle).tolist()
+        return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(uv=camera.project(fit.p))
 
-    def _tracked(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
-        window, image = self._window(memory, camera, self.window_margin_px), picture.images[0]
-        return None if window is None or image is None else self._largest(image, 0, window, memory, camera, target)
+    def _tracked(self, picture: Picture, state: RegionState, camera: Camera, target: Target) -> Found | None:
+        window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
+        return None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
 
-    def _searched(self, picture: Picture, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+    def _searched(self, picture: Picture, state: RegionState, camera: Camera, target: Target) -> Found | None:
         for panel, image in enumerate(picture.images):
             lens = camera.panels[panel].lens
-            found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), memory, camera, target)
+            found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), state, camera, target)
             if found is not None:
                 return found
         return None
 
-    def _largest(self, image: Image, panel: int, window: Window, memory: RegionMemory, camera: Camera, target: Target) -> Found | None:
+    def _largest(self, image: Image, panel: int, window: Window, state: RegionState, camera: Camera, target: Target) -> Found | None:
         """The largest region of the target's hue in a window that is whole and to which the outline fits; None without one."""
         lens = camera.panels[panel].lens
         region = Region(image, window, "grey" if lens.multisampling > 0 or lens.resampled else "sharp", noise_level(image))
@@ -470,7 +453,7 @@ class RegionDetector(DetectorBase):
             box = (left, top, left + w, top + h)
             if not self._has_hue(image[top : top + h, left : left + w], alone, target.hues_deg[0]) or not _inside(box, window, lens):
                 continue
-            if (found := self._fitted(region, alone, box, panel, memory, camera, target)) is not None:
+            if (found := self._fitted(region, alone, box, panel, state, camera, target)) is not None:
                 return found
         return None
 
@@ -479,7 +462,7 @@ class RegionDetector(DetectorBase):
         return abs(math.remainder(360 * colorsys.rgb_to_hsv(r, g, b)[0] - wanted_deg, 360)) <= self.hue_tolerance_deg
 
     def _fitted(
-        self, region: Region, alone: Image, box: Window, panel: int, memory: RegionMemory, camera: Camera, target: Target
+        self, region: Region, alone: Image, box: Window, panel: int, state: RegionState, camera: Camera, target: Target
     ) -> Found | None:
         """The outline fitted to a region, by `alone` (255 in its pixels in its box); None where it does not fit."""
         left, top = max(box[0] - BESIDE_PX, 0), max(box[1] - BESIDE_PX, 0)
@@ -496,18 +479,18 @@ class RegionDetector(DetectorBase):
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
         border = Border(edge, middle, spread, camera.panels[panel])
-        fit = self._fitting(border, found, (left, top), self.tolerance_px + NOISE_PX * region.noise, memory, target)
-        return None if fit is None else Found(box, middle, fit)
+        fit = self._fitting(border, found, (left, top), self.tolerance_px + NOISE_PX * region.noise, state, target)
+        return None if fit is None else (box, middle, fit)
 
     def _fitting(
-        self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, memory: RegionMemory, target: Target
+        self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, state: RegionState, target: Target
     ) -> OutlineFit | None:
         """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
 
         `found` is 255 in the region's pixels; its first pixel is at `corner` of the image.
         """
-        for turn in [None] if memory.box is None else [memory.turn, None]:
-            fit = fit_outline(border, target, turn, memory.expected)
+        for turn in [None] if state.box is None else [state.turn, None]:
+            fit = fit_outline(border, target, turn, state.expected)
             if fit is None:
                 continue
             bare = bare_share(border.project(fit.close) - corner, found, tolerance + PIXEL_PX)

@@ -13,7 +13,6 @@ from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Look, Picture, Window
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
@@ -34,20 +33,10 @@ ROUNDS = 4  # most iterations; each starts from the corners of the last one ...
 STEADY_PX = 0.02  # ... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that
 
 
-@dataclass(frozen=True, slots=True)
-class Edges:
-    """The measured edges of N tags.
-
-    Attributes:
-        corners: (N, 4, 2) [px]. astray: largest distance of a measured point from its line (N,) [px].
-        contrast: least step from black to white as a share of the tag's median step (N,).
-        border: least distance of a profile's ends from the picture's border (N,) [px]; negative outside.
-    """
-
-    corners: Array
-    astray: Array
-    contrast: Array
-    border: Array
+Edges = tuple[Array, Array, Array, Array]
+"""The measured edges of N tags: corners (N, 4, 2) [px]; largest distance of a measured point from its line (N,) [px]; least step from
+black to white as a share of the tag's median step (N,); least distance of a profile's ends from the picture's border (N,) [px], negative
+outside."""
 
 
 def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
@@ -61,9 +50,9 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
     with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
         edges = _measured_once(grey, corners, modules)
         for _ in range(ROUNDS - 1):
-            if np.abs(edges.corners - corners).max() < STEADY_PX:
+            if np.abs(edges[0] - corners).max() < STEADY_PX:
                 break
-            corners, edges = edges.corners, _measured_once(grey, edges.corners, modules)
+            corners, edges = edges[0], _measured_once(grey, edges[0], modules)
     return edges
 
 
@@ -82,7 +71,7 @@ def _measured_once(grey: Image, corners: Array, modules: int) -> Edges:
     contrast = step.min(axis=(1, 2)) / np.maximum(np.median(step, axis=(1, 2)), 1.0)
     # Samples outside of the image repeat its border pixels; a negative distance rejects the tag.
     border = np.minimum(where, size - where).min(axis=(1, 2, 3, 4))
-    return Edges(measured, np.abs(misfit).max(axis=(1, 2)), contrast, border)
+    return measured, np.abs(misfit).max(axis=(1, 2)), contrast, border
 
 
 def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
@@ -92,8 +81,8 @@ def _profiles(corners: Array, modules: int) -> tuple[Array, Array]:
     """
     a, b, c, d = (corners[:, k] for k in range(4))
     e, f, s = b - c, d - c, a - b + c - d
-    det = np.cross(_flat(e), _flat(f))[:, 2]
-    g, h = np.cross(_flat(s), _flat(f))[:, 2] / det, np.cross(_flat(e), _flat(s))[:, 2] / det
+    cross = [p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in ((e, f), (s, f), (e, s))]
+    g, h = cross[1] / cross[0], cross[2] / cross[0]
     H = np.zeros((len(corners), 3, 3))
     H[:, :2, 0], H[:, :2, 1], H[:, :2, 2] = b - a + g[:, None] * b, d - a + h[:, None] * d, a
     H[:, 2] = np.stack([g, h, np.ones_like(g)], axis=-1)
@@ -124,11 +113,6 @@ def _cross(points: Array) -> tuple[Array, Array]:
     # Homogeneous lines: their cross product is the point of intersection.
     crossed = np.cross(np.roll(lines, 1, axis=1), lines)
     return crossed[..., :2] / crossed[..., 2:], (d * normal[:, :, None]).sum(-1)
-
-
-def _flat(v: Array) -> Array:
-    """Vectors (N, 2) with a third component 0, for np.cross."""
-    return np.concatenate([v, np.zeros((len(v), 1))], axis=-1)
 
 
 # Printed tags: images of each family's tags, for the textures of the scene.
@@ -162,7 +146,7 @@ QUIET = 0.25  # margin of a window as a share of the tag's size, for the white q
 
 
 @dataclass(frozen=True, slots=True)
-class TagsMemory:
+class TagsState:
     """Each tag's corners (4, 2) in the last picture [px] (None for a lost one), their last known moves [px], the last known pose."""
 
     corners: tuple[Array | None, ...] = ()
@@ -201,41 +185,37 @@ class Tags(DetectorBase):
     needs_image: ClassVar[bool] = True
     markers: ClassVar[tuple[str, ...]] = ("tag",)
 
-    def init(self) -> TagsMemory:
+    def init(self) -> TagsState:
         """Nothing seen yet."""
-        return TagsMemory()
+        return TagsState()
 
-    def look(self, memory: TagsMemory, camera: Camera, target: Target) -> Look | None:
+    def look(self, state: TagsState, camera: Camera, target: Target) -> Look | None:
         """The windows of the next picture; None for everything, always so in a camera with panels."""
-        windows = self._windows(memory, camera)
+        windows = self._windows(state, camera)
         return None if windows is None else (tuple(windows),)
 
     def detect(
-        self, memory: TagsMemory, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
-    ) -> tuple[TagsMemory, Detection]:
+        self, state: TagsState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
+    ) -> tuple[TagsState, Detection]:
         """Tag centres (N, 2) [px] in one picture, NaN where not seen, and the pose (4, 4) where it can be solved."""
-        if picture is None or picture.empty:
-            raise ParameterError("picture", "is missing: detector tags needs one; use detector oracle where there is none")
-        tag, n = target.marker, len(target.points)
+        picture, tag, n = self._given(picture), target.marker, len(target.points)
         assert isinstance(tag, Tag)  # a scenario refuses others
-        found = self._track(_greys(picture), memory, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
-        uv, T = _measure(found, memory.T_camera_target, camera, target, tag)
+        found = self._track(_greys(picture), state, camera, tag, n) or self._search(_greys(picture.completed()), camera, tag, n)
+        uv, T = _measure(found, state.T_camera_target, camera, target, tag)
         corners = tuple(found[i][1] if i in found else None for i in range(n))
-        kept = T if T is not None else memory.T_camera_target
-        last = zip(memory.corners or (None,) * n, corners, memory.moves or ((0.0, 0.0),) * n, strict=True)
+        kept = T if T is not None else state.T_camera_target
+        last = zip(state.corners or (None,) * n, corners, state.moves or ((0.0, 0.0),) * n, strict=True)
         # The last known move of a tag that was not seen then, or is not now.
         moves = [move if a is None or b is None else (b - a).mean(axis=0) for a, b, move in last]
-        return TagsMemory(corners, tuple((float(du), float(dv)) for du, dv in moves), kept), Detection(uv=uv, T_camera_target=T)
+        return TagsState(corners, tuple((float(du), float(dv)) for du, dv in moves), kept), Detection(uv=uv, T_camera_target=T)
 
-    def _windows(self, memory: TagsMemory, camera: Camera) -> list[Window] | None:
-        if len(camera.panels) > 1:
-            return None
-        boxes = [None if c is None else _box(c) for c in memory.corners]
-        return windows_round(boxes, memory.moves, [0] * len(boxes), camera, self.window_margin_px)
+    def _windows(self, state: TagsState, camera: Camera) -> list[Window] | None:
+        boxes = [None if c is None else _box(c) for c in state.corners]
+        return windows_round(boxes, state.moves, camera, self.window_margin_px)
 
-    def _track(self, greys: list[Image | None], memory: TagsMemory, camera: Camera, tag: Tag, n: int) -> dict[int, Found] | None:
+    def _track(self, greys: list[Image | None], state: TagsState, camera: Camera, tag: Tag, n: int) -> dict[int, Found] | None:
         """All tags, each from a window of its own; None where one is lost and the whole image must be searched."""
-        windows, grey = self._windows(memory, camera), greys[0]
+        windows, grey = self._windows(state, camera), greys[0]
         if windows is None or grey is None:
             return None
         rough = {i: quad for i, w in enumerate(windows) for k, quad in _read(grey, w, tag, n, self.misread).items() if k == i}
@@ -259,9 +239,9 @@ class Tags(DetectorBase):
     def _whole(self, grey: Image, rough: dict[int, Array], tag: Tag) -> dict[int, Array]:
         if not rough:
             return {}
-        edges = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
-        good = (edges.astray <= self.astray_px) & (edges.contrast >= self.contrast) & (edges.border >= 0)
-        return {i: corners for i, corners, whole in zip(rough, edges.corners, good.tolist(), strict=True) if whole}
+        measured, astray, contrast, border = measure_edges(grey, np.stack(list(rough.values())), tag.modules)
+        good = (astray <= self.astray_px) & (contrast >= self.contrast) & (border >= 0)
+        return {i: corners for i, corners, whole in zip(rough, measured, good.tolist(), strict=True) if whole}
 
 
 def _greys(picture: Picture) -> list[Image | None]:

@@ -18,7 +18,7 @@ from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Sphere
 from vstestbed.vision import Blobs
-from vstestbed.vision.blobs import BlobsMemory
+from vstestbed.vision.blobs import BlobsState
 
 LENSES = {
     "equidistant": Fisheye(width=640, height=640),
@@ -59,8 +59,8 @@ def test_rendered_balls_lie_where_the_lens_projects_them(name: str):
     stage = stage_of(lens, points)
     frame = Picture(0.0, OpenGLRenderer(stage, lens).images())
     # Balls all around leave no pose in one view: the bias of the centre, under .3 px, is taken from the true one.
-    memory = BlobsMemory(T_camera_target=np.eye(4))
-    found = Blobs().detect(memory, frame, None, lens, stage.parts.target, np.random.default_rng(0))[1]
+    state = BlobsState(T_camera_target=np.eye(4))
+    found = Blobs().detect(state, frame, None, lens, stage.parts.target, np.random.default_rng(0))[1]
     stage.close()
     errors = found.uv - lens.project(points)
     assert found.seen.sum() >= BALLS - 1

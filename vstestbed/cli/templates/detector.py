@@ -30,15 +30,15 @@ class MyDetector(vs.DetectorBase):
     markers: ClassVar[tuple[str, ...]] = ("disc", "sphere")  # the kinds that it can see; empty: any
 
     def init(self):
-        """The memory before the first picture: a network, a track, nothing."""
+        """The state before the first picture: a network, a track, nothing."""
         return
 
-    def look(self, memory, camera, target):
+    def look(self, state, camera, target):
         """Regions of interest of the next picture, which saves rendering; None: all of it."""
         return
 
-    def detect(self, memory, picture, view, camera, target, rng):
-        """The next memory, and uv (N, 2) [px] of the markers, whose hues are `target.hues_deg` [deg]; NaN for one that is not found.
+    def detect(self, state, picture, view, camera, target, rng):
+        """The next state, and uv (N, 2) [px] of the markers, whose hues are `target.hues_deg` [deg]; NaN for one that is not found.
 
         picture.images: (H, W, 3) uint8 RGB of each panel of the camera (one, but for spherical); the first pixel's centre is (0, 0).
         """
@@ -52,7 +52,7 @@ class MyDetector(vs.DetectorBase):
             own = np.abs((hue - wanted + 180) % 360 - 180) < min(15.0, 180 / len(uv))
             if own.any():
                 uv[i] = np.average(np.column_stack([u, v])[own], axis=0, weights=chroma[v, u][own])
-        return memory, vs.Detection(uv=uv)
+        return state, vs.Detection(uv=uv)
 
 
 def test_my_detector():

@@ -30,7 +30,7 @@ from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY, World
 from vstestbed.targets import Pad, Target
 from vstestbed.targets.base import Body
-from vstestbed.targets.markers import HALF_THICKNESS_M, Marker
+from vstestbed.targets.markers import HALF_THICKNESS_M, Marker, Solid
 from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget
 from vstestbed.vision.tags import printed
@@ -283,7 +283,7 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         _visual(body, "target/board", mujoco.mjtGeom.mjGEOM_BOX, [*half, 0.01], [0.86, 0.86, 0.85, 1], TARGET_GROUP, board)
 
 
-def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Body) -> None:
+def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: int, p: Array, solid: Solid) -> None:
     marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
