@@ -149,19 +149,14 @@ def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previou
         uv = camera.project(transform(previous, target.points))
         return [min(c, key=lambda f: _away(f[1], uv[i]), default=None) for i, c in enumerate(few)]
     for hypotheses in (_of_four_or_near, _of_three):
-        found = _best(hypotheses(few, present, camera, target, previous), camera, target)
+        best, found = 0.0, None
+        for T, blobs, least in hypotheses(few, present, camera, target, previous):
+            score, chosen = _explained(blobs, T, camera, target)
+            if score > best and sum(f is not None for f in chosen) >= least:
+                best, found = score, chosen
         if found is not None:
             return found
     return [None] * len(few)
-
-
-def _best(hypotheses: Iterator[Hypothesis], camera: Camera, target: Target) -> list[Placed | None] | None:
-    best, found = 0.0, None
-    for T, candidates, least in hypotheses:
-        score, chosen = _explained(candidates, T, camera, target)
-        if score > best and sum(f is not None for f in chosen) >= least:
-            best, found = score, chosen
-    return found
 
 
 def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target: Target, previous: Array | None) -> Iterator[Hypothesis]:
@@ -171,7 +166,9 @@ def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target
             yield T, few, 4
     if previous is None:
         return
-    near = _near(few, camera, target, previous)
+    uv = camera.project(transform(previous, target.points))
+    radius = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
+    near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
     for three in combinations([i for i in present if near[i]][:SEEDS], 3):
         for T in _poses(list(three), near, camera, target, previous):
             yield T, near, 3
@@ -182,12 +179,6 @@ def _of_three(few: Candidates, present: list[int], camera: Camera, target: Targe
     if len(present) == 3 and (previous is not None or len(target.points) == 3):
         for T in _poses(present, few, camera, target, previous):
             yield T, few, 3
-
-
-def _near(few: Candidates, camera: Camera, target: Target, previous: Array) -> Candidates:
-    uv = camera.project(transform(previous, target.points))
-    radius = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
-    return [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
 
 
 def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, previous: Array | None) -> Iterator[Array]:
@@ -261,21 +252,15 @@ def look_of(state: BlobsState, camera: Camera, margin: int) -> Look | None:
     for blob, move, home in zip(state.blobs, state.moves, state.panels, strict=True):
         if blob is None:
             return None
-        for panel, window in _enlarged_windows(blob, move, home, camera, margin):
-            out[panel].append(window)
+        lens = camera.panels[home].lens
+        wide = margin + REACH * lens.width
+        # In its own panel and, near the border, in every other that sees it.
+        for panel in [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels)):
+            seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
+            window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
+            if window is not None:
+                out[panel].append(window)
     return tuple(tuple(some) for some in out)
-
-
-def _enlarged_windows(blob: Blob, move: Move, home: int, camera: Camera, margin: int) -> Iterator[tuple[int, Window]]:
-    """The enlarged window around a predicted blob, in its own panel and, near the border, in every other that sees it."""
-    lens = camera.panels[home].lens
-    wide = margin + REACH * lens.width
-    panels = [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels))
-    for panel in panels:
-        seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
-        window = window_round(seen[0].box, seen[1], camera.panels[panel].lens, wide) if seen else None
-        if window is not None:
-            yield panel, window
 
 
 def moves_of(state: BlobsState, blobs: list[Blob | None], panels: list[int], camera: Camera) -> tuple[Move, ...]:

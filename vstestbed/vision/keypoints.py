@@ -187,7 +187,9 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
     Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
     """
-    f = _focal_px(camera)
+    # Pixels per unit of the normalised coordinates at the middle of the picture.
+    middle = camera.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [0.0, 0.01, 1.0]]))
+    f = float(np.linalg.norm(middle[1:] - middle[0], axis=1).mean() / 0.01)
     a, b = camera.normalise(uv_goal), camera.normalise(uv)
     usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if np.count_nonzero(usable) < LEAST_INLIERS:
@@ -204,12 +206,6 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
     ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
-
-
-def _focal_px(camera: Camera) -> float:
-    """Pixels per unit of the normalised coordinates at the middle of the picture."""
-    middle = camera.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [0.0, 0.01, 1.0]]))
-    return float(np.linalg.norm(middle[1:] - middle[0], axis=1).mean() / 0.01)
 
 
 def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:

@@ -122,20 +122,18 @@ class Akaze(Extractor):
     threshold: Annotated[float, Gt(0), Lt(1)] = 0.001
 
     def __post_init__(self) -> None:
-        if _akaze() is None:
+        if self._create is None:
             words = "may not be akaze: this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless in place of"
             raise ParameterError("", f"{words} opencv-python-headless")
 
     def extract(self, image: Image) -> tuple[Array, Descriptors]:
         """Key points (M, 2) [px] and descriptors (M, 61) uint8."""
-        create = _akaze()
-        assert create is not None
-        points, descriptors = create(threshold=self.threshold, max_points=self.most).detectAndCompute(grey(image), None)
+        points, descriptors = self._create(threshold=self.threshold, max_points=self.most).detectAndCompute(grey(image), None)
         return _pixels(points), _rows(descriptors, 61, np.uint8)
 
-
-def _akaze() -> Any:
-    return getattr(getattr(cv2, "xfeatures2d", None), "AKAZE_create", None)
+    @property
+    def _create(self) -> Any:
+        return getattr(getattr(cv2, "xfeatures2d", None), "AKAZE_create", None)
 
 
 def grey(image: Image) -> NDArray[np.uint8]:

@@ -424,7 +424,9 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
     xy = turned[ahead, :2] / turned[ahead, 2:]
     if len(xy) < LEAST_MATCHES:
         return None
-    f = _focal_px(camera)
+    # Pixels per unit of tangent in the middle of the camera's (first) image.
+    middle = camera.panels[0].lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
+    f = float(np.linalg.norm(middle[1] - middle[0])) / STEP
     H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, WITHIN_PX, maxIters=TRIALS, confidence=0.999)
     if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
         return None
@@ -440,13 +442,6 @@ def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDA
     rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
     known = np.isfinite(rays).all(axis=1)
     return rays[known], number[known]
-
-
-def _focal_px(camera: Camera) -> float:
-    """Pixels per unit of tangent in the middle of the camera's (first) image."""
-    lens = camera.panels[0].lens
-    middle = lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
-    return float(np.linalg.norm(middle[1] - middle[0])) / STEP
 
 
 ALONG = np.linspace(-1, 1, 5)  # places along a template's sides whose images make its bounding box

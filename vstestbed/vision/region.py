@@ -418,16 +418,14 @@ class RegionDetector(DetectorBase):
         picture = self._given(picture)
         if not target.outlined:
             raise ParameterError("target", "must be a shape or a ball for detector region")
-        found = self._tracked(picture, state, camera, target) or self._searched(picture.completed(), state, camera, target)
+        window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
+        found = None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
+        found = found or self._searched(picture.completed(), state, camera, target)
         if found is None:
             return RegionState(state.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
         box, middle, fit = found
         du, dv = (0.0, 0.0) if state.middle is None else (middle - state.middle).tolist()
         return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(uv=camera.project(fit.p))
-
-    def _tracked(self, picture: Picture, state: RegionState, camera: Camera, target: Target) -> Found | None:
-        window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
-        return None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
 
     def _searched(self, picture: Picture, state: RegionState, camera: Camera, target: Target) -> Found | None:
         for panel, image in enumerate(picture.images):
