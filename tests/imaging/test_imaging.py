@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Image, Look, Picture
+from vstestbed.camera import Image, Picture, Regions
 from vstestbed.imaging.chain import Imaging
 from vstestbed.loop.plants import take_goal_images
 from vstestbed.scenario.randomise import IMAGING_STREAM
@@ -20,7 +20,7 @@ from vstestbed.sim.build import build_plant
 from vstestbed.sim.replay import Replay, Retake
 
 SMALL = {"camera.width": 160, "camera.height": 120}
-LOOK: Look = (((20, 20, 60, 60),),)
+LOOK: Regions = (((20, 20, 60, 60),),)
 DEFOCUS = {"focus_m": 0.3, "f_number": 1.4, "focal_length_m": 0.05}
 ALL = {
     "camera.optics": {"vignetting": 0.3, "red_px": 1.0, "defocus": DEFOCUS},
@@ -47,9 +47,9 @@ def seen(picture: Picture | None) -> Image:
     return picture.image.copy()
 
 
-def first(changes: dict[str, Any], look: Look | None = None, seed: int = 3, sigma: float = 0.0) -> Image:
+def first(changes: dict[str, Any], regions: Regions | None = None, seed: int = 3, sigma: float = 0.0) -> Image:
     with plant(scenario(changes), seed, sigma) as one:
-        return seen(one.capture(look)[0])
+        return seen(one.capture(regions)[0])
 
 
 def test_regions_of_interest_change_nothing():

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import vstestbed as vs
 from tests.shortcuts import every_third_quick
-from vstestbed.camera import Look, Perspective, Picture
+from vstestbed.camera import Regions, Perspective, Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, exp, inverse, transform
 from vstestbed.imaging.shutter import of_rows
@@ -45,7 +45,7 @@ def plant_of(s: vs.Scenario) -> Plant:
     return build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False)[0]
 
 
-def taken(s: vs.Scenario, twist: list[float], look: Look | None = None) -> tuple[Picture, Truth]:
+def taken(s: vs.Scenario, twist: list[float], regions: Regions | None = None) -> tuple[Picture, Truth]:
     """The second picture of a camera with a constant twist, and the truth at its time stamp."""
     plant, truth, step = plant_of(s), None, 0
     plant.apply(np.array(twist, float))
@@ -56,7 +56,7 @@ def taken(s: vs.Scenario, twist: list[float], look: Look | None = None) -> tuple
         plant.advance(at - step)
         step = at
         truth = plant.truth() if at == plan.middle else truth
-        plant.expose(weight, look)
+        plant.expose(weight, regions)
     picture = plant.developed(plan.middle * plant.step_s)
     assert picture is not None and truth is not None
     picture = picture.copy()
@@ -106,13 +106,13 @@ CASES = [(lens, "gl", twist) for lens in LENSES for twist in (TURN, SLIDE) if le
 @pytest.mark.parametrize(("lens", "renderer", "twist"), every_third_quick(pytest.param(*case) for case in CASES))
 def test_each_row_is_of_its_own_time(lens: str, renderer: str, twist: list[float]):
     s, still = scene(lens, renderer, READOUT), scene(lens, renderer, 0.0)
-    look = None if len(s.camera.panels) == 1 else (((0, 0, 256, 256),), *((),) * 5)
-    (rolled, truth), (sharp, same) = (taken(one, twist, look) for one in (s, still))
+    regions = None if len(s.camera.panels) == 1 else (((0, 0, 256, 256),), *((),) * 5)
+    (rolled, truth), (sharp, same) = (taken(one, twist, regions) for one in (s, still))
     np.testing.assert_allclose(truth.T_world_camera, same.T_world_camera, atol=1e-12)
     by_rows, at_once = theory(s, truth, twist)
     # A disc's centroid is not the image of its centre: that is the same in both pictures, and not in their difference.
     skew = centroids(rolled, by_rows) - centroids(sharp, at_once)
-    assert np.abs(by_rows - at_once).max() > (0.6 if look else 0.8)
+    assert np.abs(by_rows - at_once).max() > (0.6 if regions else 0.8)
     np.testing.assert_allclose(skew, by_rows - at_once, atol=0.1)
 
 
@@ -209,7 +209,7 @@ class TestOracle:
 
 def test_a_part_is_completed_as_the_whole():
     wholes = []
-    for look in (None, (((60, 60, 120, 120),),)):
+    for regions in (None, (((60, 60, 120, 120),),)):
         plant = plant_of(scene("perspective", "gl", READOUT))
         plant.apply(np.array([0, 0, 0, 0, 0.8, 1.0]))
         shutter = Shutter(
@@ -220,9 +220,9 @@ def test_a_part_is_completed_as_the_whole():
         for at, weight in zip(plan.opens, plan.weights, strict=True):
             plant.advance(at - step)
             step = at
-            plant.expose(weight, look)
+            plant.expose(weight, regions)
         picture = plant.developed(0.04)
-        assert picture is not None and picture.whole == (look is None)
+        assert picture is not None and picture.whole == (regions is None)
         wholes.append(picture.completed().images[0])
         plant.close()
     np.testing.assert_array_equal(*wholes)

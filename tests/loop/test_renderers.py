@@ -38,6 +38,6 @@ def test_a_quick_start_loses_no_picture_by_either_renderer(name: str):
 def test_what_is_found_does_not_depend_on_how_much_was_drawn(nuisance: str, monkeypatch: pytest.MonkeyPatch):
     s = vs.load("ibvs_book", SMALL | {"camera.renderer": "rays", "stop.duration_s": 0.6} | NUISANCES[nuisance])
     in_windows = vs.run(s)
-    monkeypatch.setattr(Controller, "look", lambda self: None)
+    monkeypatch.setattr(Controller, "regions_of_interest", lambda self: None)
     np.testing.assert_array_equal(in_windows.table, vs.run(s).table)
     assert len(in_windows.table) > 5 and seen(in_windows).any()

@@ -165,7 +165,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
     supervisor = type(scenario.robot.supervisor(False, 1.0, 1.0))
     parts = (
         (type(scenario.law), ("init", "step")),
-        (type(scenario.detector), ("begin", "look", "detect")),
+        (type(scenario.detector), ("begin", "regions_of_interest", "detect")),
         (Observer, ("observe",)),
         (type(scenario.goal), ("reference", "passed")),
         (supervisor, ("filter",)),

@@ -81,8 +81,8 @@ class TestCar:
 
         capture, rng = MujocoPlant.capture, np.random.default_rng(0)
 
-        def corrupted(plant, look=None):
-            frame, truth = capture(plant, look)
+        def corrupted(plant, regions=None):
+            frame, truth = capture(plant, regions)
             T = truth.T_world_camera.copy()
             T[:3, 3] += rng.normal(0, 0.5, 3)
             return frame, truth._replace(T_world_camera=T, p_camera=rng.normal(size=truth.p_camera.shape))

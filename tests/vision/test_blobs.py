@@ -240,9 +240,9 @@ def test_what_was_drawn_of_a_picture_does_not_change_what_is_found(picture: Take
     state, asked, needed = blobs.init(), [], []
     for k, T in enumerate(views):
         whole = picture(target, T, camera)
-        look = blobs.look(state, camera, target)
+        regions = blobs.regions_of_interest(state, camera, target)
         asked.clear()
-        part = whole if look is None else in_windows(whole, look, asked)
+        part = whole if regions is None else in_windows(whole, regions, asked)
         (state, found), (_, expected) = (blobs.detect(state, p, None, camera, target, RNG) for p in (part, whole))
         assert found.seen.all() and found.uv.tobytes() == expected.uv.tobytes()
         needed += [k] if asked else []

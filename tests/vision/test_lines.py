@@ -37,11 +37,11 @@ class Bench:
         noise = ImageNoise(sigma, np.random.default_rng(1))
         self.eye = ImageSensor(self.stage, servo_renderer(self.stage, camera, sigma > 0), Chain(noise=noise))
 
-    def frame(self, x, y, heading_deg, look=None):
+    def frame(self, x, y, heading_deg, regions=None):
         T = GroundPose(x=x, y=y, heading_deg=heading_deg).T @ self.camera.mount.T
         self.stage.place(0.0, self.lines.pose.T, np.zeros(3), T)
         mujoco.mj_forward(self.stage.model, self.stage.data)
-        return self.eye.capture(0.0, look), T
+        return self.eye.capture(0.0, regions), T
 
     def errors(self, places):
         """Measured less true pixels of all points at each place, (places, N, 2); each picture on its own."""
@@ -111,9 +111,9 @@ def test_only_the_strips_are_looked_at():
     bench, detector = Bench(GroundLines(route=WAY), camera), Lines()
     frame, _ = bench.frame(*PLACES[1])
     state, whole = detector.detect(detector.init(), frame, None, camera, bench.lines, RNG)
-    look = detector.look(state, camera, bench.lines)
-    assert look is not None and sum((r - a) * (b - t) for a, t, r, b in look[0]) < 0.2 * 640 * 480
-    part, _ = bench.frame(*PLACES[1], look=look)
+    regions = detector.regions_of_interest(state, camera, bench.lines)
+    assert regions is not None and sum((r - a) * (b - t) for a, t, r, b in regions[0]) < 0.2 * 640 * 480
+    part, _ = bench.frame(*PLACES[1], regions=regions)
     assert not part.whole
     np.testing.assert_array_equal(detector.detect(state, part, None, camera, bench.lines, RNG)[1].uv, whole.uv)
     bench.stage.close()

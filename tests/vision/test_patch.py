@@ -151,12 +151,12 @@ def test_every_lens(poster: PictureTarget, scene_picture: TakeScene, camera: Cam
 def test_in_its_window_it_finds_the_same(poster: PictureTarget, scene_picture: TakeScene):
     far = _view(0.3, 0.2, (0.05, 0, 1.6))
     state, whole, asked = _known(poster, far), scene_picture(poster, far), []
-    look = PatchDetector().look(state, CAMERA, poster)
-    assert look is not None
-    found = _detect(poster, in_windows(whole, look, asked), state=state)
+    regions = PatchDetector().regions_of_interest(state, CAMERA, poster)
+    assert regions is not None
+    found = _detect(poster, in_windows(whole, regions, asked), state=state)
     assert np.abs(found.uv - _detect(poster, whole, state=state).uv).max() < 0.02 and not asked
     elsewhere = scene_picture(poster, _view(0.3, 0.2, (0.15, 0, 1.6)))  # not there: the whole picture of the same exposure is searched
-    assert _detect(poster, in_windows(elsewhere, look, asked), state=replace(state, searched_s=-1.0)).seen.all() and asked
+    assert _detect(poster, in_windows(elsewhere, regions, asked), state=replace(state, searched_s=-1.0)).seen.all() and asked
 
 
 def test_what_cannot_be_tracked_is_refused(poster: PictureTarget):

@@ -106,13 +106,13 @@ def test_a_window_is_enough_and_gives_the_same():
     target, detector, asked = shape("l_shape"), RegionDetector(), []
     picture = painted(border_of(target, TURNED))
     state, first = found(target, picture)
-    look = detector.look(state, CAMERA, target)
-    assert look is not None
-    _, windowed = found(target, in_windows(picture, look, asked), state=state)
+    regions = detector.regions_of_interest(state, CAMERA, target)
+    assert regions is not None
+    _, windowed = found(target, in_windows(picture, regions, asked), state=state)
     assert not asked
     np.testing.assert_allclose(windowed.uv, first.uv, atol=0.01)
     moved = painted(border_of(target, Pose(xyz=(-0.2, 0.1, 1.1)).T))
-    _, searched = found(target, in_windows(moved, look, asked), state=state)
+    _, searched = found(target, in_windows(moved, regions, asked), state=state)
     assert len(asked) == 1 and searched.seen.all()
 
 

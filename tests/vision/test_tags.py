@@ -207,10 +207,10 @@ def test_windows_say_what_the_whole_picture_says(scene_picture: TakeScene, monke
         T = _view(0.4, 0.1 * k, 0.03 * k, np.array([0.01 * k, 0.0, 1.3 - 0.02 * k]))
         frame = scene_picture(target, T)
         looked.clear()
-        look = tags.look(state, CAMERA, target)
+        regions = tags.regions_of_interest(state, CAMERA, target)
         state, found = tags.detect(state, frame, None, CAMERA, target, RNG)
         assert len(looked) == (4 if k else 1)
-        assert look == ((tuple(looked),) if k else None)
+        assert regions == ((tuple(looked),) if k else None)
         assert np.abs(found.uv - _detect(frame, target).uv).max() < 0.02
 
 
@@ -219,9 +219,9 @@ def test_a_jump_out_of_the_windows_is_found_in_the_whole_picture_and_its_motion_
     state, gone = tags.init(), np.array([3.0, 0.0, 1.2])
     places = [np.array([x, 0.0, 1.2]) for x in (-0.3, -0.2, -0.1)] + [gone] + [np.array([x, 0.0, 1.2]) for x in (0.1, 0.2, 0.3)]
     for k, t in enumerate(places):  # 32 px a frame: more than the windows' margin
-        whole, look = scene_picture(target, _view(0.1, 0.0, 0.0, t)), tags.look(state, CAMERA, target)
+        whole, regions = scene_picture(target, _view(0.1, 0.0, 0.0, t)), tags.regions_of_interest(state, CAMERA, target)
         asked.clear()
-        part = whole if look is None else in_windows(whole, look, asked)
+        part = whole if regions is None else in_windows(whole, regions, asked)
         state, found = tags.detect(state, part, None, CAMERA, target, RNG)
         assert found.seen.all() == (t is not gone)
         needed += [k] if asked else []

@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, Pose, direction, exp, inverse, rigid_
 from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Sphere
 from vstestbed.vision import Blobs, Oracle, TruthView
-from vstestbed.vision.blobs import BlobsState, hand_over, look_of
+from vstestbed.vision.blobs import BlobsState, hand_over, regions_of
 
 RNG = np.random.default_rng(0)
 CAMERA = SphericalCamera(width=640, height=640)
@@ -91,9 +91,9 @@ def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest
     state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.3, 0.2)), None, CAMERA, TARGET, RNG)
     monkeypatch.setattr(Blobs, "_search", lambda *_: pytest.fail("a marker was lost"))
     for T in turning(-0.13, 52):
-        look = blobs.look(state, CAMERA, TARGET)
-        assert look is not None
-        panels = tuple(i for i, windows in enumerate(look) if windows)
+        regions = blobs.regions_of_interest(state, CAMERA, TARGET)
+        assert regions is not None
+        panels = tuple(i for i, windows in enumerate(regions) if windows)
         state, found = blobs.detect(state, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)
         assert found.seen.all()
         assert errors(found.uv, T).max() < 4e-3
@@ -107,9 +107,9 @@ def test_over_the_seams_all_around_with_the_panels_asked_for(monkeypatch: pytest
 def test_a_jump_beyond_the_window_is_found_in_the_same_pictures():
     blobs = Blobs()
     state, _ = blobs.detect(blobs.init(), drawn(TARGET, placed(0.6, 0.0)), None, CAMERA, TARGET, RNG)
-    look = blobs.look(state, CAMERA, TARGET)
-    assert look is not None
-    panels = tuple(i for i, windows in enumerate(look) if windows)
+    regions = blobs.regions_of_interest(state, CAMERA, TARGET)
+    assert regions is not None
+    panels = tuple(i for i, windows in enumerate(regions) if windows)
     assert panels == (FRONT, RIGHT)  # .2 rad from the seam at pi/4
     T = placed(0.85, 0.0)  # a quarter of a radian in one frame, without warning
     assert blobs.detect(state, drawn(TARGET, T, panels), None, CAMERA, TARGET, RNG)[1].seen.all()
@@ -120,8 +120,8 @@ def test_handed_over_only_where_the_border_is_near():
     state, _ = blobs.detect(blobs.init(), drawn(TARGET, T), None, CAMERA, TARGET, RNG)
     assert state.panels == (FRONT,) * 4
     assert hand_over(state, CAMERA, 8) == state
-    assert look_of(state, CAMERA, 8) is not None
-    assert [len(w) for w in look_of(state, CAMERA, 8) or ()] == [4, 0, 0, 0, 0, 0]
+    assert regions_of(state, CAMERA, 8) is not None
+    assert [len(w) for w in regions_of(state, CAMERA, 8) or ()] == [4, 0, 0, 0, 0, 0]
     moving = BlobsState(state.blobs, ((110.0, 0.0),) * 4, None, None, state.panels)
     moved = hand_over(moving, CAMERA, 8)
     assert RIGHT in moved.panels

@@ -5,7 +5,7 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 (X/Z, Y/Z), `depth` is Z, `range` is the norm; theta is a ray's angle from z, phi its angle about z, from x towards y.
 """
 
-from vstestbed.camera.base import Calibration, Camera, Image, Look, Panel, Picture, Window
+from vstestbed.camera.base import Calibration, Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.wide import Catadioptric, Fisheye, Radial, SphericalCamera
 from vstestbed.core.spec import OneOf
@@ -23,11 +23,11 @@ __all__ = [
     "DepthSensor",
     "Fisheye",
     "Image",
-    "Look",
     "Panel",
     "Perspective",
     "Picture",
     "Radial",
+    "Regions",
     "SphericalCamera",
     "Window",
 ]

@@ -24,7 +24,7 @@ from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.stream import STREAMS, VideoStream
 
 Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
-Look = tuple[tuple[Window, ...], ...]  # regions of interest: for each panel of a camera its windows; empty for a panel that is not needed
+Regions = tuple[tuple[Window, ...], ...]  # of interest: for each panel of a camera its windows; empty for a panel that is not needed
 LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
 """Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB: what graphics cards draw."""
 SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # inward unit normals of an image's left, top, right and bottom side

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import DepthImage, Image, Look, Picture
+from vstestbed.camera import DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.named_files import is_file_module
@@ -308,9 +308,9 @@ class Controller:
             self.guarded.failure = failure  # one that has failed is not asked again
             self._needed = law.markers_needed(self.scenario.robot.motion_basis(self._mount_at(self._start), self._start))
 
-    def look(self) -> Look | None:
+    def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
-        return self.detector.look(self.detector_memory, self.seen_through, self.scenario.target)
+        return self.detector.regions_of_interest(self.detector_memory, self.seen_through, self.scenario.target)
 
     def refuses(self, shot: Exposure) -> bool:
         """Whether a picture is not later than the last one that was used, by its stamp (`timing.refuses`); `refused` counts them."""

@@ -192,7 +192,7 @@ class Episode:
         order_steps = round(scenario.timing.order_s(scenario.camera) / plant.step_s)
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
-            camera.act(step, controller.look)
+            camera.act(step, controller.regions_of_interest)
             for made in camera.line.pop_due(step):
                 if (frame := self._arrive(made, step)) is None:  # refused
                     continue

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Picture
+from vstestbed.camera import Camera, Picture, Regions
 from vstestbed.core.geometry import Array
 from vstestbed.imaging.flicker import STEADY
 from vstestbed.loop.ego_motion import Exposure
@@ -135,7 +135,7 @@ class CameraClock:
         self._row_views = RowViews(scenario.camera, self.shutter.opening.nodes) if rolls else None
         self.line: DelayLine[Exposed] = DelayLine(overtakes=scenario.timing.out_of_order)
         self._stamps = Stamps(scenario, plant) if scenario.timing.stamps else None
-        self.look: Look | None
+        self.regions: Regions | None
         self._takes_whole = whole
         # An oracle's exposures do not depend on whether pictures are taken for a film.
         self._metered = scenario.needs_image and scenario.camera.blurring is not None
@@ -143,7 +143,7 @@ class CameraClock:
 
     def _plan(self) -> None:
         self.planned: Planned = self.shutter.following(self.plant.exposure_s() if self._metered else None)
-        self.opening, self.middle, self.look = 0, None, None
+        self.opening, self.middle, self.regions = 0, None, None
 
     def next_event(self) -> int:
         """The step at which the shutter opens next, a picture arrives, or the robot's sensors are read for one."""
@@ -151,8 +151,8 @@ class CameraClock:
         following = opens if due is None else min(opens, due)
         return following if self._stamps is None else min(following, self._stamps.next_event())
 
-    def act(self, step: int, look_next: Callable[[], Look | None]) -> None:
-        """Open the shutter when it is due, and send complete pictures. `look_next` gives the detector's region of interest."""
+    def act(self, step: int, next_regions: Callable[[], Regions | None]) -> None:
+        """Open the shutter when it is due, and send complete pictures. `next_regions` gives the detector's region of interest."""
         if self._stamps is not None:
             self._stamps.act(step)
         while (planned := self.planned).opens[self.opening] == step:
@@ -160,9 +160,9 @@ class CameraClock:
             # It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
                 self._takes_whole = self.whole
-                self.look = look_next() if self.line.next_due() is None and self._in_parts and not self.whole else None
+                self.regions = next_regions() if self.line.next_due() is None and self._in_parts and not self.whole else None
             if planned.weights == (1.0,):
-                picture, truth = self.plant.capture(self.look)
+                picture, truth = self.plant.capture(self.regions)
                 if picture is not None and planned.arrives > step:
                     picture = picture.copy()  # the next picture overwrites the renderer's buffer before this one arrives
                 self._send(planned, picture, self._shot(step, truth))
@@ -179,7 +179,7 @@ class CameraClock:
         truth = self._truth(is_middle)
         if truth is not None and is_middle:
             self.middle = self._shot(step, truth)
-        self.plant.expose(planned.weights[self.opening], self.look, is_middle)
+        self.plant.expose(planned.weights[self.opening], self.regions, is_middle)
         self.opening += 1
         if self.opening == len(planned.opens) and self.middle is not None:
             shot, true = self.middle

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, Image, Look, Picture
+from vstestbed.camera import Camera, DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
 from vstestbed.imaging.shutter import Contribution, Rows
@@ -73,10 +73,10 @@ class Renderer(Protocol):
         """The camera's own image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         ...
 
-    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
+    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now without noise, one for each panel, valid until the next call.
 
-        look: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well, of
+        regions: regions of interest, None for everything; the rest may be blank. with_depth: of a perspective camera, `depth` as well, of
         everything. rows: of a camera without panels, the only ones that are needed.
         """
         ...
@@ -125,14 +125,14 @@ class Plant(ABC):
         """Wall time spent on pictures so far [s]."""
         return self._eye.spent_s if self._eye else 0.0
 
-    def capture(self, look: Look | None = None) -> tuple[Picture | None, Truth]:
+    def capture(self, regions: Regions | None = None) -> tuple[Picture | None, Truth]:
         """The picture (None where no detector needs one; valid until the next capture) and the truth, now.
 
-        look: the detector's regions of interest; None for everything. A copy of a picture of which only they were drawn can be
+        regions: the detector's regions of interest; None for everything. A copy of a picture of which only they were drawn can be
         completed until the next such picture is taken.
         """
         truth = self.truth()
-        return self._eye.capture(self._t, look) if self._eye else None, truth
+        return self._eye.capture(self._t, regions) if self._eye else None, truth
 
     def with_own(self, picture: Picture) -> Picture:
         """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
@@ -150,14 +150,14 @@ class Plant(ABC):
         self._show()
         return self._eye.exposure_s(self._t) if self._eye else None
 
-    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
+    def expose(self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False) -> None:
         """Add an image, as a share `weight` of one exposure, or of each of its rows; nothing where no detector needs pictures.
 
-        look: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
+        regions: as `capture`'s, and the same for all images of an exposure. middle: it is that of the exposure's middle.
         """
         self._show()
         if self._eye is not None:
-            self._eye.expose(weight, look, middle)
+            self._eye.expose(weight, regions, middle)
 
     def developed(self, t: float) -> Picture | None:
         """The picture of all images added since the last one, stamped t [s]."""

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Picture, Window
+from vstestbed.camera import Camera, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.features.depth import depth_at
@@ -81,7 +81,7 @@ class Detector(Generic[M]):
         """The state before the first picture of a run to a goal, with the picture taken there where `needs_goal` is set."""
         return self.init()
 
-    def look(self, state: M, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: M, camera: Camera, target: Target) -> Regions | None:
         """Regions of interest in the next picture; None for the whole picture."""
         return None
 

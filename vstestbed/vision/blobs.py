@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Panel, Picture, Window
+from vstestbed.camera import Camera, Panel, Picture, Regions, Window
 from vstestbed.core.geometry import Array, lengths, transform
 from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
 from vstestbed.core.spec import spec
@@ -241,7 +241,7 @@ def windows(state: BlobsState, camera: Camera, margin: int) -> list[Window] | No
     return windows_round([b.box if b else None for b in state.blobs], state.moves, camera, margin, state.panels)
 
 
-def look_of(state: BlobsState, camera: Camera, margin: int) -> Look | None:
+def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None:
     """Regions of interest, in each panel, of the next detection; None for everything."""
     own = windows(state, camera, margin + MEASURED_PX)
     if own is None:
@@ -571,9 +571,9 @@ class Blobs(DetectorBase):
         """Nothing seen yet."""
         return BlobsState()
 
-    def look(self, state: BlobsState, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: BlobsState, camera: Camera, target: Target) -> Regions | None:
         """Windows around the predicted markers, in a camera with panels also across the seams; None where a marker is lost."""
-        return look_of(state, camera, self.window_margin_px) if state.blobs else None
+        return regions_of(state, camera, self.window_margin_px) if state.blobs else None
 
     def detect(
         self, state: BlobsState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator

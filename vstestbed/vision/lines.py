@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Picture, Window
+from vstestbed.camera import Camera, Image, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength
@@ -92,7 +92,7 @@ class Lines(DetectorBase):
         """Nothing seen yet."""
         return (), None
 
-    def look(self, state: LinesState, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: LinesState, camera: Camera, target: Target) -> Regions | None:
         """The windows that hold the strips; None before the first picture."""
         if not state[0]:
             return None

@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Panel, Perspective, Picture, Window
+from vstestbed.camera import Camera, Image, Panel, Perspective, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveTime
@@ -498,7 +498,7 @@ class PatchDetector(DetectorBase):
             self._template(target)
         return self.init()
 
-    def look(self, state: PatchState, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: PatchState, camera: Camera, target: Target) -> Regions | None:
         """The window of the next picture; None for everything, always so in a camera with panels."""
         window = self._window(state, camera, target)
         return None if window is None else ((window,),)

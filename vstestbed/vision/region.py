@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from cv2.typing import MatLike
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Image, Look, Panel, Picture, Window
+from vstestbed.camera import Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle, PositivePixels
@@ -396,7 +396,7 @@ class RegionDetector(DetectorBase):
         """Nothing seen yet; a shape is expected as the goal view shows it."""
         return RegionState(expected=turn_at(goal, target))
 
-    def look(self, state: RegionState, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: RegionState, camera: Camera, target: Target) -> Regions | None:
         """A window around the predicted region; None where it is lost or large, and in a camera with panels."""
         own = self._window(state, camera, self.window_margin_px + BESIDE_PX)
         return None if own is None else ((own,),)

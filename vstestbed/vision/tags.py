@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, Look, Picture, Window
+from vstestbed.camera import Camera, Picture, Regions, Window
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
@@ -189,7 +189,7 @@ class Tags(DetectorBase):
         """Nothing seen yet."""
         return TagsState()
 
-    def look(self, state: TagsState, camera: Camera, target: Target) -> Look | None:
+    def regions_of_interest(self, state: TagsState, camera: Camera, target: Target) -> Regions | None:
         """The windows of the next picture; None for everything, always so in a camera with panels."""
         windows = self._windows(state, camera)
         return None if windows is None else (tuple(windows),)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vstestbed.camera import Camera, Catadioptric, Fisheye, Look, Picture, SphericalCamera
+from vstestbed.camera import Camera, Catadioptric, Fisheye, Picture, Regions, SphericalCamera
 from vstestbed.camera.wide import Radial
 from vstestbed.core.geometry import Array, Pose, direction
 from vstestbed.robots import Free
@@ -150,12 +150,12 @@ def test_only_faces_that_are_looked_at_are_drawn(renders: list[str]):
     eye = OpenGLRenderer(stage, lens)
     for markers, faces in (([0], {"eye"}), ([1], {"eye_right"}), ([2], {"eye", "eye_right"}), ([0, 3], {"eye", "eye_down"})):
         renders.clear()
-        look: Look = (tuple(window(lens.project(points[i : i + 1])[0]) for i in markers),)
-        image = eye.images(look)[0]
+        regions: Regions = (tuple(window(lens.project(points[i : i + 1])[0]) for i in markers),)
+        image = eye.images(regions)[0]
         assert set(renders) == faces
         assert len(renders) == len(faces)
         assert not eye.whole
-        for left, top, right, bottom in look[0]:
+        for left, top, right, bottom in regions[0]:
             np.testing.assert_array_equal(image[top:bottom, left:right], eye.full_image()[top:bottom, left:right])
     stage.close()
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.camera import Look, Picture
+from vstestbed.camera import Picture, Regions
 from vstestbed.loop.controller import Controller
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 
-LOOK: Look = (((140, 60, 200, 100),),)
+LOOK: Regions = (((140, 60, 200, 100),),)
 PUSH = np.array([0.6, -0.4, 0.5, 0.7, -0.6, 0.8])
 """Joint speeds that move the arm's camera by many pixels within an exposure [rad/s]."""
 SMALL = {"camera.width": 320, "camera.height": 240}
@@ -40,10 +40,10 @@ def same(a: Picture | None, b: Picture | None) -> None:
     np.testing.assert_array_equal(a.images[0], b.images[0])
 
 
-def exposed(plant: Plant, look: Look | None) -> Picture:
+def exposed(plant: Plant, regions: Regions | None) -> Picture:
     """A picture of three images, 10 ms apart."""
     for weight in (0.25, 0.5, 0.25):
-        plant.expose(weight, look)
+        plant.expose(weight, regions)
         plant.advance(5)
     picture = plant.developed(0.01)
     assert picture is not None
@@ -87,8 +87,8 @@ def test_the_whole_of_an_exposure_has_its_motion_blur(two: tuple[Plant, Plant]):
 
 def test_panels_that_were_left_out_are_drawn_with_their_own_noise():
     late, at_once = (plants("quadrotor_hover", "gl", sigma=3.0) for _ in range(2))
-    look = tuple(((1, 1, 9, 9),) if i == 1 else () for i in range(6))
-    part, whole = late.capture(look)[0], at_once.capture()[0]
+    regions = tuple(((1, 1, 9, 9),) if i == 1 else () for i in range(6))
+    part, whole = late.capture(regions)[0], at_once.capture()[0]
     assert part is not None and whole is not None and [image is None for image in part.images].count(True) == 5
     for a, b in zip(part.completed().images, whole.images, strict=True):
         np.testing.assert_array_equal(a, b)

@@ -243,7 +243,7 @@ def test_with_noise_to_come_its_level_is_estimated_as_from_the_whole_picture(arm
     rng = np.random.default_rng(5)
     for sigma in (1.0, 3.0, 9.0):
         noise = ImageNoise(sigma, rng).next()
-        part, whole = (noise(eye.images(look))[0] for look in ((((300, 100, 420, 180),),), None))
+        part, whole = (noise(eye.images(regions))[0] for regions in ((((300, 100, 420, 180),),), None))
         assert part is not None and whole is not None and not np.array_equal(part, whole)
         assert noise_level(part) == noise_level(whole) > 0
 

@@ -33,7 +33,7 @@ class MyDetector(vs.DetectorBase):
         """The state before the first picture: a network, a track, nothing."""
         return
 
-    def look(self, state, camera, target):
+    def regions_of_interest(self, state, camera, target):
         """Regions of interest of the next picture, which saves rendering; None: all of it."""
         return
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, DepthSensor, Look, Panel, Perspective, Picture, Window
+from vstestbed.camera import Camera, DepthImage, DepthSensor, Panel, Perspective, Picture, Regions, Window
 from vstestbed.core.geometry import Array, Image, Images, pixel_grid
 from vstestbed.imaging.chain import Chain, Change, Imaging
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
@@ -54,20 +54,20 @@ class PixelRows:
             return (weight[:, None, None],)
         return tuple(weight[v][..., None] for v in self._in_panels)
 
-    def needed(self, look: Look | None, weights: tuple[RowWeight, ...]) -> tuple[Look | None, Rows | None]:
+    def needed(self, regions: Regions | None, weights: tuple[RowWeight, ...]) -> tuple[Regions | None, Rows | None]:
         """Regions of interest and rows, None for everything, without what has no weight; weights: of the pixels of each panel."""
         if not isinstance(weights[0], np.ndarray):
-            return look, None
+            return regions, None
         if self._in_panels is None:
-            return look if look is None else self._asked(look), band(weights[0])
-        asked = self._asked(look)
+            return regions if regions is None else self._asked(regions), band(weights[0])
+        asked = self._asked(regions)
         return tuple(windows if part.any() else () for windows, part in zip(asked, map(np.asarray, weights), strict=True)), None
 
-    def _asked(self, look: Look | None) -> Look:
+    def _asked(self, regions: Regions | None) -> Regions:
         lenses = [panel.lens for panel in self._camera.panels]
-        if look is None:
+        if regions is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
-        return tuple(windows and windows + self._noise_rows(lens) for windows, lens in zip(look, lenses, strict=True))
+        return tuple(windows and windows + self._noise_rows(lens) for windows, lens in zip(regions, lenses, strict=True))
 
     def _noise_rows(self, lens: Camera) -> tuple[Window, ...]:
         return tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
@@ -209,15 +209,15 @@ class ImageSensor:
         """Wall time spent on images so far, with lens, sensor and stream [s]."""
         return self._renderer.spent_s + self._imaged_s
 
-    def capture(self, t: float, look: Look | None = None) -> Picture:
+    def capture(self, t: float, regions: Regions | None = None) -> Picture:
         """A picture of an instant, with time stamp t [s]; valid until the next one.
 
-        look: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
+        regions: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
         the next such picture is taken.
         """
-        look = None if self._always_whole else look
-        images = self._render(look, with_depth=True)
-        self._keep_state(0, look)
+        regions = None if self._always_whole else regions
+        images = self._render(regions, with_depth=True)
+        self._keep_state(0, regions)
         return self._picture(t, images, self._renderer.whole, [INSTANT])
 
     def clean(self, t: float) -> Picture:
@@ -238,15 +238,15 @@ class ImageSensor:
         imaging, drawn = self._chain.imaging, lambda: (self._renderer.images(with_depth=self._reads_depth), self._renderer.depth)
         return imaging.exposure_s(t, drawn) if imaging else None
 
-    def expose(self, weight: float | Contribution, look: Look | None = None, middle: bool = False) -> None:
-        """Add the present scene to the running exposure, with its weight or contribution; `look` is the same in the whole exposure.
+    def expose(self, weight: float | Contribution, regions: Regions | None = None, middle: bool = False) -> None:
+        """Add the present scene to the running exposure, with its weight or contribution; `regions` is the same in the whole exposure.
 
         middle: it is the one whose depth counts: a mean of depths would be a place at which nothing is.
         """
-        look = None if self._always_whole else look
+        regions = None if self._always_whole else regions
         contribution = weight if isinstance(weight, tuple) else ((1.0, weight),)  # a weight alone: under the mean light
-        self._add(self._blur, contribution, look, middle)
-        self._keep_state(len(self._exposed), look)
+        self._add(self._blur, contribution, regions, middle)
+        self._keep_state(len(self._exposed), regions)
         self._exposed.append(contribution)
 
     def developed(self, t: float) -> Picture:
@@ -254,26 +254,26 @@ class ImageSensor:
         (blur, exposed), self._blur, self._exposed = (self._blur, self._exposed), MotionBlur(), []
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
-    def _add(self, blur: MotionBlur, contribution: Contribution, look: Look | None, with_depth: bool) -> None:
+    def _add(self, blur: MotionBlur, contribution: Contribution, regions: Regions | None, with_depth: bool) -> None:
         for i, (brightness, weight) in enumerate(contribution):
             weights, by_rows = self._rows.weights(weight), isinstance(weight, np.ndarray)
             deep = with_depth and i == 0 and self._reads_depth
             with lamps_at(self._model, brightness):
-                images = self._render(*self._rows.needed(look, weights), with_depth=deep)
+                images = self._render(*self._rows.needed(regions, weights), with_depth=deep)
             # What was left out of an image for want of weight is not missing in the mean.
-            blur.add(images, weights, look is None if by_rows else self._renderer.whole)
+            blur.add(images, weights, regions is None if by_rows else self._renderer.whole)
 
-    def _render(self, look: Look | None, rows: Rows | None = None, *, with_depth: bool) -> Images:
+    def _render(self, regions: Regions | None, rows: Rows | None = None, *, with_depth: bool) -> Images:
         """The images now; with their depth, of everything, where it is asked for."""
         with_depth = with_depth and self._reads_depth
-        images = self._renderer.images(look, with_depth, rows)
+        images = self._renderer.images(regions, with_depth, rows)
         if with_depth:
             self._true_depth = self._renderer.depth
         return images
 
-    def _keep_state(self, number: int, look: Look | None) -> None:
+    def _keep_state(self, number: int, regions: Regions | None) -> None:
         """Keep the scene's state at an exposure's image of that number, if a part of it may have been left out."""
-        if look is None:
+        if regions is None:
             return
         if number == len(self._states):
             self._states.append(mujoco.MjData(self._model))

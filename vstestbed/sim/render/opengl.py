@@ -15,7 +15,7 @@ from dm_control import mujoco as dm
 from dm_control.mujoco import wrapper
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, Image, Look, Perspective, Window
+from vstestbed.camera import Camera, DepthImage, Image, Perspective, Regions, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array, pixel_grid
 from vstestbed.core.lacks import lack_of
@@ -117,12 +117,12 @@ def part_round(windows: Sequence[Window], width: int, height: int) -> Window | N
     return max(min(lefts) - more, 0), max(min(tops) - more, 0), min(max(rights) + more, width), min(max(bottoms) + more, height)
 
 
-def part_of_rows(look: Look | None, rows: Rows, width: int, height: int) -> Window:
+def part_of_rows(regions: Regions | None, rows: Rows, width: int, height: int) -> Window:
     """What is needed of rows of an image (width x height) of which windows are asked for, None for everything: one pixel at least."""
-    if look is None:
+    if regions is None:
         return 0, rows[0], width, rows[1]
     more = round(REACH * width)
-    near = [window for window in look[0] if window[1] - more < rows[1] and window[3] + more > rows[0]]
+    near = [window for window in regions[0] if window[1] - more < rows[1] and window[3] + more > rows[0]]
     left, top, right, bottom = part_round(near, width, height) or (0, rows[0], 1, rows[0] + 1)
     return left, max(top, rows[0]), right, min(bottom, rows[1])
 
@@ -258,11 +258,11 @@ class OpenGLRenderer:
             return self._cube.compose(dict(enumerate(image for image in self.images() if image is not None)))
         return np.ascontiguousarray(self.images()[0])
 
-    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
+    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now, one for each panel; they may share the renderer's buffer and are valid until the next call.
 
         Args:
-            look: regions of interest, None for everything. Of a pinhole camera the rectangle around all windows is drawn; of a
+            regions: regions of interest, None for everything. Of a pinhole camera the rectangle around all windows is drawn; of a
                 camera with panels every panel with a window; of any other lens the cube's faces that reach into the windows.
                 What is not drawn is black, or None for a whole panel.
             with_depth: of a perspective camera, draw everything, and set `depth`.
@@ -270,18 +270,18 @@ class OpenGLRenderer:
         """
         start = time.perf_counter()
         if self._cube is not None:
-            images = self._panel_images(look) if self._panels > 1 else self._composed(look, rows)
+            images = self._panel_images(regions) if self._panels > 1 else self._composed(regions, rows)
         elif with_depth:
             images = self._pinhole(None, True)
         else:
-            images = self._pinhole(look) if rows is None else self._band(look, rows)
+            images = self._pinhole(regions) if rows is None else self._band(regions, rows)
         self.spent_s += time.perf_counter() - start
         return images
 
-    def _band(self, look: Look | None, rows: Rows) -> tuple[Image]:
+    def _band(self, regions: Regions | None, rows: Rows) -> tuple[Image]:
         """Rows of the image of a perspective lens, drawn at least in the rectangle around the windows."""
         self.whole = False
-        window = part_of_rows(look, rows, *self._size)
+        window = part_of_rows(regions, rows, *self._size)
         if self._maps is None:
             return (self._views[0].raw(window),)
         part = slice(window[1], window[3]), slice(window[0], window[2])
@@ -293,8 +293,8 @@ class OpenGLRenderer:
         image[part] = cv2.remap(source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return (image,)
 
-    def _pinhole(self, look: Look | None, with_depth: bool = False) -> tuple[Image]:
-        window = part_round(look[0], *self._size) if look is not None and self._parts else None
+    def _pinhole(self, regions: Regions | None, with_depth: bool = False) -> tuple[Image]:
+        window = part_round(regions[0], *self._size) if regions is not None and self._parts else None
         self.whole = window is None
         image = self._views[0].raw(window, with_depth)
         if with_depth:
@@ -306,19 +306,19 @@ class OpenGLRenderer:
         still = np.ascontiguousarray(image)
         return (np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8),)
 
-    def _panel_images(self, look: Look | None) -> tuple[Image | None, ...]:
-        self.whole = look is None or all(look)
-        return tuple(view.raw() if look is None or look[i] else None for i, view in enumerate(self._views))
+    def _panel_images(self, regions: Regions | None) -> tuple[Image | None, ...]:
+        self.whole = regions is None or all(regions)
+        return tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
 
-    def _composed(self, look: Look | None, rows: Rows | None) -> tuple[Image]:
+    def _composed(self, regions: Regions | None, rows: Rows | None) -> tuple[Image]:
         """The image of a wide lens, composed of the cube's faces, or of their parts, that the windows or rows need."""
         assert self._cube is not None
         if rows is not None:
             self.whole = False
-            window = part_of_rows(look, rows, *self._size)
+            window = part_of_rows(regions, rows, *self._size)
             drawn = {i: self._views[i].raw(part) for i, part in self._cube.parts(window).items()}
             return (self._cube.compose(drawn, (window[1], window[3])),)
-        faces = range(len(self._views)) if look is None else self._cube.needed(look[0])
+        faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, Image, Look, Panel, Perspective, Window
+from vstestbed.camera import Camera, DepthImage, Image, Panel, Perspective, Regions, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.imaging.shutter import Rows
@@ -244,21 +244,21 @@ class RayRenderer:
         # A lens with panels is cast through its own projection here; number -1 keeps that raster beside those of the panels.
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
-    def images(self, look: Look | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
+    def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """The images now, one for each panel, as copies.
 
-        look: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
+        regions: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
         with_depth: of a perspective camera, draw everything, and set `depth`. rows: the only ones that are cast.
         """
-        start, images, (look, rows) = time.perf_counter(), [], (None, None) if with_depth else (look, rows)
+        start, images, (regions, rows) = time.perf_counter(), [], (None, None) if with_depth else (regions, rows)
         for i, panel in enumerate(self._camera.panels):
-            windows = None if look is None else look[i]
+            windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
             self.depth = ray_depth(
                 self._rasters[0].rays((0, 0, self._camera.width, self._camera.height)), self._stage.camera_pose(), self._caster.hits
             )
-        self.whole = look is None and rows is None
+        self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
 
