@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 import vstestbed as vs
 from tests.shortcuts import every_third_quick
-from vstestbed.camera import Regions, Perspective, Picture
+from vstestbed.camera import Perspective, Picture, Regions
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, exp, inverse, transform
 from vstestbed.imaging.shutter import of_rows
