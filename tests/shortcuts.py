@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any
 
@@ -14,18 +14,14 @@ from vstestbed.report.comparison import page
 from vstestbed.robots.puma560 import kinematics
 
 
-def one_quick(*cases: Any) -> list[Any]:
-    """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a case of several arguments."""
-    first, *others = cases
-    return [first, *(pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.study) for case in others)]
+def one_quick(*cases: Any, every: int = 0) -> list[Any]:
+    """Cases of `parametrize`, of which the first is quick and the others are studies; a tuple is a case of several arguments.
 
-
-def every_third_quick(cases: Iterable[Any]) -> list[Any]:
-    """Cases of one argument, or of `pytest.param`, of which two thirds are studies."""
-    params = [case if hasattr(case, "marks") else pytest.param(case) for case in cases]
-    return [
-        pytest.param(*param.values, marks=[*param.marks, pytest.mark.study] if i % 3 else param.marks) for i, param in enumerate(params)
-    ]
+    every: with 3, the first of each three is quick.
+    """
+    made = [case if hasattr(case, "marks") else pytest.param(*(case if isinstance(case, tuple) else (case,))) for case in cases]
+    study = [[pytest.mark.study] if i % (every or len(made)) else [] for i in range(len(made))]
+    return [pytest.param(*case.values, marks=[*case.marks, *more], id=case.id) for case, more in zip(made, study, strict=True)]
 
 
 class Here:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.robots.flying import DT, Flown, Log, Response, perfect
+from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import GRAVITY
 from vstestbed.robots.attitude import Filter, level, to_body
@@ -63,7 +64,7 @@ class TestSteps:
         assert found.settled < 0.45
         assert abs(found.error) < 0.01
 
-    @pytest.mark.parametrize("axis", [0, 1])
+    @pytest.mark.parametrize("axis", one_quick(0, 1))
     @pytest.mark.parametrize("speed", [0.5, 2.0])
     def test_velocity_along_the_ground(self, axis, speed):
         order = np.zeros(4)
@@ -77,7 +78,7 @@ class TestSteps:
         assert np.abs(log.position[:, 2] - 10.0).max() < 0.03  # height is kept while it leans
         assert np.abs(log.level[:, 1 - axis]).max() < 0.01
 
-    @pytest.mark.parametrize("lag", [0.092, 0.14])
+    @pytest.mark.parametrize("lag", one_quick(0.092, 0.14))
     def test_other_motors_fly_too(self, lag):
         """Motors of efficiency .85 and .75 under speed controllers tuned for .8."""
         craft = Flown(perfect())
@@ -114,6 +115,7 @@ class TestSteps:
         assert found.overshoot < 0.01
         assert np.abs(log.position - [0, 0, 10]).max() < 0.005
 
+    @pytest.mark.study
     def test_forward_while_turning_is_a_circle(self):
         log = Flown(perfect()).fly([1.0, 0, 0, 0.8], 4.0 + 2.5 * math.pi)
         np.testing.assert_allclose(log.level[4000:], np.tile([1.0, 0, 0], (len(log.t) - 4000, 1)), atol=0.05)
@@ -128,7 +130,7 @@ class TestTilt:
         assert np.degrees(log.tilt).max() == pytest.approx(20, abs=1.0)
         assert np.abs(log.position[:, 2] - 10).max() < 0.15
 
-    @pytest.mark.parametrize(("degrees", "seconds", "sinks"), [(30, 0.3, 0.15), (70, 1.3, 1.2), (120, 1.5, 6.0), (179, 1.5, 14.0)])
+    @pytest.mark.parametrize(("degrees", "seconds", "sinks"), one_quick((30, 0.3, 0.15), (70, 1.3, 1.2), (120, 1.5, 6.0), (179, 1.5, 14.0)))
     def test_it_levels_from_any_tilt(self, degrees, seconds, sinks):
         craft = Flown(perfect(height=40.0))
         craft.tilt(roll=math.radians(degrees))

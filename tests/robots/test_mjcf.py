@@ -12,6 +12,7 @@ from spatialmath import SE3
 
 import vstestbed as vs
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA, block
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import ROBOTS, Mjcf
@@ -78,7 +79,7 @@ def test_its_kinematics_are_mujocos_and_their_own_differences(name: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "actuation", "seen"), [("seven", "file", "square"), ("seven", "velocity", "square"), ("scara", "velocity", "flat")]
+    ("name", "actuation", "seen"), one_quick(("seven", "file", "square"), ("seven", "velocity", "square"), ("scara", "velocity", "flat"))
 )
 def test_it_converges_from_rendered_pictures_by_yaml_alone(name: str, actuation: str, seen: str, tmp_path: Path) -> None:
     robot = arm(name)
@@ -331,13 +332,13 @@ class TestDoctor:
 
     @pytest.mark.parametrize(
         ("file", "flange"),
-        [
+        one_quick(
             (str(HERE / "two_link.xml"), "flange"),
             (str(HERE / "scara.xml"), "tool"),
             (str(HERE / "seven.xml"), "hand"),
             (JACO, "wristsite"),
             pytest.param("package:dm_robotics.panda/assets/panda/panda.xml", "wrist_site", marks=NEEDS_PANDA),
-        ],
+        ),
     )
     def test_the_scenario_that_it_prints_converges(self, file: str, flange: str, tmp_path: Path) -> None:
         (tmp_path / "first.yaml").write_text(told_of(file)["scenario"][0].partition("\n")[2])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from tests.shortcuts import every_third_quick
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.registry import to_mapping
 from vstestbed.effects.joints import CurrentLoops
@@ -43,7 +43,7 @@ def both(scenario: vs.Scenario) -> tuple[vs.Scenario, vs.Scenario]:
     return given, resolved
 
 
-@pytest.mark.parametrize("case", every_third_quick(RUNS))
+@pytest.mark.parametrize("case", one_quick(*RUNS, every=3))
 def test_both_documents_repeat_the_run(case: str) -> None:
     name, settings, seed = RUNS[case]
     scenario = vs.load(name, SHORT | settings, seed)

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from spatialmath import SE2, SE3
 
 import vstestbed as vs
-from tests.shortcuts import every_third_quick
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.scenario.load import parse
@@ -33,7 +33,7 @@ def built(**more: Any) -> vs.Scenario:
     return vs.Scenario(**parts | more)
 
 
-@pytest.mark.parametrize("name", every_third_quick(sorted(bundled_scenarios())))
+@pytest.mark.parametrize("name", one_quick(*sorted(bundled_scenarios()), every=3))
 def test_a_bundled_scenario_is_read_again_from_its_short_text(name: str, tmp_path: Path) -> None:
     scenario, file = vs.load(name), tmp_path / f"{name}.yaml"
     text = vs.dump(scenario, file)

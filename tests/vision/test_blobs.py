@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.shortcuts import one_quick
 from tests.vision.conftest import TakePicture
 from tests.vision.parts import in_windows
 from vstestbed.camera import Camera, Catadioptric, Perspective, Picture
@@ -76,7 +77,7 @@ def test_correction_of_the_centre_matters_for_large_markers(picture: TakePicture
     assert without > 4 * with_it
 
 
-@pytest.mark.parametrize(("marker", "bound"), [(Disc(radius=0.02), 0.06), (Sphere(radius=0.02), 0.1)], ids=["disc", "sphere"])
+@pytest.mark.parametrize(("marker", "bound"), one_quick((Disc(radius=0.02), 0.06), (Sphere(radius=0.02), 0.1)), ids=["disc", "sphere"])
 def test_grey_moments_with_multisampling(picture: TakePicture, marker: Marker, bound: float) -> None:
     # A fixed threshold would be .27 px off towards the light on balls.
     camera = Perspective(multisampling=4)
@@ -364,7 +365,7 @@ def test_centroids_scatter_with_the_noise(picture: TakePicture, camera: Perspect
     assert scatter[2] > 1.5 * scatter[1]
 
 
-@pytest.mark.parametrize("marker", MARKERS, ids=lambda m: f"{m.kind} {m.radius}")
+@pytest.mark.parametrize("marker", one_quick(*MARKERS), ids=lambda m: f"{m.kind} {m.radius}")
 def test_noise_does_not_shift_shaded_markers(picture: TakePicture, marker: Marker) -> None:
     target, rng = _square(marker), np.random.default_rng(5)
     errors = []
