@@ -11,7 +11,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.loop.termination import BLOCKED_SCALE, FAR_M, Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import Failsafe
-from vstestbed.tasks.monitor import GoalMonitor
+from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.stop import Stop
 
 SETUP = vs.load("arm_ibvs").setup
@@ -21,7 +21,7 @@ def termination(supervisor: Supervisor | None = None, stop: Stop = SETUP.stop, o
     """Of a run with a square of markers, which are on its front only, or with landmarks, which have no front."""
     supervisor = supervisor or Supervisor()
     target = SETUP.target if one_sided else vs.load("car_pbvs").target
-    return Termination(GoalMonitor(replace(SETUP, stop=stop), 1, supervisor), stop, target, supervisor)
+    return Termination(TaskMonitor(replace(SETUP, stop=stop), 1, supervisor), stop, target, supervisor)
 
 
 def verdicts(ends: Termination, seconds: float, from_s: float = 0.0, **given):

@@ -10,7 +10,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.loop.termination import Termination
 from vstestbed.robots.base import Supervisor
 from vstestbed.robots.flight import OFF, SINKS, Failsafe
-from vstestbed.tasks.monitor import GoalMonitor
+from vstestbed.tasks.monitor import TaskMonitor
 from vstestbed.tasks.stop import Converged, Stop
 
 STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5), lost_after_s=1.0)
@@ -20,7 +20,7 @@ SETUP = vs.load("arm_ibvs").setup
 def judged(seconds, supervisor=None, stop=STOP, **given):
     """The verdict (outcome, reason) on the same frame at 25 Hz for so long, and when it fell; None to go on."""
     supervisor = supervisor or Supervisor()
-    monitor = GoalMonitor(replace(SETUP, stop=stop), 1, supervisor)
+    monitor = TaskMonitor(replace(SETUP, stop=stop), 1, supervisor)
     ends = Termination(monitor, stop, SETUP.target, supervisor)
     found = first_verdict(monitor, ends, (frame(t, **given) for t in times(seconds)))
     return None if found is None else (*found[0], found[1])
@@ -94,7 +94,7 @@ class TestARobotThatGaveUp:
 
     def test_without_pictures_it_decides_by_the_clock(self):
         supervisor = Supervisor()
-        ends, truth = Termination(GoalMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
+        ends, truth = Termination(TaskMonitor(replace(SETUP, stop=STOP), 1, supervisor), STOP, SETUP.target, supervisor), frame().truth
         assert ends.without_picture(9.9, truth) is None
         assert ends.without_picture(10.0, truth) == (Outcome.timed_out, "10 s were not enough")
         assert ends.without_picture(1.0, frame(contact="forearm and floor").truth)[0] is Outcome.collided

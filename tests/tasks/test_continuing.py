@@ -73,7 +73,7 @@ def test_a_craft_that_left_its_path_while_it_had_given_up_did_not_keep_it():
     ends = Termination(monitor, stop, scenario.target, failsafe)
 
     def at(t, off_m):
-        T = scenario.target.T_world_start @ inverse(scenario.goal.trajectory.at(t)[0])
+        T = scenario.target.T_world_start @ inverse(scenario.goal.at(t)[0])
         T[2, 3] -= off_m
         return frame(t, T_world_camera=T, T_world_target=scenario.target.T_world_start)
 

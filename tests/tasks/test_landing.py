@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import Observation
 from vstestbed.robots.flight import DOWN_S, Failsafe
-from vstestbed.tasks.landing import DEEPEST, LandingMonitor, Touchdown
+from vstestbed.tasks.landing import DEEPEST, LandingMonitor
 
 SCENARIO = vs.load("quadrotor_land")
 TASK = SCENARIO.goal
@@ -87,6 +87,10 @@ def craft(k: int, offset_m: float, sink_mps: float) -> np.ndarray:
     return Pose(xyz=(offset_m, 0, 0.172 + sink_mps * 0.04 * (20 - k))).T
 
 
+def touchdown(task) -> LandingMonitor:
+    return LandingMonitor(task, SCENARIO.setup, Failsafe(lands=True, lost_after_s=1.0))
+
+
 class TestTouchdown:
     def test_it_is_judged_by_place_and_speed(self):
         for offset_m, sink_mps, outcome, reason in (
@@ -94,43 +98,43 @@ class TestTouchdown:
             (0.25, 0.3, Outcome.collided, "touched down 25 cm from the pad's centre at 0.30 m/s: more than 20 cm"),
             (0.1, 0.6, Outcome.collided, "touched down 10 cm from the pad's centre at 0.60 m/s: more than 0.5 m/s"),
         ):
-            down = Touchdown(TASK)
+            down = touchdown(TASK)
             for k in range(30):
-                assert down.verdict is None or k > 20
-                down.update(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
+                assert down.on_contact is None or k > 20
+                down.moved(0.04 * k, craft(k, offset_m, sink_mps), np.eye(4), feet=k >= 20)
             assert down.offset_m == pytest.approx(offset_m) and down.speed_mps == pytest.approx(sink_mps)
-            assert down.verdict == (outcome, reason)
+            assert down.on_contact == (outcome, reason)
 
     def test_speed_is_against_a_pad_that_moves(self):
-        down = Touchdown(TASK)
+        down = touchdown(TASK)
         for k in range(22):
             deck = Pose(xyz=(0.02 * k, 0, 0)).T  # half a metre a second
-            down.update(0.04 * k, deck @ craft(k, 0.1, 0.3), deck, feet=k >= 20)
+            down.moved(0.04 * k, deck @ craft(k, 0.1, 0.3), deck, feet=k >= 20)
         assert down.speed_mps == pytest.approx(0.3) and down.offset_m == pytest.approx(0.1)
 
     def test_its_bounds_are_within(self):
         """At the very distance and speed, from the frame before: exact in binary."""
         task = replace(TASK, pad_m=0.25, touch_mps=0.5)
         for offset, speed, outcome in ((0.25, 0.5, Outcome.landed), (0.25, 0.625, Outcome.collided), (0.3125, 0.5, Outcome.collided)):
-            down = Touchdown(task)
+            down = touchdown(task)
             for t, height in ((0.0, 1.0), (0.5, 1.0 - 0.5 * speed)):
-                down.update(t, Pose(xyz=(offset, 0, height)).T, np.eye(4), feet=False)
-            down.update(1.0, Pose(xyz=(offset, 0, 0.5)).T, np.eye(4), feet=True)
-            assert down.verdict is not None and down.verdict[0] is outcome
+                down.moved(t, Pose(xyz=(offset, 0, height)).T, np.eye(4), feet=False)
+            down.moved(1.0, Pose(xyz=(offset, 0, 0.5)).T, np.eye(4), feet=True)
+            assert down.on_contact is not None and down.on_contact[0] is outcome
 
     def test_the_first_contact_counts(self):
-        down = Touchdown(TASK)
+        down = touchdown(TASK)
         for k in range(21):
-            down.update(0.04 * k, craft(k, 0.1, 0.3), np.eye(4), feet=k >= 20)
-        down.update(1.0, craft(20, 0.9, 0.3), np.eye(4), feet=True)  # it slides
-        assert down.offset_m == pytest.approx(0.1) and down.verdict is not None and down.verdict[0] is Outcome.landed
+            down.moved(0.04 * k, craft(k, 0.1, 0.3), np.eye(4), feet=k >= 20)
+        down.moved(1.0, craft(20, 0.9, 0.3), np.eye(4), feet=True)  # it slides
+        assert down.offset_m == pytest.approx(0.1) and down.on_contact is not None and down.on_contact[0] is Outcome.landed
 
     def test_two_frames_of_one_time_give_no_speed(self):
-        down = Touchdown(TASK)
-        down.update(0.0, craft(0, 0.1, 0.3), np.eye(4), feet=False)
-        down.update(0.04, craft(1, 0.1, 0.3), np.eye(4), feet=False)
-        down.update(0.04, craft(9, 0.1, 0.3), np.eye(4), feet=False)
-        down.update(0.08, craft(9, 0.1, 0.3), np.eye(4), feet=True)
+        down = touchdown(TASK)
+        down.moved(0.0, craft(0, 0.1, 0.3), np.eye(4), feet=False)
+        down.moved(0.04, craft(1, 0.1, 0.3), np.eye(4), feet=False)
+        down.moved(0.04, craft(9, 0.1, 0.3), np.eye(4), feet=False)
+        down.moved(0.08, craft(9, 0.1, 0.3), np.eye(4), feet=True)
         assert down.speed_mps == pytest.approx(0.3)
 
 

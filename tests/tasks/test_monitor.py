@@ -11,25 +11,24 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Pose, exp
 from vstestbed.features.observation import Goal
 from vstestbed.robots.base import Supervisor
-from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, estimated_error, level_error
+from vstestbed.tasks.monitor import TaskMonitor, estimated_error, has_held, held_since, level_error
 from vstestbed.tasks.stop import Converged, Stop
 
 
 def test_a_hold_is_measured_from_its_first_frame_and_ends_with_a_break():
-    timer = HoldTimer()
-    assert timer.lasting(False, 0.0) == -np.inf
-    assert [timer.lasting(True, t) for t in (0.04, 0.08)] == pytest.approx([0.0, 0.04], abs=1e-8)
-    assert timer.lasting(False, 0.12) == -np.inf
-    assert timer.lasting(True, 0.16) == pytest.approx(0.0, abs=1e-8)
+    since, found = np.inf, []
+    for t, holds in ((0.0, False), (0.04, True), (0.08, True), (0.12, False), (0.16, True)):
+        since = held_since(since, holds, t)
+        found.append(since)
+    assert found == [np.inf, 0.04, 0.04, np.inf, 0.16]
+    assert not has_held(np.inf, 0.0, 0.0)
 
 
 def test_a_hold_does_not_miss_its_frame_by_a_rounding():
-    timer, start = HoldTimer(), 0.15
-    timer.lasting(True, start)
-    t = start
+    t = start = 0.15
     for _ in range(5):
         t += 0.1
-    assert t - start < 0.5 <= timer.lasting(True, t)
+    assert t - start < 0.5 and has_held(start, t, 0.5)
 
 
 class TestColumns:

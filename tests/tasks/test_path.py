@@ -16,7 +16,7 @@ WAY = (
 
 
 class TestTrajectory:
-    path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0).trajectory
+    path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0)
 
     def places(self, t):
         return np.array([inverse(self.path.at(x)[0])[:3, 3] for x in t])
@@ -49,14 +49,14 @@ class TestTrajectory:
         assert self.path.off(first, self.path.end_s + 30) == pytest.approx(np.linalg.norm(last[:3, 3] - first[:3, 3]))
 
     def test_its_twist_is_its_poses_derivative(self):
-        path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0).trajectory
+        path = GoalPath(way=WAY, speed_mps=0.5, settle_s=3.0, lead_s=0.0)
         for t in (5.0, 9.0, 12.0, 13.5):
             h = 1e-4
             before, now, after = (inverse(path.at(t + d)[0]) for d in (-h, 0, h))
             v = now[:3, :3].T @ (after[:3, 3] - before[:3, 3]) / (2 * h)
             turn = now[:3, :3].T @ (after[:3, :3] - before[:3, :3]) / (2 * h)
             w = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
-            np.testing.assert_allclose(path.twist(t), [*v, *w], atol=1e-5)
+            np.testing.assert_allclose(path.twist_at(t), [*v, *w], atol=1e-5)
 
 
 class TestReference:
@@ -66,9 +66,9 @@ class TestReference:
         memory = task.begin(scenario.setup, scenario.goal_views)
         for t in (0.0, task.settle_s + 1.0, task.end_s + 1.0):
             memory, goal = task.reference(memory, Observation(t, nothing, nothing, np.ones(4)))
-            T, view = task.trajectory.at(t)
+            T, view = task.at(t)
             np.testing.assert_array_equal(goal.T_camera_target, T)
-            np.testing.assert_array_equal(goal.twist, task.trajectory.twist(t))
+            np.testing.assert_array_equal(goal.twist, task.twist_at(t))
             assert goal.view == view
         assert view == len(task.way) - 1
 
@@ -83,6 +83,6 @@ class TestReference:
     def test_its_error_is_the_cameras_distance_from_the_path(self):
         scenario = vs.load("quadrotor_path")
         task, setup, T_target = scenario.goal, scenario.setup, scenario.target.T_world_start
-        T_camera = T_target @ inverse(task.trajectory.at(0.0)[0])
+        T_camera = T_target @ inverse(task.at(0.0)[0])
         T_camera[:3, 3] += T_target[:3, 2] * 0.25  # square to the first leg, which is level
         assert task.error_m(setup, T_camera @ inverse(setup.camera.mount.T), T_target, 0.0) == pytest.approx(0.25)

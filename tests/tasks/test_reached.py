@@ -10,7 +10,7 @@ from tests.tasks.frames import GOAL, frame, observed, times
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
 from vstestbed.robots.base import Supervisor
-from vstestbed.tasks.monitor import REST, GoalMonitor
+from vstestbed.tasks.monitor import REST, TaskMonitor
 from vstestbed.tasks.stop import Converged, Stop
 
 SETUP = vs.load("arm_ibvs").setup
@@ -18,7 +18,7 @@ STOP = Stop(duration_s=10, converged=Converged(error_px=0.2, hold_s=0.5))
 
 
 def monitor_of(stop=STOP, views=1):
-    return GoalMonitor(replace(SETUP, stop=stop), views, Supervisor())
+    return TaskMonitor(replace(SETUP, stop=stop), views, Supervisor())
 
 
 def first(monitor, frames, ask):

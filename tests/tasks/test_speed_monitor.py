@@ -2,9 +2,9 @@
 
 import pytest
 
-from vstestbed.tasks.continuing import MinSpeed, SpeedMonitor
+from vstestbed.tasks.continuing import SpeedMonitor
 
-CRUISE = MinSpeed("the vehicle", commanded_mps=0.8, least_mps=0.64)
+CRUISE = "the vehicle", 0.8, 0.64  # m/s: commanded, and the least that counts
 
 
 def watched(speed, until_s=10.0, from_s=4.0, dt=0.04):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError, RunFolderError
@@ -143,17 +143,12 @@ LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
 
-class _Open(BaseModel):
-    """Any other name holds a scalar, or a block of scalars."""
-
-    model_config = ConfigDict(strict=True, extra="allow")
-    __pydantic_extra__: dict[str, Scalar | dict[str, Scalar]]  # pyright: ignore[reportIncompatibleVariableOverride] - as pydantic has it
-
-
+_STRICT = ConfigDict(strict=True)
+_OPEN = TypeAdapter(dict[str, Scalar | dict[str, Scalar]], config=_STRICT)  # any other name holds a scalar, or a block of scalars
 _NUMBERS: dict[str, Any] = dict.fromkeys((*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None))
 _Summary = create_model(
     "_Summary",
-    __base__=_Open,
+    __config__=_STRICT,
     outcome=(str, ...),
     success=(bool, ...),
     reason=(str, ""),
@@ -179,6 +174,7 @@ def _checked(content: bytes) -> tuple[str | None, dict[str, Any]]:
     """What is wrong with a summary, None for a sound one; and its content, where it can be read."""
     try:
         summary = _Summary.model_validate_json(content)
+        _OPEN.validate_json(content)
     except ValidationError as error:
         first = error.errors()[0]
         return ": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]]), {}

@@ -22,7 +22,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.monitor import HoldTimer, TaskMonitor, timed_out_words
+from vstestbed.tasks.monitor import TaskMonitor, has_held, held_since, timed_out_words
 from vstestbed.tasks.monitors import Monitor, checked
 from vstestbed.tasks.stop import Stop
 
@@ -215,7 +215,7 @@ class Termination:
         # Where no loss ends a run, the camera may go behind its target.
         self._one_sided = target.one_sided and stop.loss_ends
         self._T_before: Array | None = None
-        self._blocked = HoldTimer()
+        self._blocked_since = math.inf
 
     def verdict(self, frame: Frame) -> Verdict | None:
         """The outcome after this frame with its reason, or None to go on."""
@@ -272,7 +272,8 @@ class Termination:
         # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
         limit, scale = frame.allocation.limit, frame.allocation.scale
         blocked = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
-        if self._blocked.lasting(blocked, frame.t) < BLOCKED_S:
+        self._blocked_since = held_since(self._blocked_since, blocked, frame.t)
+        if not has_held(self._blocked_since, frame.t, BLOCKED_S):
             return None
         return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
 

@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -31,7 +31,7 @@ from vstestbed.targets.markers import HIDDEN_M
 from vstestbed.targets.picture import read_rgb
 from vstestbed.tasks.frame import ImageError
 from vstestbed.tasks.judged import JudgedError, by_convergence
-from vstestbed.tasks.monitor import GoalMonitor, Setup, TaskMonitor
+from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
 from vstestbed.vision.observe import pose_by_depth, shown_goal
@@ -200,13 +200,6 @@ Log = Mapping[str, Array]
 """The columns of a log by name, shape (frames,) each."""
 
 
-class Reference(NamedTuple):
-    """State of the reference: the goal views in turn, and the number of the current one."""
-
-    views: tuple[Goal, ...]
-    view: int = 0
-
-
 class Task:
     """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`: one view, on any base."""
 
@@ -292,12 +285,12 @@ class Task:
         return tuple(view_from(setup, lambda mount, i=i: self.goal_poses(setup.target, mount)[i], i) for i in range(n))
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Any:
-        """The initial state of the reference: at the first view."""
-        return Reference(views)
+        """The initial state of the reference: here the first view, which stays the goal."""
+        return views[0]
 
     def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
         """The next state, and the goal for the law at this frame: the current view."""
-        return memory, memory.views[memory.view]
+        return memory, memory
 
     def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
         """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
@@ -305,7 +298,7 @@ class Task:
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
         """What measures the task's error and decides when it is completed or failed; by default reached when `stop.converged` holds."""
-        return GoalMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
+        return TaskMonitor(setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
         """Summary figures of this task alone."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,13 +27,10 @@ FOLLOWS = 0.5
 """Least share of the leader's speed for a follower, which cuts corners, and waits where it is too near."""
 
 
-@dataclass(frozen=True, slots=True)
-class MinSpeed:
-    """A minimum speed: `who`, in words, must reach `least_mps` where `commanded_mps` are commanded [m/s]."""
-
-    who: str
-    commanded_mps: float
-    least_mps: float
+MinSpeed = tuple[str, float, float]
+"""Who, in words, is commanded which speed, and must reach which [m/s]."""
+Odometer = Callable[[Array, Array], tuple[float, ...]]
+"""Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and target now at these true poses (4, 4)."""
 
 
 class SpeedMonitor:
@@ -59,24 +56,16 @@ class SpeedMonitor:
         whole = t - began >= WINDOW_S - 1e-9 or (at_the_end and t > began)
         if self.slow or t < self._from_s or not whole:
             return
-        for speed, now, then in zip(self._speeds, travelled, before, strict=True):
+        for (who, commanded_mps, least_mps), now, then in zip(self._speeds, travelled, before, strict=True):
             mean = (now - then) / (t - began)
-            if not mean >= speed.least_mps:  # `not >=`: a mean of NaN is a violation, too
-                commanded = f"{speed.commanded_mps:g} m/s were commanded, {speed.least_mps:.2g} are the least that counts"
-                self.slow = t, f"{speed.who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s; {commanded}"
+            if not mean >= least_mps:  # `not >=`: a mean of NaN is a violation, too
+                commanded = f"{commanded_mps:g} m/s were commanded, {least_mps:.2g} are the least that counts"
+                self.slow = t, f"{who} made {mean:.2f} m/s in the {t - began:.2g} s before {t:.3g} s; {commanded}"
                 return
 
 
 Tolerance = PositiveLength
 Settle = Time
-
-
-class Odometer(Protocol):
-    """True distances travelled by the vehicles under a minimum speed."""
-
-    def update(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
-        """Distances so far [m] with vehicle and target at these poses (4, 4), in the order of the task's minimum speeds."""
-        ...
 
 
 class Continuing(Task):
@@ -144,6 +133,10 @@ class ToleranceMonitor(TaskMonitor):
         self._error_m = self.task.error_m(self.setup, T_base, T_target, frame.t)
         return (self._error_m,)
 
+    def reached(self, frame: Frame) -> Verdict | None:
+        """Never before the end of the duration."""
+        return None
+
     def missed(self, frame: Frame) -> Verdict | None:
         """At the end of the duration: completed, or the first violation."""
         t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
@@ -153,7 +146,7 @@ class ToleranceMonitor(TaskMonitor):
             self._left_at = t, self._error_m
         over = t >= duration - 1e-9  # times are sums of steps, and may miss the end by a rounding
         if self._speeds and self._odometer:
-            travelled = self._odometer.update(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
+            travelled = self._odometer(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
             self._speeds.update(t, travelled, over)
         return self._at_the_end(duration) if over else None
 

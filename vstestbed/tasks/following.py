@@ -20,7 +20,7 @@ from vstestbed.robots import VEHICLES, Robot
 from vstestbed.robots.base import Base
 from vstestbed.targets import GroundLines, Target
 from vstestbed.targets.route import Route
-from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Settle, Tolerance
+from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Odometer, Settle, Tolerance
 from vstestbed.tasks.monitor import Setup
 from vstestbed.vision.floor_pose import LEVEL
 
@@ -112,29 +112,25 @@ class GoalGap(Continuing):
         if setup.target.carrier is None:
             return ()
         v = setup.target.carrier.speed_mps
-        return MinSpeed("the vehicle ahead", v, STEADY * v), MinSpeed("the vehicle that follows", v, FOLLOWS * v)
+        return ("the vehicle ahead", v, STEADY * v), ("the vehicle that follows", v, FOLLOWS * v)
 
-    def odometer(self, setup: Setup) -> LeaderAndFollower | None:
+    def odometer(self, setup: Setup) -> Odometer | None:
         """Of both vehicles."""
-        return LeaderAndFollower(setup.target) if setup.target.carrier else None
+        return leader_and_follower(setup.target) if setup.target.carrier else None
 
 
-class LeaderAndFollower:
+def leader_and_follower(target: Target) -> Odometer:
     """Distances that the leader's and the follower's origins have travelled."""
+    T_target_leader, before, travelled = inverse(target.pose.T), list[Array](), [0.0, 0.0]
 
-    def __init__(self, target: Target):
-        self._T_target_leader = inverse(target.pose.T)
-        self._before: tuple[Array, Array] | None = None
-        self._travelled = [0.0, 0.0]
+    def travel(T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
+        places = [T[:2, 3] for T in (T_world_target @ T_target_leader, T_world_base)]
+        for i, place in enumerate(before):
+            travelled[i] += math.dist(place, places[i])
+        before[:] = places
+        return tuple(travelled)
 
-    def update(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
-        """Distances so far [m]: leader, follower."""
-        places = T_world_target @ self._T_target_leader, T_world_base
-        if self._before is not None:
-            steps = [math.dist(a[:2, 3], b[:2, 3]) for a, b in zip(self._before, places, strict=True)]
-            self._travelled = [way + step for way, step in zip(self._travelled, steps, strict=True)]
-        self._before = places
-        return tuple(self._travelled)
+    return travel
 
 
 # Line following: keep the vehicle over a line painted on the floor.
@@ -208,11 +204,11 @@ class GoalLine(Continuing):
     def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
         """That of the law's cruising speed."""
         v = setup.law.cruise_mps
-        return () if v is None else (MinSpeed("the vehicle, along its line,", v, STEADY * v),)
+        return () if v is None else (("the vehicle, along its line,", v, STEADY * v),)
 
-    def odometer(self, setup: Setup) -> AlongRoute | None:
+    def odometer(self, setup: Setup) -> Odometer | None:
         """Distance along the route."""
-        return AlongRoute(_lines(setup.target).route)
+        return along_route(_lines(setup.target).route)
 
 
 def _lines(target: Target) -> GroundLines:
@@ -222,24 +218,23 @@ def _lines(target: Target) -> GroundLines:
     return target
 
 
-class AlongRoute:
-    """Distance along a route, in the direction that the vehicle faced at the start: a painted line has no direction."""
+def along_route(route: Route) -> Odometer:
+    """Distance along a route, in the direction that the vehicle faced at the start: a painted line has no direction.
 
-    def __init__(self, route: Route):
-        self._route = route
-        self._s, self._sense, self._travelled = math.nan, 1.0, 0.0
+    ds (1 - curvature offset) is the vehicle's own step beside the line, which in a bend is longer or shorter than the line's.
+    """
+    last, sense, travelled = math.nan, 1.0, 0.0
 
-    def update(self, T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
-        """Distance so far [m].
-
-        ds (1 - curvature offset) is the vehicle's own step beside the line, which in a bend is longer or shorter than the line's.
-        """
-        place, route = place_of(inverse(T_world_target) @ T_world_base), self._route
-        if math.isnan(self._s):
-            self._s, with_it = route.branch(place)
-            self._sense = 1.0 if with_it >= 0 else -1.0
+    def travel(T_world_base: Array, T_world_target: Array) -> tuple[float, ...]:
+        nonlocal last, sense, travelled
+        place = place_of(inverse(T_world_target) @ T_world_base)
+        if math.isnan(last):
+            last, with_it = route.branch(place)
+            sense = 1.0 if with_it >= 0 else -1.0
         # Near its last arc length: where the line crosses itself, the nearest point may be on the other branch.
-        s, offset = route.nearest(place[:2], around=self._s, reach=ALONG_M)
-        self._travelled += self._sense * (s - self._s) * (1 - float(route.at(s)[3]) * offset)
-        self._s = s
-        return (self._travelled,)
+        s, offset = route.nearest(place[:2], around=last, reach=ALONG_M)
+        travelled += sense * (s - last) * (1 - float(route.at(s)[3]) * offset)
+        last = s
+        return (travelled,)
+
+    return travel

@@ -18,7 +18,7 @@ from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end, largest
-from vstestbed.tasks.monitor import GoalMonitor, Setup
+from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
 DEEPEST = -0.25
@@ -125,45 +125,34 @@ class GoalLanding(Task):
         return largest([away] if math.isnan(speed.value) else [away, speed])
 
 
-class LandingMonitor(GoalMonitor):
-    """Ends when the craft has set down: landed or collided, by the place and speed of the first contact.
+class LandingMonitor(TaskMonitor):
+    """Ends when the craft has set down: landed or collided, by the true place and speed of the first contact of a foot.
 
     Columns `task_error_m`: true horizontal distance of the craft from the pad's centre, from the first contact on the distance there [m];
     `touch_mps`: its true speed relative to the pad at the first contact [m/s], NaN before.
-    """
-
-    error_columns = ("task_error_m", "touch_mps")
-
-    def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
-        super().__init__(setup, 1, supervisor)
-        self.touchdown = Touchdown(goal)
-
-    def task_error(self, frame: Frame) -> tuple[float, ...]:
-        """The distance from the pad's centre; updates the touch-down."""
-        self.touchdown.update(frame.t, frame.T_world_base(self.mount_inverse), frame.truth.T_world_target, bool(frame.truth.feet))
-        return self.touchdown.away_m, self.touchdown.speed_mps
-
-    def reached(self, frame: Frame) -> Verdict | None:
-        """The verdict on the first contact, once the craft has set down; an error in the image does not decide a landing."""
-        return self.touchdown.verdict if self.supervisor.down(frame.t) else None
-
-
-class Touchdown:
-    """True place and speed of the first contact of a foot, which should be with the pad.
 
     Attributes:
         offset_m: horizontal distance from the pad's centre at the first contact [m]; speed_mps: relative to the pad in the frame before
             it [m/s]; both NaN before.
     """
 
-    def __init__(self, goal: GoalLanding):
+    error_columns = ("task_error_m", "touch_mps")
+
+    def __init__(self, goal: GoalLanding, setup: Setup, supervisor: Supervisor):
+        super().__init__(setup, 1, supervisor)
         self._goal = goal
         self.offset_m = self.speed_mps = math.nan
         self._t, self._speed = math.nan, math.nan
         self._away: Array | None = None
 
-    def update(self, t: float, T_world_craft: Array, T_world_target: Array, feet: bool) -> None:
-        """One frame: true poses (4, 4), and whether a foot touches something."""
+    def task_error(self, frame: Frame) -> tuple[float, ...]:
+        """Distance and speed; of the first contact, once there is one."""
+        truth = frame.truth
+        away = self.moved(frame.t, frame.T_world_base(self.mount_inverse), truth.T_world_target, bool(truth.feet))
+        return away, self.speed_mps
+
+    def moved(self, t: float, T_world_craft: Array, T_world_target: Array, feet: bool) -> float:
+        """Distance from the pad's centre [m] at these true poses (4, 4) and a time [s]; that of the first contact of `feet`."""
         away = T_world_craft[:3, 3] - T_world_target[:3, 3]
         # The speed of the frame before: in the frame of the contact the ground has already slowed the craft.
         if feet and math.isnan(self.offset_m):
@@ -171,16 +160,14 @@ class Touchdown:
         if self._away is not None and t > self._t:
             self._speed = float(np.linalg.norm(away - self._away)) / (t - self._t)
         self._t, self._away = t, away
+        return float(np.hypot(*away[:2])) if math.isnan(self.offset_m) else self.offset_m
+
+    def reached(self, frame: Frame) -> Verdict | None:
+        """The verdict on the first contact, once the craft has set down; an error in the image does not decide a landing."""
+        return self.on_contact if self.supervisor.down(frame.t) else None
 
     @property
-    def away_m(self) -> float:
-        """Horizontal distance from the pad's centre [m]: of the last frame, and once a foot has touched something that of the contact."""
-        if self._away is None or not math.isnan(self.offset_m):
-            return self.offset_m
-        return float(np.hypot(*self._away[:2]))
-
-    @property
-    def verdict(self) -> Verdict | None:
+    def on_contact(self) -> Verdict | None:
         """The verdict on the first contact; None before it."""
         if math.isnan(self.offset_m):
             return None

@@ -46,24 +46,21 @@ class Setup:
     goal_shown: bool = False
 
 
-class HoldTimer:
-    """Measures for how long a condition has held without a break."""
+def held_since(since: float, holds: bool, t: float) -> float:
+    """Since when a condition has held without a break, at a time t [s]; infinite where it does not hold. since: the same before."""
+    return min(since, t) if holds else math.inf
 
-    def __init__(self) -> None:
-        self._since: float | None = None
 
-    def lasting(self, holds: bool, t: float) -> float:
-        """Duration so far [s] at time t [s]; -inf when the condition does not hold."""
-        if not holds:
-            self._since = None
-            return -math.inf
-        if self._since is None:
-            self._since = t
-        return t - self._since + 1e-9  # times are sums of steps: a hold of .5 s must not miss its frame by a rounding
+def has_held(since: float, t: float, duration_s: float) -> bool:
+    """Whether a condition that has held since then has held for so long [s]."""
+    return t - since + 1e-9 >= duration_s  # times are sums of steps: a hold of 0.5 s must not miss its frame by a rounding
 
 
 class TaskMonitor:
     """Measures once a frame; asked then, once each, whether the task is reached and whether it is missed.
+
+    A task with a goal is reached when `stop.converged` holds at the last view; it is missed in a local minimum, or when the duration is
+    over. Other tasks override both.
 
     Columns of the log: `view`, the number of the current goal view, where there are several; the task's own (`error_columns`);
     `est_position_m`, `est_rotation_rad`, the robot's estimated distance from its goal, where `stop.converged` uses it;
@@ -83,6 +80,7 @@ class TaskMonitor:
         self.estimate = math.nan, math.nan
         self.error_px = self.error_grey = math.nan
         self._in_grey = "image" in setup.law.inputs
+        self._near, self._held_since, self._rest_since = False, math.inf, math.inf
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -114,13 +112,31 @@ class TaskMonitor:
         """Values of `error_columns`."""
         return ()
 
+    def near(self, frame: Frame) -> bool:
+        """Whether the conditions hold in this frame."""
+        last = frame.goal.view + 1 == self.views and not frame.goal.moves
+        errors = self.error_px, *self.estimate, self.error_grey
+        return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, *errors)
+
     def reached(self, frame: Frame) -> Verdict | None:
-        """The verdict where this frame completes the task."""
+        """Converged, when the conditions have held for long enough."""
+        goal = self.setup.stop.converged
+        self._near = self.near(frame)
+        self._held_since = held_since(self._held_since, self._near, frame.t)
+        if has_held(self._held_since, frame.t, goal.hold_s):
+            return Outcome.converged, f"{goal.summary} for {goal.hold_s:g} s"
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
-        """The outcome where the task cannot be completed any more; it counts after those of all other monitors."""
-        return None
+        """A local minimum, or the end of the duration."""
+        # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
+        at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
+        self._rest_since = held_since(self._rest_since, at_rest, frame.t)
+        if has_held(self._rest_since, frame.t, self.setup.stop.rest_after):
+            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate, self.error_grey)
+        # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
+        duration = self.setup.stop.duration_s
+        return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
 
 
 def estimated_error(seen: Observation, goal: Goal) -> tuple[float, float]:
@@ -142,7 +158,6 @@ def level_error(seen: Observation, goal: Goal) -> float:
     return float(np.sqrt(np.mean(error**2))) if error.size else math.nan
 
 
-# Tasks with a goal to reach: completed when `stop.converged` holds.
 REST = 1e-6
 """A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
 
@@ -165,35 +180,3 @@ def at_rest_words(
 def timed_out_words(duration_s: float) -> str:
     """Why a run has timed out."""
     return f"{duration_s:g} s were not enough"
-
-
-class GoalMonitor(TaskMonitor):
-    """Reached when `stop.converged` holds at the last view; missed in a local minimum, or when the duration is over."""
-
-    def __init__(self, setup: Setup, views: int, supervisor: Supervisor):
-        super().__init__(setup, views, supervisor)
-        self._near, self._held, self._rest = False, HoldTimer(), HoldTimer()
-
-    def near(self, frame: Frame) -> bool:
-        """Whether the conditions hold in this frame."""
-        last = frame.goal.view + 1 == self.views and not frame.goal.moves
-        errors = self.error_px, *self.estimate, self.error_grey
-        return last and not frame.error.lost and self.setup.stop.converged.near(frame.error.all_seen, *errors)
-
-    def reached(self, frame: Frame) -> Verdict | None:
-        """Converged, when the conditions have held for long enough."""
-        goal = self.setup.stop.converged
-        self._near = self.near(frame)
-        if self._held.lasting(self._near, frame.t) >= goal.hold_s:
-            return Outcome.converged, f"{goal.summary} for {goal.hold_s:g} s"
-        return None
-
-    def missed(self, frame: Frame) -> Verdict | None:
-        """A local minimum, or the end of the duration."""
-        # Rest of a law that sees nothing is no minimum: the supervisor ends such a run.
-        at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
-        if self._rest.lasting(at_rest, frame.t) >= self.setup.stop.rest_after:
-            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate, self.error_grey)
-        # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
-        duration = self.setup.stop.duration_s
-        return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None

@@ -35,29 +35,9 @@ def away_from_goal(frame: Frame) -> Away:
     return rigid_error(truth.T_world_camera, truth.T_world_target @ inverse(frame.goal.T_camera_target))
 
 
-class _Early:
-    """Whether a run may be ended because its verdict is as good as certain."""
-
-    def __init__(self, share: float | None):
-        self._share, self._count = share, 0
-
-    def certain(self, near: float) -> bool:
-        """Whether the errors have been under the share of their limits for long enough; near: the larger one over its limit."""
-        self._count = self._count + 1 if self._share is not None and near < self._share else 0
-        return self._count >= EARLY_PICTURES
-
-
-class _Stuck:
-    """Whether a run may be ended because it does not come nearer any more."""
-
-    def __init__(self, pictures: int | None):
-        self._pictures, self._nearest, self._since = pictures, math.inf, 0
-
-    def hopeless(self, near: float) -> bool:
-        """Whether the errors have not been smaller than before for long enough; near: the larger one over its limit."""
-        nearer = near < NEARER * self._nearest
-        self._nearest, self._since = (near, 0) if nearer else (self._nearest, self._since + 1)
-        return self._pictures is not None and self._since >= self._pictures and near > 1
+def near_in_turn(share: float | None, near: float, before: int) -> int:
+    """For how many pictures in turn both errors have been under a share of their limits; near: the larger one over its limit."""
+    return before + 1 if share is not None and near < share else 0
 
 
 @spec
@@ -123,8 +103,8 @@ class Settles:
 
 class _Settles:
     def __init__(self, rule: Settles, rest_ends: bool = True):
-        self._rule, self._early, self._stuck = rule, _Early(rule.early), _Stuck(rule.stuck if rest_ends else None)
-        self._rest_ends = rest_ends
+        self._rule, self._rest_ends = rule, rest_ends
+        self._early, self._nearest, self._since_nearer = 0, math.inf, 0
         self._speeds: deque[tuple[float, float]] = deque(maxlen=2 * rule.window)
         self._start: Away | None = None
         self._pictures = 0
@@ -138,9 +118,10 @@ class _Settles:
         if away[0] > rule.diverged * start[0]:
             return Outcome.diverged, f"{away[0] / max(start[0], 1e-12):.1f} times as far from the goal as at the start"
         near = rule.near(away, start)
-        if self._early.certain(near):
+        self._early = near_in_turn(rule.early, near, self._early)
+        if self._early >= EARLY_PICTURES:
             return Outcome.converged, self._words("within", near, "before it settled")
-        if self._stuck.hopeless(near):
+        if self._is_stuck(near):
             return Outcome.timed_out, self._words("not within", near, f"no nearer for {rule.stuck} pictures")
         ended = self._pictures >= rule.most
         if not (ended or self._settled()):
@@ -149,6 +130,11 @@ class _Settles:
             return Outcome.converged, self._words("within", near, "when it settled" if not ended else "at the end")
         outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
         return None if outcome is None else (outcome, self._words("not within", near, "when it settled"))
+
+    def _is_stuck(self, near: float) -> bool:
+        nearer, stuck = near < NEARER * self._nearest, self._rule.stuck
+        self._nearest, self._since_nearer = (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
+        return self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1
 
     def _settled(self) -> bool:
         rule, n = self._rule, self._rule.window
@@ -191,15 +177,15 @@ class AfterPictures:
 
 class _AfterPictures:
     def __init__(self, rule: AfterPictures):
-        self._rule, self._early, self._pictures = rule, _Early(rule.early), 0
+        self._rule, self._early, self._pictures = rule, 0, 0
 
     def update(self, frame: Frame) -> Verdict | None:
         rule, (distance, angle) = self._rule, away_from_goal(frame)
         self._pictures += 1
         limit = rule.share * float(np.linalg.norm(frame.goal.T_camera_target[:3, 3]))
         near = max(distance / limit, math.degrees(angle) / rule.rotation_deg)
-        certain = self._early.certain(near)
-        if not certain and self._pictures < rule.pictures:
+        self._early = near_in_turn(rule.early, near, self._early)
+        if self._early < EARLY_PICTURES and self._pictures < rule.pictures:
             return None
         at = f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after {self._pictures} pictures"
         words = f"{at}; the limits are {limit:.3g} m and {rule.rotation_deg:g} deg"
@@ -248,17 +234,14 @@ class KeepOut:
             raise ParameterError("opposite", "must differ from `corner` in x, y and z", list(self.opposite))
 
     def monitor(self, setup: Setup) -> Monitor:
-        """By the true place of the camera."""
-        return _KeepOut(np.sort([self.corner, self.opposite], axis=0))
-
-
-class _KeepOut:
-    def __init__(self, box: np.ndarray) -> None:
-        self._low, self._high = box
+        """The rule itself, which keeps nothing from frame to frame."""
+        return self
 
     def update(self, frame: Frame) -> Verdict | None:
+        """By the true place of the camera."""
+        low, high = np.sort([self.corner, self.opposite], axis=0)
         xyz = frame.truth.T_world_camera[:3, 3]
-        if not ((xyz >= self._low) & (xyz <= self._high)).all():
+        if not ((xyz >= low) & (xyz <= high)).all():
             return None
         x, y, z = xyz.tolist()
         return Outcome.collided, f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m"

@@ -69,14 +69,23 @@ class GoalPath(Continuing):
     by_clock: ClassVar[bool] = True
 
     @cached_property
-    def trajectory(self) -> Trajectory:
-        """The reference as a function of time."""
-        return Trajectory(self)
+    def _ways(self) -> tuple[Array, ...]:
+        """T_target_camera (4, 4) of each view."""
+        return tuple(inverse(view.T_camera_target.T) for view in self.way)
+
+    @cached_property
+    def _until(self) -> Array:
+        """When each view is reached, for the last time (n,) [s]."""
+        times = []
+        for a, b in pairwise(self._ways):
+            length, angle = np.linalg.norm(b[:3, 3] - a[:3, 3]), rotation_angle(a[:3, :3].T @ b[:3, :3])
+            times.append(max(JERK_PEAK * length / self.speed_mps, JERK_PEAK * angle / np.radians(self.turn_degps), LEAST_LEG_S))
+        return np.asarray(self.settle_s + np.concatenate([[0.0], np.cumsum(times)]), dtype=float)
 
     @property
     def end_s(self) -> float:
         """When the last view is reached [s]."""
-        return self.trajectory.end_s
+        return float(self._until[-1])
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """Those of the views on the path."""
@@ -84,7 +93,7 @@ class GoalPath(Continuing):
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
         """The reference at that time."""
-        return self.trajectory.at(t)[0]
+        return self.at(t)[0]
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
         """The views on the path, with their numbers."""
@@ -107,48 +116,12 @@ class GoalPath(Continuing):
 
     def reference(self, memory: Setup, seen: Observation) -> tuple[Setup, Goal]:
         """The view at this time, with the velocity of the reference camera."""
-        T, view = self.trajectory.at(seen.t)
-        return memory, replace(view_from(memory, lambda _: T, view), twist=self.trajectory.twist(seen.t))
+        T, view = self.at(seen.t)
+        return memory, replace(view_from(memory, lambda _: T, view), twist=self.twist_at(seen.t))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from the path."""
-        return self.trajectory.off(inverse(T_world_target) @ T_world_base @ setup.camera.mount.T, t)
-
-
-def _smooth(p: float) -> float:
-    """Minimum-jerk profile: the travelled share of a leg at the share p of its duration."""
-    return p**3 * (10 - 15 * p + 6 * p * p)
-
-
-def between(a: Array, b: Array, share: float) -> Array:
-    """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a rotation about a fixed axis.
-
-    Of a camera on its way from view to view: its poses T_target_camera. T_camera_target would bend the line while the camera turns.
-    """
-    T = np.eye(4)
-    T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
-    turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
-    T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
-    return T
-
-
-class Trajectory:
-    """The reference poses along a `GoalPath`, as a function of time."""
-
-    def __init__(self, goal: GoalPath):
-        self._ways = [inverse(view.T_camera_target.T) for view in goal.way]
-        turn = np.radians(goal.turn_degps)
-        times = []
-        for a, b in pairwise(self._ways):
-            length, angle = np.linalg.norm(b[:3, 3] - a[:3, 3]), rotation_angle(a[:3, :3].T @ b[:3, :3])
-            times.append(max(JERK_PEAK * length / goal.speed_mps, JERK_PEAK * angle / turn, LEAST_LEG_S))
-        self._lead = goal.lead_s
-        self._until = goal.settle_s + np.concatenate([[0.0], np.cumsum(times)])
-
-    @property
-    def end_s(self) -> float:
-        """When the last view is reached [s]."""
-        return float(self._until[-1])
+        return self.off(inverse(T_world_target) @ T_world_base @ setup.camera.mount.T, t)
 
     def at(self, t: float) -> tuple[Array, int]:
         """T_camera_target (4, 4) at a time [s], and the number of the view at the end of the present leg."""
@@ -161,9 +134,9 @@ class Trajectory:
         share = _smooth((t - self._until[leg]) / (self._until[leg + 1] - self._until[leg]))
         return inverse(between(a, b, share)), leg + 1
 
-    def twist(self, t: float) -> Array:
+    def twist_at(self, t: float) -> Array:
         """Velocity of the reference camera at t + lead_s, in its frame at time t (6,) [m/s, rad/s]."""
-        before, after = (inverse(self.at(t + self._lead + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
+        before, after = (inverse(self.at(t + self.lead_s + h)[0]) for h in (-DIFFERENCE_S, DIFFERENCE_S))
         # Ahead in time, since the craft lags, but in the axes of the camera now, in which the law commands.
         back = inverse(self.at(t)[0])[:3, :3].T
         v = (after[:3, 3] - before[:3, 3]) / (2 * DIFFERENCE_S)
@@ -185,6 +158,23 @@ class Trajectory:
             share = np.clip((x - a) @ along / max(along @ along, 1e-12), low, high)
             nearest = min(nearest, float(np.linalg.norm(x - a - share * along)))
         return nearest
+
+
+def _smooth(p: float) -> float:
+    """Minimum-jerk profile: the travelled share of a leg at the share p of its duration."""
+    return p**3 * (10 - 15 * p + 6 * p * p)
+
+
+def between(a: Array, b: Array, share: float) -> Array:
+    """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a rotation about a fixed axis.
+
+    Of a camera on its way from view to view: its poses T_target_camera. T_camera_target would bend the line while the camera turns.
+    """
+    T = np.eye(4)
+    T[:3, 3] = (1 - share) * a[:3, 3] + share * b[:3, 3]
+    turn = share * _TURN.measure(a[:3, :3].T @ b[:3, :3])
+    T[:3, :3] = a[:3, :3] @ exp(np.concatenate([np.zeros(3), turn]))[:3, :3]
+    return T
 
 
 # Via points: several views in turn.
