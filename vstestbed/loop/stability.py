@@ -22,6 +22,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import islice, pairwise
 from typing import Any, NamedTuple
 
@@ -107,7 +108,8 @@ def roots(g: float, delay_frames: float, shares: Sequence[float] = NO_LAG) -> Po
     return found[np.argsort(-np.abs(found))]
 
 
-def gain_limit(delay_frames: float, shares: Sequence[float] = NO_LAG) -> float:
+@lru_cache(maxsize=256)
+def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float:
     """The g at which a pole first leaves the unit circle, to 1e-9; equals `closed_form` for a robot without lag.
     Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
     """

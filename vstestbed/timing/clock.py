@@ -81,9 +81,10 @@ class DelayLine(Generic[T]):
 
     def pop_due(self, step: int) -> list[T]:
         """Take out the items due at or before this step, oldest first."""
-        due = []
-        while self._waiting and self._waiting[0][0] <= step:
-            due.append(self._waiting.popleft()[1])
+        waiting = self._waiting
+        due: list[T] = []
+        while waiting and waiting[0][0] <= step:
+            due.append(waiting.popleft()[1])
         return due
 
     def clear(self) -> None:

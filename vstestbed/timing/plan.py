@@ -266,9 +266,11 @@ class Shutter:
 
     def _planned(self, middle: int, late_steps: int) -> Planned:
         """The frame with the middle of its exposure at this step, `late_steps` under way."""
-        opens = tuple([max(0, middle + offset) for offset in self.opening.offsets])
+        opening = self.opening
+        # The usual frame first: an instant.
+        opens = (middle,) if opening.half == 0 else tuple(max(0, middle + offset) for offset in opening.offsets)
         weights = self._steady or self._contributed(middle * self._step_s)
-        return Planned(self._frame, middle, opens, weights, middle + self.opening.half + late_steps)
+        return Planned(self._frame, middle, opens, weights, middle + opening.half + late_steps)
 
     def _contributed(self, t: float) -> tuple[float | Contribution, ...]:
         """What the images of a picture with time stamp t [s] contribute to it."""
