@@ -11,7 +11,7 @@ import pytest
 
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison import page
-from vstestbed.robots.puma560 import kinematics
+from vstestbed.robots.puma560 import CHAIN
 
 
 def one_quick(*cases: Any, every: int = 0) -> list[Any]:
@@ -55,9 +55,9 @@ def draw_one_figure(patch: pytest.MonkeyPatch) -> None:
 
 def forward(q: np.ndarray) -> np.ndarray:
     """T_base_flange (4, 4) of the Puma at the joint angles q (6,) [rad]."""
-    return kinematics(q)[0]
+    return CHAIN.kinematics(q)[0]
 
 
 def jacobian(q: np.ndarray) -> np.ndarray:
     """Its geometric Jacobian (6, 6) in the flange's frame."""
-    return kinematics(q)[1]
+    return CHAIN.kinematics(q)[1]

@@ -27,18 +27,18 @@ from vstestbed.robots.car import Car, CarLimits, CarParameters, Compass
 from vstestbed.robots.flight import Gains
 from vstestbed.robots.flight_sensors import Flow
 from vstestbed.robots.omni import Omni, OmniParameters
-from vstestbed.robots.puma560 import DH, Puma560
+from vstestbed.robots.puma560 import ELBOW, FOREARM, OFFSET, SHOULDER, UPPER_ARM, Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import QuadrotorParameters
-from vstestbed.robots.vehicle import WornVehicle
+from vstestbed.robots.vehicle import Vehicle
 from vstestbed.scenario.dump import flow_text
 
 CLASSES: dict[str, type] = {
     cls.__name__: cls
     for cls in (
         *(Car, CarLimits, CarParameters, Compass, Flow, Gains, Imu, OmniParameters, Quadrotor, QuadrotorParameters),
-        *(Tyres, UnevenFloor, WheelSpread, WornVehicle),
+        *(Tyres, UnevenFloor, WheelSpread, Vehicle),
     )
 }
 WORN: dict[str, type[Realistic]] = {"car": Car, "omni": Omni}
@@ -73,6 +73,20 @@ def with_zero(text: str) -> str:
     return re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
 
 
+PUMA_DH = np.array(
+    [
+        # d [m]   a [m]   alpha [rad]
+        [SHOULDER, 0.0, np.pi / 2],
+        [0.0, UPPER_ARM, 0.0],
+        [OFFSET, ELBOW, -np.pi / 2],
+        [FOREARM, 0.0, np.pi / 2],
+        [0.0, 0.0, -np.pi / 2],
+        [0.0, 0.0, 0.0],
+    ]
+)
+"""The Puma's standard Denavit-Hartenberg table; the flange is frame 6, which the table leaves at the wrist's centre (d_6 = 0)."""
+
+
 @functools.cache
 def model(name: str) -> mujoco.MjModel:
     """A model of models/, compiled as it stands in its file."""
@@ -83,7 +97,7 @@ def puma_links() -> list[dict[str, Any]]:
     """Each link of the Puma: its row of the Denavit-Hartenberg table, mass [kg], centre [m], moments of inertia [kg m^2]."""
     made = model("puma560.xml")
     links = []
-    for i, (d, a, alpha) in enumerate(DH, 1):
+    for i, (d, a, alpha) in enumerate(PUMA_DH, 1):
         body = made.body(f"link_{i}")
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, body.iquat)

@@ -11,6 +11,7 @@ import pytest
 from tests.sim.two_mass import ROTOR, arm, inertia
 from vstestbed.effects.joints import CurrentLoops, Gears, quickest
 from vstestbed.robots import Puma560
+from vstestbed.robots.base import needed_step
 
 
 class TestEigenfrequency:
@@ -29,7 +30,7 @@ class TestEigenfrequency:
 
     def test_the_physics_step_resolves_it(self, tmp_path: Path) -> None:
         w = math.sqrt(20000 * (1 / inertia() + 1 / ROTOR))
-        assert arm(tmp_path, gears=Gears(stiffness_nmprad=(20000, 0))).needed_step_s == pytest.approx(0.5 / w, rel=1e-3)
+        assert needed_step(arm(tmp_path, gears=Gears(stiffness_nmprad=(20000, 0)))) == pytest.approx(0.5 / w, rel=1e-3)
 
     def test_without_gears_any_step_will_do(self) -> None:
-        assert Puma560().needed_step_s == np.inf and Puma560(drives=CurrentLoops()).needed_step_s == 0.001
+        assert needed_step(Puma560()) == np.inf and needed_step(Puma560(drives=CurrentLoops())) == 0.001

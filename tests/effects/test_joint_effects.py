@@ -53,4 +53,4 @@ class TestEncoders:
     def test_the_controller_reads_them_and_the_log_has_the_truth(self) -> None:
         robot = Puma560(encoders=Encoders(counts=(1000,)))
         q = np.full(6, 0.1)
-        assert robot.measured(q, q, {}, None).q == pytest.approx(2 * math.pi / 1000 * 16)
+        assert robot.instruments(np.random.default_rng(0))(q, q, {}).q == pytest.approx(2 * math.pi / 1000 * 16)

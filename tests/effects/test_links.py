@@ -9,13 +9,14 @@ import pytest
 
 import vstestbed as vs
 from tests.robots.arms import HERE
+from tests.robots.denavit_hartenberg import DH
+from tests.robots.denavit_hartenberg import frames as frames_of
 from tests.shortcuts import forward
 from tests.sim.two_mass import arm, stage_of
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, adjoint, inverse, log
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.robots import Puma560
-from vstestbed.robots.puma560 import DH, _frames
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 
@@ -40,7 +41,7 @@ def wrong(scale: float, seed: int = 0) -> Puma560:
 def test_the_flange_is_at_the_product_of_its_links(q: Array) -> None:
     robot = wrong(1.0)
     assert robot.geometry_error is not None
-    D, frames, T = robot.geometry_error.displacements(6), _frames(q), np.eye(4)
+    D, frames, T = robot.geometry_error.displacements(6), frames_of(q), np.eye(4)
     assert D is not None
     for i in range(6):
         T = T @ inverse(frames[i]) @ frames[i + 1] @ D[i]
@@ -54,7 +55,7 @@ def test_its_error_is_that_of_the_first_order_model() -> None:
     for scale in (1.0, 0.1):
         robot, q = wrong(scale), JOINTS[1]
         assert robot.geometry_error is not None
-        frames, twist = _frames(q), np.zeros(6)
+        frames, twist = frames_of(q), np.zeros(6)
         for i, pose in enumerate(robot.geometry_error.offsets):
             twist += adjoint(inverse(inverse(frames[i + 1]) @ frames[6])) @ np.array([*pose.xyz, *np.radians(pose.rpy_deg)])
         found = log(inverse(forward(q)) @ true_pose(robot, q))
@@ -74,7 +75,7 @@ def test_errors_of_dh_parameters_are_displacements() -> None:
     d, a, alpha = DH[2]
     D = inverse(link(d, a, alpha, 0.0)) @ link(d + dd, a + da, alpha + dalpha, dtheta)
     robot = Puma560(geometry_error=GeometryError(offsets=(Pose(), Pose(), vs.Pose(**_block(D)), Pose(), Pose(), Pose())))
-    q, frames = JOINTS[1], _frames(JOINTS[1])
+    q, frames = JOINTS[1], frames_of(JOINTS[1])
     T = frames[2] @ link(d + dd, a + da, alpha + dalpha, q[2] + dtheta) @ inverse(frames[3]) @ frames[6]
     np.testing.assert_allclose(true_pose(robot, q), T, atol=1e-9)
 

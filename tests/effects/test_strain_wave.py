@@ -18,6 +18,7 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.effects.joints import Gears
 from vstestbed.effects.strain_wave import CURVES, StrainWave, Torsion
+from vstestbed.robots.base import needed_step
 from vstestbed.robots.chain import reader
 
 RATIO_30 = {
@@ -95,7 +96,7 @@ class TestMechanics:
 
     def test_without_gears_it_changes_nothing(self, tmp_path: Path) -> None:
         rigid, known = arm(tmp_path), arm(tmp_path, strain_wave=StrainWave(sizes=(20,), rotor_kgm2=(1.0,)))
-        assert known.elastic is None and known.servo_kp == rigid.servo_kp and known.needed_step_s == np.inf
+        assert known.elastic is None and known.servo_kp == rigid.servo_kp and needed_step(known) == np.inf
 
     def test_added_servos_move_the_rotors_that_are_given(self, tmp_path: Path) -> None:
         given: dict[str, Any] = {"servo_kp": (), "servo_kv": (), "gears": Gears()}
@@ -116,14 +117,14 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 
 def test_too_stiff_a_gear_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"strain_wave.sizes must be 0 \(rigid\) for roll: it vibrates at \d+ Hz"):
-        arm(tmp_path, strain_wave=StrainWave(sizes=(0, 40)), gears=Gears()).needed_step_s  # noqa: B018 - it refuses
+        needed_step(arm(tmp_path, strain_wave=StrainWave(sizes=(0, 40)), gears=Gears()))
     with pytest.raises(ScenarioError, match=r"robot.strain_wave.sizes: must be 0 \(rigid\) for joint_\d"):
         vs.load("arm_jaco", {"robot.realism": "lab", "robot.strain_wave": {"sizes": [14]}})
 
 
 def test_a_joint_without_rotor_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"sizes must be 0 for swing, .* or its inertia in strain_wave.rotor_kgm2"):
-        arm(tmp_path, rotor=0.0, strain_wave=StrainWave(sizes=(20, 0)), gears=Gears()).needed_step_s  # noqa: B018 - it refuses
+        needed_step(arm(tmp_path, rotor=0.0, strain_wave=StrainWave(sizes=(20, 0)), gears=Gears()))
 
 
 class TestArms:
@@ -134,7 +135,7 @@ class TestArms:
         assert robot.elastic is not None and robot.strain_wave is not None
         known = [CURVES[size].k1 if size else 0.0 for size in robot.strain_wave.sizes]
         assert robot.elastic.stiffness == pytest.approx(known)
-        assert robot.needed_step_s > 0.0007
+        assert needed_step(robot) > 0.0007
         assert "strain_wave" not in robot.presets[level]
         vs.testing.check_robot(robot)
 
@@ -147,7 +148,7 @@ class TestArms:
         """The slowest mode before held rotors, without weight, against det(K - w^2 M)."""
         robot = vs.load(name, {"robot.gears": {"damping_s": 0}}).robot
         soft, start = robot.elastic.stiffness > 0, robot.configuration()
-        M, _ = reader().inertias_at(robot.model, robot.joints, tuple(start.tolist()))
+        M, _ = reader().inertias_at(robot.file, robot.joints, tuple(start.tolist()))
         w2, modes = eigh(np.diag(robot.elastic.stiffness[soft]), M[np.ix_(soft, soft)])
         mode = np.zeros(len(start))
         mode[soft] = modes[:, 0] / np.abs(modes[:, 0]).max()

@@ -10,7 +10,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.robots import Allocation, Mount, RobotBase
+from vstestbed.robots import Allocation, Body, Mount, RobotBase
 from vstestbed.robots.base import Reading
 
 LENGTHS = 0.5, 0.4
@@ -31,17 +31,8 @@ class TwoLink(RobotBase):
 
     kind: Literal["two_link"] = "two_link"
     start: TwoLinkStart = TwoLinkStart()
-    actuators: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
-
-    @property
-    def model(self) -> str:
-        """The file beside this one; bundled robots have theirs in models/."""
-        return str(Path(__file__).with_suffix(".xml"))
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Shoulder and elbow."""
-        return ("shoulder", "elbow")
+    joints: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
+    body: ClassVar[Body] = Body(str(Path(__file__).with_suffix(".xml")), actuators=joints)
 
     def configuration(self) -> Array:
         """Joint angles (2,) [rad]."""

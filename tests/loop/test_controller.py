@@ -266,7 +266,7 @@ class TestWhatIsTold:
     def test_a_joint_a_little_beyond_its_limit_is_brought_back(self, controller: vs.Controller) -> None:
         """As encoders and soft stops have it."""
         q = controller.scenario.robot.start_joints()
-        q[0] = controller.scenario.robot.joint_limits[0, 1] + 0.05
+        q[0] = controller.scenario.robot.body.limits[0, 1] + 0.05
         assert controller.step(self.BLACK, 0.0, Reading(q, np.zeros(6))).t == 0.0
 
     def test_a_crafts_range_and_tilt(self) -> None:

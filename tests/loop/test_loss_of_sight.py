@@ -12,7 +12,8 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.core.geometry import Array
-from vstestbed.robots.puma560 import SPEED_LIMITS, Puma560
+from vstestbed.robots.base import STOP_S
+from vstestbed.robots.puma560 import SPEED_LIMITS
 from vstestbed.sim.base import Plant
 from vstestbed.sim.ideal import IdealPlant
 from vstestbed.sim.plant import MujocoPlant
@@ -165,7 +166,7 @@ def test_the_arm_stops_within_its_limits_and_not_at_once(monkeypatch: pytest.Mon
     ctrl = np.column_stack([r[f"ctrl_joint_{i}"] for i in range(1, 7)])
     rate = np.abs(np.diff(ctrl[10:], axis=0)) / scenario.camera.period
     assert np.abs(ctrl[10]).max() > 0.3  # it was under way
-    assert (rate <= SPEED_LIMITS / Puma560.stop_s + 1e-9).all()
+    assert (rate <= SPEED_LIMITS / STOP_S + 1e-9).all()
     assert np.abs(ctrl[13]).max() > 0 and not ctrl[18:].any()  # a ramp of a quarter of a second
     np.testing.assert_allclose(ctrl[13] / np.linalg.norm(ctrl[13]), ctrl[10] / np.linalg.norm(ctrl[10]), atol=1e-12)  # as a whole
 

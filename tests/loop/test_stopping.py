@@ -224,7 +224,7 @@ def test_a_joint_at_its_limit_leaves_a_velocity_that_agrees() -> None:
         free = rig.sees()
         assert free.command.twist.any()
         joint = int(np.abs(free.setpoint).argmax())
-        low, high = rig.scenario.robot.joint_limits[joint]
+        low, high = rig.scenario.robot.body.limits[joint]
         rig.q = rig.q.copy()
         rig.q[joint] = high if free.setpoint[joint] > 0 else low
         found = [rig.sees() for _ in range(3)][-1]

@@ -213,7 +213,7 @@ CORRUPTED = ("arm_ibvs", "arm_depth", "arm_patch", "arm_region", "car_pbvs", "qu
 @pytest.mark.parametrize("name", RUNS)
 def test_nothing_that_decides_is_given_the_truth_or_what_derives_from_it(name: str, monkeypatch: pytest.MonkeyPatch):
     scenario = vs.load(name, RUNS[name] | {"stop.duration_s": 0.12})
-    found = watched(monkeypatch, scenario, every=7 if scenario.robot.control_period_s else 1)
+    found = watched(monkeypatch, scenario, every=7 if scenario.robot.onboard else 1)
     r = vs.run(scenario)
     assert len(r.table) >= 3 and not found
 
@@ -324,6 +324,6 @@ def test_robots_sensors_are_such_as_robots_have():
     real |= {mujoco.mjtSensor.mjSENS_RANGEFINDER, mujoco.mjtSensor.mjSENS_FRAMEXAXIS}  # the last is the compass
     for name in ("arm_ibvs", "car_pbvs", "omni_ibvs", "quadrotor_path"):
         robot = vs.load(name).robot
-        model = mujoco.MjModel.from_xml_path(str(model_path(robot.model)))
-        assert {model.sensor(sensor).type[0] for sensor in robot.sensors} <= {int(s) for s in real}
+        model = mujoco.MjModel.from_xml_path(str(model_path(robot.body.file)))
+        assert {model.sensor(sensor).type[0] for sensor in robot.body.sensors} <= {int(s) for s in real}
         assert not any(joint.startswith("root") for joint in robot.joints)

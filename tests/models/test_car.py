@@ -121,7 +121,7 @@ class TestFigures:
         ]
         np.testing.assert_allclose(at, places, atol=1e-12)
         np.testing.assert_allclose([rubber.geom(f"robot/{name}_contact").size[[0, 2]] for name in WHEELS], BUGGY.wheel_radius_m)
-        assert [rubber.actuator(i).name for i in range(rubber.nu)] == [f"robot/{name}" for name in Car.actuators]
+        assert [rubber.actuator(i).name for i in range(rubber.nu)] == [f"robot/{name}" for name in Car().body.actuators]
 
     def test_sixty_kilograms(self, rubber):
         assert rubber.body("robot/base").subtreemass[0] == pytest.approx(60, abs=1e-9)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.shortcuts import one_quick
-from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, kinematics
+from vstestbed.robots.puma560 import CHAIN, JOINT_LIMITS, SPEED_LIMITS
 
 MODELS = Path(__file__).parents[2] / "models"
 PROFILES = ("ideal", "industrial", "raw")
@@ -145,7 +145,7 @@ def test_kinematics_in_numpy_and_in_mujoco_are_one(raw):
         mujoco.mj_kinematics(raw, data)
         mujoco.mj_comPos(raw, data)
         mujoco.mj_jacSite(raw, data, jacp, jacr, site)
-        T, J = kinematics(q)
+        T, J = CHAIN.kinematics(q)
         R = data.site_xmat[site].reshape(3, 3)
         # Two orders of the same arithmetic: rounding is 1e-15, anything real is 1e-6 and more.
         np.testing.assert_allclose(T[:3, 3], data.site_xpos[site], atol=1e-10)

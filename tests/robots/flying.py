@@ -51,17 +51,17 @@ class Flown:
     """A craft in flight; `fly` goes on from where it is."""
 
     def __init__(self, robot: Quadrotor, seed: int = 0):
-        self.robot, self.noise, self.memory = robot, robot.noise(np.random.default_rng(seed)), robot.begin()
+        self.robot, self.body, self.sense, self.memory = robot, robot.body, robot.instruments(np.random.default_rng(seed)), robot.begin()
         world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
         world.option.timestep, world.option.density = DT, AIR
-        craft = mujoco.MjSpec.from_file(str(MODELS / str(robot.model)))
+        craft = mujoco.MjSpec.from_file(str(MODELS / robot.body.file))
         craft.option.timestep, craft.option.density = DT, AIR
         world.attach(craft, prefix="robot/", frame=world.worldbody.add_frame())
         self.model = world.compile()
         self.data = mujoco.MjData(self.model)
         x, y, z, yaw = robot.configuration()
         self.data.qpos[:] = [x, y, z, np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
-        self.data.act[:] = self.data.ctrl[:] = robot.rest_ctrl()
+        self.data.act[:] = self.data.ctrl[:] = robot.body.rest_ctrl
         mujoco.mj_forward(self.model, self.data)
 
     @property
@@ -71,8 +71,8 @@ class Flown:
 
     def reading(self) -> Instruments:
         """What the craft measures now."""
-        sensors = {name: self.data.sensor(f"robot/{name}").data.tolist() for name in self.robot.sensors}
-        return self.robot.measured(np.zeros(0), np.zeros(0), sensors, self.noise)
+        sensors = {name: self.data.sensor(f"robot/{name}").data.tolist() for name in self.body.sensors}
+        return self.sense(np.zeros(0), np.zeros(0), sensors)
 
     def tilt(self, roll: float, pitch: float = 0.0) -> None:
         """Put the craft at a tilt [rad], which its filter knows."""

@@ -3,21 +3,25 @@
 import numpy as np
 import pytest
 
+import vstestbed as vs
+from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, exp, rigid_error
 from vstestbed.core.planar import GroundPose
 from vstestbed.robots import Car, Free, Mount, Omni, Puma560, Quadrotor
-from vstestbed.robots.base import Reading, RobotLog, RobotState, Supervisor
+from vstestbed.robots.arm import PositionBox, Positions
+from vstestbed.robots.base import STOP_S, Reading, RobotLog, RobotState, Supervisor
 from vstestbed.robots.flight import HOLD, Failsafe
 from vstestbed.robots.free import Box, FreeStart
-from vstestbed.robots.puma560 import JointAngles, JointBox, PumaStart
+from vstestbed.robots.puma560 import PumaStart
 from vstestbed.robots.quadrotor import FlightBox, FlightPose, FlightStart
 from vstestbed.robots.vehicle import GroundBox, GroundStart
+from vstestbed.scenario.checks import check_metres
 
 GROUND = GroundStart(nominal=GroundPose(x=1, y=2, heading_deg=30), random=GroundBox(x=1, y=1))
 ROBOTS = {
     "free": Free(start=FreeStart(nominal=Pose(xyz=(1, 2, 3), rpy_deg=(10, 20, 30)), random=Box(xyz=(0.1, 0, 0)))),
-    "puma560": Puma560(start=PumaStart(nominal=JointAngles(q_deg=(5, 45, -180, 10, 45, -45)), random=JointBox(q_deg=1.0))),
+    "puma560": Puma560(start=PumaStart(nominal=Positions(q_deg=(5, 45, -180, 10, 45, -45)), random=PositionBox(q_deg=1.0))),
     "car": Car(start=GROUND),
     "omni": Omni(start=GROUND),
     "omni, planar wheels": Omni(start=GROUND, wheels="planar"),
@@ -62,15 +66,11 @@ def test_its_joints_at_the_start(name):
     np.testing.assert_array_equal(joints, robot.configuration() if name == "puma560" else 0.0)
 
 
-def test_only_an_arm_has_servos_to_idealise(name):
-    robot = ROBOTS[name]
-    if name == "puma560":
-        arm = Puma560(start=robot.start, actuation="industrial", avoid_limits=2.0)
-        ideal = arm.idealised()
-        assert (ideal.actuation, ideal.avoid_limits, ideal.start) == ("ideal", 2.0, arm.start)
-        assert ideal.actuator_set is not None and not ideal.actuator_set.friction
-    else:
-        assert robot.idealised() is robot
+def test_an_arm_is_idealised_with_all_else_kept():
+    arm = Puma560(start=ROBOTS["puma560"].start, actuation="industrial", avoid_limits=2.0)
+    ideal = arm.idealised()
+    assert (ideal.actuation, ideal.avoid_limits, ideal.start) == ("ideal", 2.0, arm.start)
+    assert ideal.body.actuation is not None and not ideal.body.actuation.friction
 
 
 def test_bases():
@@ -80,14 +80,15 @@ def test_bases():
 
 class TestMount:
     def test_a_vehicles_camera_must_be_over_the_floor(self, name):
-        robot = ROBOTS[name]
-        robot.check_mount((0.2, 0.1, 0.3))
+        robot, target = ROBOTS[name], vs.load("ibvs_book").target
+        check_metres(robot, Perspective(mount=Pose(xyz=(0.2, 0.1, 0.3))), target)
         for z in (0.0, -0.1):
+            under = Perspective(mount=Pose(xyz=(0.2, 0.1, z)))
             if robot.base != "planar":
-                robot.check_mount((0.2, 0.1, z))
+                check_metres(robot, under, target)
                 continue
             with pytest.raises(ParameterError) as told:
-                robot.check_mount((0.2, 0.1, z))
+                check_metres(robot, under, target)
             assert told.value.field == "camera.mount.xyz"
             assert "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it" in str(told.value)
 
@@ -104,7 +105,7 @@ class TestMount:
 class TestSupervisorAndLog:
     def test_only_a_craft_that_flies_has_a_failsafe_and_a_setpoint_that_holds(self, name):
         robot = ROBOTS[name]
-        supervisor, hold = robot.supervisor(True, 0.7, 3.0), robot.hold_setpoint()
+        supervisor, hold = robot.supervisor(True, 0.7, 3.0), robot.onboard and robot.onboard.first_setpoint
         assert (supervisor.lost_after_s, supervisor.lost_after_m) == (0.7, 3.0)
         if robot.base == "floating":
             assert isinstance(supervisor, Failsafe) and supervisor.lands
@@ -134,16 +135,18 @@ class TestStopping:
 
     def test_velocities_fall_together_and_steadily(self, name):
         robot = ROBOTS[name]
-        if robot.control_period_s is not None:
+        if robot.onboard is not None:
             return  # its onboard controller limits its deceleration
         u = np.array([0.4, -0.2, 0.0])
-        if robot.stop_s == 0:
+        if robot.body is None:  # a camera without mass
             assert not robot.stopping(u, 1e-9).any()
             return
+        stop_s = getattr(robot, "stop_s", STOP_S)
         np.testing.assert_allclose(robot.stopping(u, 0.0), u)
-        np.testing.assert_allclose(robot.stopping(u, 0.25 * robot.stop_s), 0.75 * u)
-        assert not robot.stopping(u, robot.stop_s).any() and not robot.stopping(u, 2 * robot.stop_s).any()
+        np.testing.assert_allclose(robot.stopping(u, 0.25 * stop_s), 0.75 * u)
+        assert not robot.stopping(u, stop_s).any() and not robot.stopping(u, 2 * stop_s).any()
 
 
 def test_of_vehicles_only_one_on_planar_wheels_cannot_slip(name):
-    assert ROBOTS[name].slips is (name != "omni, planar wheels")
+    body = ROBOTS[name].body
+    assert body is None or body.slips is (name != "omni, planar wheels")

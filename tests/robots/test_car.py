@@ -103,7 +103,8 @@ class TestCompass:
     def readings(self, car: Car, heading: float, n: int) -> np.ndarray:
         sensors = {"heading": [math.cos(heading), math.sin(heading), 0.01]}
         rng = np.random.default_rng(1)
-        return np.array([car.measured(np.zeros(7), np.zeros(7), sensors, rng).heading for _ in range(n)])
+        sense = car.instruments(rng)
+        return np.array([sense(np.zeros(7), np.zeros(7), sensors).heading for _ in range(n)])
 
     def test_noise_and_bias(self):
         told = np.degrees(self.readings(Car(compass=Compass(bias_deg=5, sigma_deg=0.5)), np.radians(40), 4000))
@@ -118,7 +119,7 @@ class TestCompass:
 
     def test_the_truth_does_not_pass(self):
         q, sensors = np.arange(7.0), {"heading": [1.0, 0.0, 0.0]}
-        measured = CAR.measured(q, np.zeros(7), sensors, np.random.default_rng(0))
+        measured = CAR.instruments(np.random.default_rng(0))(q, np.zeros(7), sensors)
         assert type(measured) is Reading and measured.tilt is None and measured.heading != 0.0  # nothing but encoders and compass
         np.testing.assert_array_equal(measured.q, q)
 

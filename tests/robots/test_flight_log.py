@@ -34,7 +34,7 @@ def test_estimates_references_wind_rotors_and_the_failsafe():
     assert [found[f"est_w{a}"] for a in "xyz"] == [0.1, 0.2, 0.3]
     assert [found[f"ref_{n}"] for n in ("roll", "pitch", "wx", "wy", "wz")] == [0.4, 0.5, 0.6, 0.7, 0.8]
     assert [found[f"wind_{a}"] for a in "xyz"] == [5.0, 0.0, -1.0]
-    assert [found[f"speed_{name}"] for name in robot.actuators] == pytest.approx([10, 20, 30, 0])
+    assert [found[f"speed_{name}"] for name in robot.body.actuators] == pytest.approx([10, 20, 30, 0])
     assert found["supervisor"] == SINKS
 
 

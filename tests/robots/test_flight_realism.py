@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.effects.airframe import Airframe, FlightEffects
-from vstestbed.robots.quadrotor import FIELD, LAB, Quadrotor
+from vstestbed.effects.airframe import FIELD, LAB, Airframe, FlightEffects
+from vstestbed.robots.quadrotor import Quadrotor
 
 ORACLE = {"detector": {"kind": "oracle", "field_of_view": "limited"}, "stop.duration_s": 0.6}
 

@@ -115,7 +115,7 @@ def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
     for actuation in ("velocity", "ideal"):
         scenario = written(tmp_path, actuation, block("scara", actuation=actuation), near, {"xyz": [0, 0, 0.6]}, detector="oracle")
         summary: dict[str, Any] = vs.run(scenario).summary()
-        servos = {servo.joint: servo for servo in scenario.robot.actuator_set.servos}
+        servos = {servo.joint: servo for servo in scenario.robot.body.actuation.servos}
         assert summary["servo_kp"] == {name: servo.kp for name, servo in servos.items()}
         assert summary["servo_kv"] == {name: servo.kv for name, servo in servos.items()}
         assert summary["servo_torque"]["shoulder"] is None  # no limit
@@ -125,8 +125,8 @@ def test_the_gains_of_added_servos_are_in_the_summary(tmp_path: Path) -> None:
             scenario.displaced(Pose(xyz=(0.02, 0, 0)), "camera"),
         ):
             assert started.robot.configuration() != pytest.approx(scenario.robot.configuration())
-            assert started.robot.actuator_set.gains() == scenario.robot.actuator_set.gains() or actuation == "ideal"
-    assert arm("seven", actuation="file").actuator_set.gains() == {}
+            assert started.robot.body.actuation.gains() == scenario.robot.body.actuation.gains() or actuation == "ideal"
+    assert arm("seven", actuation="file").body.actuation.gains() == {}
 
 
 def test_two_links_see_one_marker_come_to_the_middle(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_the_file_is_found_beside_the_scenario_and_remembered_whole(tmp_path: Pa
     (tmp_path / "mine.xml").write_text((HERE / "scara.xml").read_text())
     target = square_before(arm("scara"), *SEEN["flat"])
     scenario = written(tmp_path, "beside", block("scara") | {"file": "mine.xml"}, target, {"xyz": [0, 0, 0.6]})
-    assert scenario.robot.model == str(tmp_path / "mine.xml")
+    assert scenario.robot.body.file == str(tmp_path / "mine.xml")
     (tmp_path / "again.yaml").write_text(dump(scenario, defaults=True))
     assert vs.load(tmp_path / "again.yaml", {"name": scenario.name}) == scenario
 
@@ -163,7 +163,7 @@ def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -
     }
     jaco = ROBOTS.members["mjcf"](**{k: v for k, v in robot.items() if k != "kind"})
     s = written(tmp_path, "jaco", robot, square_before(jaco, *SEEN["square"]), {"xyz": [0, 0, 0.6]})
-    assert np.isinf(s.robot.joint_limits[0]).all() and s.robot.joint_limits[1] == pytest.approx([0.820305, 5.462881])
+    assert np.isinf(s.robot.body.limits[0]).all() and s.robot.body.limits[1] == pytest.approx([0.820305, 5.462881])
     scene = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
     assert sum(name.endswith(".stl") for name in scene.assets) == 5
     for name, content in scene.assets.items():
@@ -176,12 +176,12 @@ def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -
 def test_servos_follow_a_step_of_speed_with_the_files_torque() -> None:
     # As the Puma's: 40 ms of rise, a small overshoot. The slide has 200 N by its file.
     robot = arm("scara")
-    servos = {servo.joint: servo for servo in robot.actuator_set.servos}
+    servos = {servo.joint: servo for servo in robot.body.actuation.servos}
     assert servos["lift"].torque == 200 and np.isinf(servos["shoulder"].torque or 0) and servos["lift"].speed == 0.4
     assert servos["lift"].kp == pytest.approx(4500 * (0.8 + 0.3 + 0.1), rel=1e-6)  # quill, wrist, armature
     assert servos["shoulder"].kv == pytest.approx(servos["shoulder"].kp / 40, rel=1e-3)
-    assert [s.torque for s in arm("seven", actuation="file").actuator_set.servos] == [None] * 7
-    given = arm("scara", torque_limits=[9, 9, 90, 1], servo_kp=[800, 400, 6000, 40]).actuator_set.servos
+    assert [s.torque for s in arm("seven", actuation="file").body.actuation.servos] == [None] * 7
+    given = arm("scara", torque_limits=[9, 9, 90, 1], servo_kp=[800, 400, 6000, 40]).body.actuation.servos
     assert [(s.torque, s.kp, s.kv) for s in given] == [(9, 800, 20), (9, 400, 10), (90, 6000, 150), (1, 40, 1)]
 
 
@@ -343,7 +343,7 @@ class TestDoctor:
     def test_the_scenario_that_it_prints_converges(self, file: str, flange: str, tmp_path: Path) -> None:
         (tmp_path / "first.yaml").write_text(told_of(file)["scenario"][0].partition("\n")[2])
         scenario = vs.load(tmp_path / "first.yaml", {"detector": "oracle"})
-        assert scenario.robot.flange == flange and np.isfinite([s.torque for s in scenario.robot.actuator_set.servos]).all()
+        assert scenario.robot.flange == flange and np.isfinite([s.torque for s in scenario.robot.body.actuation.servos]).all()
         recording = vs.run(scenario)
         assert recording.outcome is vs.Outcome.converged, recording.reason
         assert seeded(scenario, 1).resolved.robot != scenario.robot  # and its random starts have the target in view

@@ -151,9 +151,9 @@ class TestOdometry:
 
 class TestSpec:
     def test_models_and_joints(self):
-        assert (BASE.model, BASE.joints) == ("omni.xml", WHEELS)
+        assert (BASE.body.file, BASE.joints) == ("omni.xml", WHEELS)
         planar = Omni(wheels="planar")
-        assert (planar.model, planar.joints) == ("omni_planar.xml", ("root_x", "root_y", "root_yaw"))
+        assert (planar.body.file, planar.joints) == ("omni_planar.xml", ("root_x", "root_y", "root_yaw"))
 
     def test_it_starts_where_it_is_told(self):
         start = GroundStart(nominal=GroundPose(x=-6, y=2, heading_deg=30))
@@ -174,6 +174,4 @@ class TestSpec:
             Omni(wheels="tracks")
 
     def test_setpoints_go_to_the_servos_as_they_are(self):
-        memory, ctrl = BASE.actuate(BASE.begin(), np.arange(4.0), readings(np.zeros(4)), 0.002)
-        assert memory is None
-        np.testing.assert_array_equal(ctrl, np.arange(4.0))
+        assert BASE.onboard is None

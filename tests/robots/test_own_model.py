@@ -110,8 +110,8 @@ def test_a_platform_at_the_edge_of_its_model_is_not_scaled_and_beyond_it_is() ->
     model = robot.own_model(reading, mount)
     rates = np.array([0.3, -0.4, 0.5])
     edge = rates / np.max(np.abs(model.sums @ rates) / model.most)
-    assert robot.allocate_rates(edge, reading, mount, 0.04).scale == pytest.approx(1.0)
-    assert robot.allocate_rates(1.25 * edge, reading, mount, 0.04).scale == pytest.approx(0.8)
+    assert robot.allocate(model.J @ edge, reading, mount, 0.04).scale == pytest.approx(1.0)
+    assert robot.allocate(model.J @ (1.25 * edge), reading, mount, 0.04).scale == pytest.approx(0.8)
 
 
 def test_a_quadrotor_tells_its_tilt() -> None:

@@ -43,22 +43,22 @@ def place(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return np.array([*body.xpos[:2], np.arctan2(body.xmat[3], body.xmat[0])])
 
 
-@pytest.mark.parametrize("robot", [Car(), Omni(), Omni(wheels="planar"), Quadrotor()], ids=lambda r: r.model)
+@pytest.mark.parametrize("robot", [Car(), Omni(), Omni(wheels="planar"), Quadrotor()], ids=lambda r: r.body.file)
 def test_the_defaults_are_the_file(robot: Robot):
-    plain, changed = _compiled(str(robot.model)), _compiled(str(robot.model), robot.body_changes)
+    plain, changed = _compiled(robot.body.file), _compiled(robot.body.file, robot.body.changes)
     arrays = [name for name in dir(plain) if isinstance(getattr(plain, name), np.ndarray)]
     assert len(arrays) > 100
     for name in arrays:
         np.testing.assert_array_equal(getattr(plain, name), getattr(changed, name), err_msg=name)
 
 
-@pytest.mark.parametrize("robot", CHANGED, ids=lambda r: f"{r.model}-{r.parameters.mass_kg:g}")
+@pytest.mark.parametrize("robot", CHANGED, ids=lambda r: f"{r.body.file}-{r.parameters.mass_kg:g}")
 def test_mujoco_weighs_the_mass_that_was_asked_for(robot):
     model, _ = scene(robot)
     assert model.body_subtreemass[model.body("robot/base").id] == pytest.approx(robot.parameters.mass_kg, rel=1e-9)
 
 
-@pytest.mark.parametrize("robot", CHANGED, ids=lambda r: f"{r.model}-{r.parameters.mass_kg:g}")
+@pytest.mark.parametrize("robot", CHANGED, ids=lambda r: f"{r.body.file}-{r.parameters.mass_kg:g}")
 def test_the_catalogue_tests_pass(robot):
     vs.testing.check_robot(robot)
 
@@ -67,7 +67,7 @@ class TestQuadrotor:
     def test_the_rotors_at_hover_carry_the_weight(self):
         craft = Quadrotor(parameters=HEAVY)
         model, data = scene(craft, 0.001)
-        data.qpos[2], data.act[:] = 5.0, craft.rest_ctrl()
+        data.qpos[2], data.act[:] = 5.0, craft.body.rest_ctrl
         data.ctrl[:] = data.act
         mujoco.mj_forward(model, data)
         assert data.qfrc_actuator[2] == pytest.approx(8 * 9.81, rel=1e-9)

@@ -7,9 +7,9 @@ from tests.shortcuts import forward, jacobian
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.robots import Mount, Puma560
-from vstestbed.robots.arm import LIMIT_HORIZON_S, LIMIT_MARGIN
+from vstestbed.robots.arm import LIMIT_HORIZON_S, LIMIT_MARGIN, Positions
 from vstestbed.robots.base import Reading
-from vstestbed.robots.puma560 import JOINT_LIMITS, REACH_UNIT, SPEED_LIMITS, JointAngles, PumaStart
+from vstestbed.robots.puma560 import JOINT_LIMITS, SPEED_LIMITS, UPPER_ARM, PumaStart
 
 ARM = Puma560()
 Q0 = ARM.configuration()
@@ -61,7 +61,7 @@ def test_a_motion_that_a_singular_arm_cannot_make_is_named():
     q = Q0.copy()
     q[4] = 0.0  # axes of joints 4 and 6 in line
     # The twist that no joint speeds make: the last left singular vector of the Jacobian, lengths in units of the reach.
-    unit = np.array([REACH_UNIT] * 3 + [1.0] * 3)
+    unit = np.array([UPPER_ARM] * 3 + [1.0] * 3)
     lost = np.linalg.svd(jacobian(q) / unit[:, None])[0][:, -1] * unit
     made = ARM.allocate(lost, at_rest(q), Mount.of(np.eye(4)), PERIOD)
     assert made.limit == "singular"
@@ -81,8 +81,8 @@ def test_its_encoders_tell_the_cameras_motion():
 
 
 def test_a_start_outside_the_limits_is_refused():
-    with pytest.raises(ParameterError, match="joint 3's limits -225 to 45 deg"):
-        Puma560(start=PumaStart(nominal=JointAngles(q_deg=(0, 45, 180, 0, 45, -45))))
+    with pytest.raises(ParameterError, match="joint_3's range, -225 to 45 deg"):
+        Puma560(start=PumaStart(nominal=Positions(q_deg=(0, 45, 180, 0, 45, -45))))
 
 
 def test_random_starts_need_a_box():

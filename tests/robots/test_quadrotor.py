@@ -12,7 +12,7 @@ from vstestbed.robots.allocation import Mount
 from vstestbed.robots.attitude import Imu
 from vstestbed.robots.flight import HOLD, Instruments, descend
 from vstestbed.robots.flight_sensors import Filtered, Flow
-from vstestbed.robots.quadrotor import LOWEST_M, FlightBox, FlightPose, FlightStart, Quadrotor
+from vstestbed.robots.quadrotor import LOWEST_M, STANDING_M, FlightBox, FlightPose, FlightStart, Quadrotor
 from vstestbed.robots.rotors import X4
 
 DOWN = Mount.of(Pose(xyz=(0.1, 0.0, -0.05), rpy_deg=(180, 0, 90)).T)
@@ -22,7 +22,7 @@ NO_JOINTS = np.zeros(0)
 
 def read(robot: Quadrotor, sensors: dict[str, list[float]] = SENSORS) -> Instruments:
     """What a craft's instruments read, with the first noise of a seed."""
-    return robot.measured(NO_JOINTS, NO_JOINTS, sensors, robot.noise(np.random.default_rng(0)))
+    return robot.instruments(np.random.default_rng(0))(NO_JOINTS, NO_JOINTS, sensors)
 
 
 RAW = read(Quadrotor())
@@ -37,7 +37,7 @@ class TestBlock:
 
     def test_a_start_in_the_ground_is_refused(self):
         with pytest.raises(ParameterError, match=r"start\.nominal\.xyz\.2"):
-            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, Quadrotor.standing_m))))  # on its feet it does not hover
+            Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, STANDING_M))))  # on its feet it does not hover
 
     def test_random_starts_fill_their_box_and_stay_above_the_ground(self):
         robot = Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 2.0)), random=FlightBox(xyz=(2, 1, 3), yaw_deg=180)))
@@ -65,8 +65,8 @@ class TestInstruments:
             velocity=Flow(sigma_mps=0.1, scale_error=0.5),
             range_sigma_m=0.2,
         )
-        noise, sensors = robot.noise(np.random.default_rng(0)), SENSORS | {"velocity": [1.0, 2.0, 0.0]}
-        rows = [robot.measured(NO_JOINTS, NO_JOINTS, sensors, noise) for _ in range(4000)]
+        sense, sensors = robot.instruments(np.random.default_rng(0)), SENSORS | {"velocity": [1.0, 2.0, 0.0]}
+        rows = [sense(NO_JOINTS, NO_JOINTS, sensors) for _ in range(4000)]
         expected = {
             "gyro": ([0.1, 0.2, 0.3], 0.01),
             "force": ([1, 2, 12.81], 0.5),
@@ -91,10 +91,10 @@ class TestInstruments:
         assert read(Quadrotor(), sensors).range_m == math.inf
 
     def test_noise_is_drawn_ahead_as_one_reading_at_a_time_would(self):
-        noise, rng = perfect(imu=Imu()).noise(np.random.default_rng(1)), np.random.default_rng(1)
-        imu = Imu()
+        sense, rng = perfect(imu=Imu()).instruments(np.random.default_rng(1)), np.random.default_rng(1)
+        imu, still = Imu(), SENSORS | {"gyro": [0.0, 0.0, 0.0]}
         for _ in range(150):
-            gyro = np.array(next(noise)[:3])
+            gyro = np.array(sense(NO_JOINTS, NO_JOINTS, still).gyro)
             np.testing.assert_array_equal(gyro, imu.gyro_sigma_radps * rng.standard_normal(10)[:3] + imu.gyro_bias_radps)
 
     def test_one_seed_one_noise(self):
@@ -207,7 +207,7 @@ class TestDown:
         assert not craft.robot.stands(craft.memory, craft.reading())
         log = craft.fly(descend(0.3), 3.0)
         assert craft.robot.stands(craft.memory, craft.reading())
-        assert log.position[-1, 2] == pytest.approx(Quadrotor.standing_m, abs=0.002)
+        assert log.position[-1, 2] == pytest.approx(STANDING_M, abs=0.002)
         craft.fly(np.full(4, -np.inf), 0.1)
         log = craft.fly(descend(0.3), 2.0)  # off is off
         # exp(-2 / .117) of hover is left.

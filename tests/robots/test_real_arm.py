@@ -12,6 +12,7 @@ from tests.sim.two_mass import arm
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.effects.joints import Gears
 from vstestbed.effects.links import GeometryError
+from vstestbed.robots.base import needed_step
 
 SOFT = {"stiffness_nmprad": [25000, 25000, 10000, 0, 0, 0]}
 
@@ -63,4 +64,4 @@ def test_a_physics_step_that_is_too_long_is_refused() -> None:
 def test_a_joint_without_rotor_has_no_gears(tmp_path: Path) -> None:
     robot = arm(tmp_path, rotor=0.0, gears=Gears(stiffness_nmprad=(2000, 0)))
     with pytest.raises(ParameterError, match="has no rotor that could move by itself"):
-        robot.needed_step_s  # noqa: B018 - it refuses
+        needed_step(robot)

@@ -94,30 +94,27 @@ class TestDriveLag:
         assert behind == pytest.approx(1.0 / 0.15 * (0.08 - dt / 2), rel=0.01)
 
     def test_without_it_the_setpoint_is_the_control(self) -> None:
-        base, setpoint = Omni(), np.arange(4.0)
-        assert base.control_period_s is None and base.begin() is None
-        assert base.actuate(None, setpoint, Reading(np.zeros(4), np.zeros(4)), 0.004)[1] is setpoint
-        assert Omni(drive_lag_s=0).control_period_s is None
+        assert Omni().onboard is None and Omni(drive_lag_s=0).onboard is None
 
 
 class TestChanges:
     def test_none_without_imperfections(self) -> None:
-        assert Car().body_changes == () and Omni().body_changes == ()
-        assert Car(steering_play_deg=0.0, drive_lag_s=0.0).body_changes == ()
+        assert Car().body.changes == () and Omni().body.changes == ()
+        assert Car(steering_play_deg=0.0, drive_lag_s=0.0).body.changes == ()
 
     def test_rolling_resistance_is_a_share_of_the_weight(self) -> None:
         """The torques at the radius brake by c m g in all."""
         for robot, mass, radius in ((Car(rolling_resistance=0.02), 60.0, 0.15), (Omni(rolling_resistance=0.02), 8.0, 0.05)):
-            torques = [c.value for c in robot.body_changes if isinstance(c, Set) and c.field == "frictionloss"]
+            torques = [c.value for c in robot.body.changes if isinstance(c, Set) and c.field == "frictionloss"]
             assert len(torques) == 4
             assert sum(torques) / radius == pytest.approx(0.02 * mass * 9.81)
 
     def test_play_is_in_radians(self) -> None:
-        (change,) = Car(steering_play_deg=2.0).body_changes
+        (change,) = Car(steering_play_deg=2.0).body.changes
         assert change == Loosen("steering", math.radians(2.0))
 
     def test_tyres_that_slip_take_the_friction_of_the_contacts(self) -> None:
-        assert Car(tyres=Tyres()).body_changes == tuple(Set("geom", f"{name}_contact", "condim", 1) for name in WHEELS)
+        assert Car(tyres=Tyres()).body.changes == tuple(Set("geom", f"{name}_contact", "condim", 1) for name in WHEELS)
 
 
 @pytest.mark.parametrize("level", ["lab", "field"])
@@ -139,7 +136,7 @@ def test_odometry_goes_by_the_nominal_wheels() -> None:
 def test_planar_wheels_have_nothing_of_the_floor(wrong: dict[str, object]) -> None:
     with pytest.raises(ParameterError, match="must be rollers with"):
         Omni(wheels="planar", **wrong)
-    assert Omni(wheels="planar", drive_lag_s=0.1).control_period_s
+    assert Omni(wheels="planar", drive_lag_s=0.1).onboard
 
 
 def test_a_motor_too_weak_for_the_rolling_resistance_is_refused() -> None:

@@ -28,7 +28,7 @@ def scene() -> Iterator[Callable[..., Scene]]:
         s = vs.load(name)
         stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002), samples=4 if outside else 0)
         flange = s.robot.flange_pose(s.robot.configuration())
-        stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.model else np.zeros(0), flange @ s.camera.mount.T)
+        stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.body else np.zeros(0), flange @ s.camera.mount.T)
         stages.append(stage)
         return stage, SceneCamera(stage, "overview", 480, 270, shadows=True, style="outside").full_image if outside else OpenGLRenderer(
             stage, s.camera

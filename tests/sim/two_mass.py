@@ -11,7 +11,8 @@ import numpy as np
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.robots import Mjcf
-from vstestbed.robots.mjcf import ArmStart, Positions
+from vstestbed.robots.arm import ArmStart, Positions
+from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.scene.compose import Parts
@@ -53,7 +54,7 @@ def frequency(t: Array, x: Array) -> float:
 
 def stage_of(robot: Mjcf, step_s: float | None = None) -> Stage:
     """The scene of the arm before a target."""
-    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or min(robot.largest_step_s, robot.needed_step_s)))
+    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or longest_step(robot)))
 
 
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:

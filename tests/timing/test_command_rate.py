@@ -56,12 +56,12 @@ def test_vehicles_and_craft_get_as_many_setpoints_as_are_sent(
         assert actuate is not None
         return actuate(self, memory, setpoint, reading, dt)
 
-    if s.robot.control_period_s:
+    if s.robot.onboard:
         monkeypatch.setattr(type(s.robot), "actuate", overheard)
     plant = plant_of(s)
     plant.apply(np.array(u))
     for _ in range(plant.steps_per_frame):
-        if not s.robot.control_period_s:
+        if not s.robot.onboard:
             got.append(plant.truth().ctrl.copy())
         assert plant.advance(1)
     plant.close()

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
+from vstestbed.core.spec import spec
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
@@ -50,23 +51,56 @@ NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 
 
-class _Blocks(Protocol):
-    """The blocks of a craft that flies; None where it has no such imperfection."""
+@spec
+class FlightBlocks:
+    """The imperfections of a craft that flies; each block is off where it is not given, and costs nothing then.
+
+    Args:
+        ground_effect: more thrust near the ground; e.g. `{strength: 1}`.
+        rotor_drag: drag of the rotors against a cross wind, linear in the velocity; e.g. `{coefficient: 0.62}`.
+        downwash: thrust that fluctuates where the wake comes back from the ground, or from a deck; e.g. `{turbulence: 0.05}`.
+        rotor_inertia: gyroscopic and reaction torque of the rotors; e.g. `{inertia_kgm2: 6.5e-5}`.
+        battery: voltage that falls under load and with the charge, and the rotors' speed with it; e.g. `{charge: 0.4}`.
+        vibration: of the inertial measurement unit, by the rotors; e.g. `{imbalance_mps2: 8}`.
+        motors: rotors that differ in thrust and in their limit; e.g. `{thrust_sigma: 0.03}`.
+    """
+
+    ground_effect: GroundEffect | None = None
+    rotor_drag: RotorDrag | None = None
+    downwash: Downwash | None = None
+    rotor_inertia: RotorInertia | None = None
+    battery: Battery | None = None
+    vibration: Vibration | None = None
+    motors: MotorSpread | None = None
 
     @property
-    def ground_effect(self) -> GroundEffect | None: ...
+    def blocks_draw(self) -> bool:
+        """Whether the seed makes a difference: motors that are not listed, a wake that fluctuates, vibration."""
+        return (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
+
     @property
-    def rotor_drag(self) -> RotorDrag | None: ...
-    @property
-    def downwash(self) -> Downwash | None: ...
-    @property
-    def rotor_inertia(self) -> RotorInertia | None: ...
-    @property
-    def battery(self) -> Battery | None: ...
-    @property
-    def vibration(self) -> Vibration | None: ...
-    @property
-    def motors(self) -> MotorSpread | None: ...
+    def imperfect(self) -> bool:
+        """Whether any block is given."""
+        return any(getattr(self, name) is not None for name in LAB)
+
+
+LAB: dict[str, object] = {
+    "ground_effect": GroundEffect(),
+    "rotor_drag": RotorDrag(),
+    "downwash": Downwash(),
+    "rotor_inertia": RotorInertia(),
+    "battery": Battery(),
+    "vibration": Vibration(),
+    "motors": MotorSpread(),
+}
+"""Preset of a craft with balanced rotors and a full battery; values as in the blocks' own defaults."""
+FIELD: dict[str, object] = LAB | {
+    "downwash": Downwash(turbulence=0.05),
+    "battery": Battery(charge=0.25, resistance_ohm=0.04),
+    "vibration": Vibration(imbalance_mps2=4.0, blade_pass_mps2=4.0, gyro_radps=0.04, accel_sigma_mps2=1.5, gyro_sigma_radps=0.015),
+    "motors": MotorSpread(thrust_sigma=0.04, limit_sigma=0.04),
+}
+"""Preset of a worn craft late in its flight: chipped rotors, a nearly empty battery that is old; values chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +111,7 @@ class FlightEffects(Effect):
     """
 
     craft: _Craft
-    blocks: _Blocks
+    blocks: FlightBlocks
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor:
         """Forces on the base, at the rate of the onboard controller."""
@@ -94,7 +128,7 @@ class Airframe:
         probes: points in the base frame (k, 3) [m] below which the free height is measured; () for none.
     """
 
-    def __init__(self, craft: _Craft, given: _Blocks, rng: np.random.Generator):
+    def __init__(self, craft: _Craft, given: FlightBlocks, rng: np.random.Generator):
         self._craft, self._given = craft, given
         spread, gusts, noise = rng.spawn(3)
         self._thrust, self._limit = given.motors.drawn(spread) if given.motors else (ALIKE, ALIKE)

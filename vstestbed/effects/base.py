@@ -158,6 +158,11 @@ class Effect:
     columns: ClassVar[tuple[str, ...]] = ()
     uneven: ClassVar[bool] = False
 
+    @property
+    def longest_step_s(self) -> float:
+        """The longest physics step that it allows [s]."""
+        return np.inf
+
     def check(self, joints: tuple[str, ...]) -> None:
         """Refuse what does not fit a robot with these joints, when a scenario is loaded; ParameterError names the field."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
@@ -202,14 +202,21 @@ class ElasticJoints(Effect):
         joints: names in the file. stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.
         stages: (n, m, 2), beyond which torsion the stiffness of a gear grows by how much [rad, Nm/rad]; in the order of the torsion.
         rotors: inertia of the motors' rotors on the joint's side (n,) [kg m^2]; None: as the file has it.
+        longest_step: computes the longest physics step that resolves the vibrations [s], which takes the inertia of the links.
     """
 
     joints: tuple[str, ...]
     stiffness: Array
     damping: Array
     play: Array
-    stages: Array | None = None
-    rotors: Array | None = None
+    stages: Array | None
+    rotors: Array | None
+    longest_step: Callable[[], float]
+
+    @property
+    def longest_step_s(self) -> float:
+        """What resolves the quickest vibration of the gears [s]."""
+        return self.longest_step()
 
     def edit(self, robot: RobotModel) -> None:
         """Divide each elastic joint into rotor and link, with a spring between the two."""
@@ -303,6 +310,11 @@ class Motors(Effect):
     cycles: Array
     ripple: float
     loops: CurrentLoops | None
+
+    @property
+    def longest_step_s(self) -> float:
+        """That of current loops, which sample the servo."""
+        return np.inf if self.loops is None else DRIVES_STEP_S
 
     def edit(self, robot: RobotModel) -> None:
         """With current loops MuJoCo's servos are left without force; integrals of commands and gains stay where they are."""

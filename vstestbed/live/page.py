@@ -175,7 +175,7 @@ class SceneView:
         T, middle, fovy = self._replay.outside_view(t, T_world_goal)
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
-        camera.up = (0.0, 0.0, 1.0) if self._scenario.robot.model else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
+        camera.up = (0.0, 0.0, 1.0) if self._scenario.robot.body else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
         camera.near = NEAR * float(np.linalg.norm(middle - T[:3, 3]))
 
 

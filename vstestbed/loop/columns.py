@@ -91,7 +91,7 @@ class Layout:
             (scenario.own_columns, lambda k: k["own"]),
             (_named("q", robot.joints), lambda k: k["q"]),
             (_named("qd", robot.joints), lambda k: k["qd"]),
-            (_named("ctrl", robot.actuators), lambda k: k["ctrl"]),
+            (_named("ctrl", robot.body.actuators if robot.body else ()), lambda k: k["ctrl"]),
             *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
             *(
                 ((columns, lambda k: np.column_stack([k[name] for name in columns])),)

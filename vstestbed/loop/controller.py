@@ -28,6 +28,7 @@ from vstestbed.loop.inputs import Inputs, Readings
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.allocation import Order
+from vstestbed.robots.arm import Arm
 from vstestbed.scenario.randomise import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
@@ -425,13 +426,16 @@ class Controller:
 
     def _allocate(self, command: Command, reading: Reading, mount: Mount) -> Allocation:
         robot, twist = self.scenario.robot, command.twist
-        for share, free in command.free:
-            twist = twist + share * robot.secondary_task(free, reading, mount)
+        if isinstance(robot, Arm):  # the others have no secondary task
+            for share, free in command.free:
+                twist = twist + share * robot.secondary_task(free, reading, mount)
         period = self.scenario.camera.period
         if command.rates is None or twist is not command.twist:
             allocation = robot.allocate(twist, reading, mount, period)
-        else:
+        elif isinstance(robot, Arm):
             allocation = robot.allocate_rates(command.rates, reading, mount, period)
+        else:
+            allocation = robot.allocate(robot.motion_basis(mount, reading.q) @ command.rates, reading, mount, period)
         if not (all_finite(allocation.setpoint) and (allocation.twist is command.twist or all_finite(allocation.twist))):
             words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
             self.guarded.failure = self.guarded.failure or words

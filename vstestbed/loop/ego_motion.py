@@ -12,6 +12,7 @@ from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.robots import Mount, Reading, Robot
 from vstestbed.robots.allocation import Order
+from vstestbed.robots.arm import Arm
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.timing.setpoints import Mode, Profile
@@ -108,7 +109,10 @@ class OwnRates:
         ordered, duration = self._ordered.displacement(until) - self._ordered.displacement(since), until - since
         if duration <= 0:
             return np.zeros(len(ordered))
-        return self._robot.displacement(before, after, duration, self._J @ ordered / duration, mount)
+        if isinstance(self._robot, Arm):
+            return after.q - before.q
+        twist = self._robot.measured_twist(before, after, duration, self._J @ ordered / duration, mount)
+        return np.asarray(np.linalg.lstsq(self._robot.motion_basis(mount, after.q), twist * duration, rcond=None)[0], dtype=float)
 
     def order(self, t_cmd: float, order: Order) -> None:
         """An order takes effect at t_cmd [s]."""

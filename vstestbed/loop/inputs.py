@@ -28,7 +28,8 @@ class Inputs:
     def __init__(self, scenario: Scenario):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
         self._latest_s, self._refuses = scenario.timing.latest_s(scenario.camera), scenario.timing.refuses
-        self._reading, self._reads_depth = scenario.robot.reading, scenario.law.depth.measured
+        self._reading = scenario.robot.onboard.reading if scenario.robot.onboard else Reading
+        self._reads_depth = scenario.law.depth.measured
         self._t: float | None = None
         self._arrived: float | None = None
         self.taken = -1
@@ -51,9 +52,12 @@ class Inputs:
 
     def _check_ranges(self, q: Array) -> None:
         """Refuse joint positions (n,) that the robot cannot have: they are of another unit, in another order, or of a failed encoder."""
-        low, high = self._robot.joint_limits.T
+        body = self._robot.body
+        if body is None or body.limits is None:
+            return
+        low, high = body.limits.T
         beyond = np.maximum(low - q, q - high)
-        if len(q) and beyond.max() > OUTSIDE:
+        if beyond.max() > OUTSIDE:
             i = int(beyond.argmax())
             words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
             works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"

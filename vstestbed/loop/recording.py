@@ -133,9 +133,11 @@ class Recording:
             "time_ms": {k: v / frames for k, v in self.time_ms.items()},
             "versions": self.versions,
         }
-        actuators, names = self.scenario.robot.actuator_set, self.scenario.target.names
+        body, names = self.scenario.robot.body, self.scenario.target.names
         named = {"marker_names": {str(i): name for i, name in enumerate(names)}} if names else {}
-        return {"scenario": self.scenario.name} | ended | named | figures | (actuators.gains() if actuators else {}) | cost
+        return (
+            {"scenario": self.scenario.name} | ended | named | figures | (body.actuation.gains() if body and body.actuation else {}) | cost
+        )
 
 
 # `summary.json` of a run's folder, checked when it is read: an editor or a broken disk may have changed it.

@@ -83,7 +83,7 @@ class Stamps:
         self._timing, self._plant, self._rng = timing, plant, scenario.rng(STAMP_STREAM)
         self._camera, self._robot = timing.camera_clock or CameraStamps(), timing.robot_clock or RobotStamps()
         # At the steps at which an onboard controller reads the sensors anyway, no other noise is drawn for it.
-        self._every = max(1, round((scenario.robot.control_period_s or READING_S) / plant.step_s))
+        self._every = max(1, round((scenario.robot.onboard.control_period_s if scenario.robot.onboard else READING_S) / plant.step_s))
         self._steps: deque[int] = deque(maxlen=math.ceil(KEPT_S / (self._every * plant.step_s)))
         self._readings: deque[Reading] = deque(maxlen=self._steps.maxlen)
 

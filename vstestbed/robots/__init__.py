@@ -5,16 +5,18 @@ from collections.abc import Callable, Mapping
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
-from vstestbed.robots.base import Reading, Robot, RobotBase
+from vstestbed.robots.arm import Arm
+from vstestbed.robots.base import Body, Onboard, Reading, Robot, RobotBase
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.vehicle import Vehicle
 
 ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
-VEHICLES: Mapping[str, Callable[[], Robot]] = {"omni": Omni, "car": Car}
+VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}
 """Robots that can carry a target along a route (`Carried.by`)."""
 
 __all__ = [
@@ -22,15 +24,19 @@ __all__ = [
     "VEHICLES",
     "Actuation",
     "Allocation",
+    "Arm",
+    "Body",
     "Car",
     "Free",
     "Mjcf",
     "Mount",
     "Omni",
+    "Onboard",
     "Order",
     "Puma560",
     "Quadrotor",
     "Reading",
     "Robot",
     "RobotBase",
+    "Vehicle",
 ]

@@ -1,20 +1,34 @@
-"""Serial arms with a camera or a target at the flange, driven by joint velocities: what all of them share."""
+"""Serial arms with a camera or a target at the flange, driven by joint velocities: what all of them share.
+
+Without imperfections an arm is that of its file, and knows itself exactly. They are elastic gears, ripple, encoders, current loops, errors
+of the geometry and of the gravity compensation, and a payload.
+"""
 
 from __future__ import annotations
 
 import functools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from annotated_types import Ge, Le, Len
 
-from vstestbed.core.errors import UnreachableError
+from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, inverse, log, rigid_error
-from vstestbed.robots.allocation import ALL_SIX, Allocation, Limit, Mount
-from vstestbed.robots.base import Reading, Robot
+from vstestbed.core.quantity import Angle
+from vstestbed.core.spec import spec
+from vstestbed.effects.base import Effect
+from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, each, quickest
+from vstestbed.effects.links import DisplacedLinks, GeometryError, Payload
+from vstestbed.effects.strain_wave import StrainWave
+from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
+from vstestbed.robots.base import STOP_S, Body, Reading, SensorModel, random_of
+from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.own_model import OwnModel
+from vstestbed.robots.realism import Realistic
 
 THRESHOLD = 0.05  # smallest singular value that is left undamped, with lengths in the arm's own unit
 
@@ -127,25 +141,239 @@ LIMIT_HORIZON_S = 0.25
 INNER = 0.8  # central share of a joint's range in which limit avoidance leaves it alone
 
 
-class Arm(Robot, ABC):
-    """A chain of joints on a base that stands at the world's origin. Fewer than six joints are motions of their own.
+SHORTEST_STEP_S = 1e-4
+"""Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
 
-    A subclass gives the kinematics, the limits and `avoid_limits`, the gain of joint-limit avoidance [1/s].
+
+@spec
+class Positions:
+    """Joint positions of the arm.
+
+    Args:
+        q_deg: the positions in the order of `joints` [deg; m for a joint that slides].
     """
 
-    gripper: ClassVar[bool] = True
+    q_deg: Annotated[tuple[Angle, ...], Len(2, 7)]
+
+
+@spec
+class PositionBox:
+    """The box round the nominal positions from which random starts are drawn.
+
+    Args:
+        q_deg: half width for every hinge [deg].
+        slide_m: half width for every joint that slides [m].
+    """
+
+    q_deg: Annotated[float, Ge(0), Le(180)] = 15.0
+    slide_m: Annotated[float, Ge(0), Le(10)] = 0.05
+
+
+@spec
+class ArmStart:
+    """Joint positions at the start.
+
+    Args:
+        nominal: joint positions at the start of a run without a seed.
+        random: the box; None: a seed cannot draw a start.
+    """
+
+    nominal: Positions
+    random: PositionBox | None = None
+
+
+@spec
+class Arm(Realistic):
+    """A chain of joints on a base that stands at the world's origin. Fewer than six joints are motions of their own.
+
+    A subclass gives `chain`, `joint_speeds`, `actuation` with its `servo_set`, and the gain `avoid_limits` of joint-limit avoidance [1/s].
+
+    Args:
+        gears: elasticity and backlash; None: rigid, without play.
+        strain_wave: the strain wave gears in its joints, of which `realism`, and `gears` without a stiffness, make springs and rotors;
+            None: its joints are rigid with a preset that has no stiffness of its own; e.g. `{sizes: [20, 20, 20, 20, 14, 14, 0]}`.
+        ripple: cogging and torque ripple of the motors; None: none.
+        encoders: steps and eccentricity of what the joints read; None: exact.
+        drives: lag and delay of the motors' torque; None: none.
+        geometry_error: the true geometry where it differs from the arm's own model; None: it does not.
+        gravity_error: share of the weight that the drives' gravity compensation leaves uncarried, negative for too much [1]; servos that
+            hold a position without compensation then have one, and sag by what it leaves over kp; e.g. `0.05`.
+        payload: a load at the flange; None: none.
+    """
+
+    gears: Gears | None = None
+    strain_wave: StrainWave | None = None
+    ripple: Ripple | None = None
+    encoders: Encoders | None = None
+    drives: CurrentLoops | None = None
+    geometry_error: GeometryError | None = None
+    gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
+    payload: Payload | None = None
+
+    start: ClassVar[ArmStart]
+    file: ClassVar[str]
+    actuation: ClassVar[str]
+    flange: ClassVar[str] = "flange"
+    avoid_limits: ClassVar[float]
+    chain: ClassVar[JointChain]
+    """Its joints in plain numbers."""
+    joint_speeds: ClassVar[Array]
+    """Largest speed of each joint, (n,) [rad/s, m/s]."""
+    servo_set: ClassVar[Actuation]
+    """Its servos, without an error of their gravity compensation."""
     lag_s: ClassVar[float] = 0.009
     """Velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos."""
-    avoid_limits: float
-    joint_limits: Array  # pyright: ignore[reportIncompatibleMethodOverride] - a constant or a property
-    joint_speeds: Array
-    """Largest speed of each joint, (n,) [rad/s, m/s]."""
-    unit_m: float
-    """Length that makes metres and radians comparable [m]."""
 
-    @abstractmethod
+    @property
+    def unit_m(self) -> float:
+        """Length that makes metres and radians comparable [m]: the longest link."""
+        return self.chain.unit_m
+
+    def _check(self) -> None:
+        """Refuse effects that do not fit the joints or the actuation, and a start outside of the limits."""
+        if self.realism != "none" and self.actuation == "ideal":
+            raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
+        given, chain = self.start.nominal.q_deg, self.chain
+        if len(given) != len(chain.names):
+            raise ParameterError("start.nominal.q_deg", f"must be {len(chain.names)} positions, of {', '.join(chain.names)}", list(given))
+        # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
+        for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
+            if not low <= q <= high:
+                size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
+                words = f"must be within {chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
+                raise ParameterError(f"start.nominal.q_deg.{i}", words, given[i])
+        self.acting  # noqa: B018 - refuses what does not fit
+        if self.encoders is not None:
+            self.encoders.read(np.zeros(len(given)), np.zeros(len(given)), chain.slides)
+        for field in ("drives", "ripple", "gravity_error"):
+            if self.actuation == "ideal" and getattr(self, field) is not None:
+                raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
+
+    @property
+    def body(self) -> Body:
+        """Its file, with a gripper in place of the camera."""
+        actuation = self.servo_set if self.gravity_error is None else replace(self.servo_set, gravity_error=self.gravity_error)
+        names = self.chain.names
+        return Body(self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True)
+
+    @property
+    def draws(self) -> bool:
+        """Errors of its geometry."""
+        return self.geometry_error is not None and self.geometry_error.draws
+
+    def drawn(self, rng: np.random.Generator) -> Self:
+        """The same arm with the errors of its geometry drawn from `rng`."""
+        given = self.geometry_error
+        error = given and given.drawn(len(self.chain.names), rng)
+        return self if error is given else replace(self, geometry_error=error)
+
+    def idealised(self) -> Self:
+        """The same arm with stiff servos and gears and without friction; its geometry and its payload stay what they are."""
+        rigid = dict.fromkeys(("gears", "ripple", "encoders", "drives", "gravity_error"))
+        return replace(self, **{"actuation": "ideal", "realism": "none", **rigid})
+
+    @cached_property
+    def elastic(self) -> ElasticJoints | None:
+        """Its gears in plain numbers; None where it has none."""
+        gears, slides = self.gears, self.chain.slides
+        if gears is None:
+            return None
+        k, stages, rotors = self._springs(gears)
+        return ElasticJoints(
+            self.chain.names, k, k * gears.damping_s, gears.play(k, slides), stages, rotors, functools.cache(self._gears_step)
+        )
+
+    @cached_property
+    def acting(self) -> tuple[Effect, ...]:
+        """Motors, gears, links, payload, and further ones."""
+        found: list[Effect] = []
+        if self.ripple is not None or self.drives is not None:
+            ripple, slides = self.ripple or Ripple(), self.chain.slides
+            cogging = each("ripple.cogging_nm", ripple.cogging_nm, slides)
+            found.append(Motors(cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives))
+        if self.elastic is not None:
+            found.append(self.elastic)
+        names = self.chain.names
+        if self.geometry_error is not None and (D := self.geometry_error.displacements(len(names))) is not None:
+            found.append(DisplacedLinks(names, D))
+        return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
+
+    def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
+        """Stiffness (n,) and stages (n, m, 2) of the gears, inertia of the rotors (n,); None where there are none of its own."""
+        preset, slides = self.presets.get(self.realism, {}).get("gears"), self.chain.slides
+        if gears.stiffness_nmprad:
+            if self.strain_wave is not None and gears == preset:
+                words = f"is given by realism {self.realism} and by strain_wave; works: robot.gears.stiffness_nmprad=[]"
+                raise ParameterError("gears.stiffness_nmprad", words)
+            return each("gears.stiffness_nmprad", gears.stiffness_nmprad, slides, turns=False), None, None
+        if self.strain_wave is not None:
+            return *self.strain_wave.curves(slides), self.strain_wave.rotors(slides)
+        if gears != preset:
+            words = "is missing; or give the catalogue sizes of its gears, e.g. robot.strain_wave: {sizes: [20]}"
+            raise ParameterError("gears.stiffness_nmprad", words)
+        return np.zeros(len(slides)), None, None
+
+    def _gears_step(self) -> float:
+        """The longest physics step that resolves the quickest vibration of the gears [s].
+
+        Raises ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
+        """
+        assert self.elastic is not None
+        M, rotors = reader().inertias_at(self.file, self.chain.names, tuple(self.configuration().tolist()))
+        rotors = rotors if self.elastic.rotors is None else self.elastic.rotors
+        k = self.elastic.stiffest
+        for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
+            words = "must be 0 for {joint}, which has no rotor that could move by itself; give it an `armature` in its file{or_here}"
+            raise self._too_stiff(i, float(k[i]), words)
+        w, joint = quickest(M, rotors, k)
+        step = FINEST / w if w else np.inf
+        if step < SHORTEST_STEP_S:
+            most = float(f"{k[joint] * (step / SHORTEST_STEP_S) ** 2:.2g}")
+            needs = f"it vibrates at {w / 2 / np.pi:.0f} Hz, which needs physics steps of {1e6 * step:.0f} us"
+            raise self._too_stiff(joint, float(k[joint]), f"must be 0 (rigid){{or_softer}} for {{joint}}: {needs}", most)
+        return step
+
+    def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
+        """The refusal of a gear, by the field that has its stiffness k [Nm/rad]."""
+        name = self.chain.names[joint]
+        if self.gears is not None and self.gears.stiffness_nmprad:
+            said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")
+            if len(self.gears.stiffness_nmprad) == 1:
+                said += "; works: a list, with a value for each joint"
+            return ParameterError("robot.gears.stiffness_nmprad", said, k)
+        said = words.format(joint=name, or_here=", or its inertia in strain_wave.rotor_kgm2", or_softer="")
+        return ParameterError("robot.strain_wave.sizes", said)
+
+    def instruments(self, rng: np.random.Generator) -> SensorModel:
+        """What the encoders read of the rotors' angles q and speeds qd (n,) each."""
+        encoders, slides = self.encoders, self.chain.slides
+        if encoders is None:
+            return super().instruments(rng)
+        return lambda q, qd, sensors: Reading(*encoders.read(q, qd, slides))
+
+    def configuration(self) -> Array:
+        """Joint positions of the nominal start, shape (n,) [rad, m]."""
+        given = np.array(self.start.nominal.q_deg)
+        return np.where(self.chain.slides, given, np.radians(given))
+
+    def started_at(self, configuration: Array) -> Self:
+        """The same arm from other joint positions (n,) [rad, m]."""
+        return self._from(np.where(self.chain.slides, configuration, np.degrees(configuration)))
+
+    def _from(self, given: Array) -> Self:
+        """From positions (n,) [deg, m]."""
+        return replace(self, start=replace(self.start, nominal=Positions(q_deg=tuple(given.tolist()))))
+
+    def randomised(self, rng: np.random.Generator) -> Self:
+        """The same arm with a start drawn within the box, clipped to the joint limits."""
+        box, chain = random_of(self.start, "{q_deg: 15}"), self.chain
+        drawn = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, len(chain.names)) * np.where(chain.slides, box.slide_m, box.q_deg)
+        low, high = np.where(chain.slides, chain.limits.T, np.degrees(chain.limits.T))
+        return self._from(np.clip(drawn, low, high))
+
     def kinematics(self, q: Array) -> tuple[Array, Array]:
         """T_world_flange (4, 4) and the Jacobian (6, n): twist of the flange (v, w) in its own frame = J @ dq."""
+        return self.chain.kinematics(q)
 
     def start_joints(self) -> Array:
         """The configuration itself."""
@@ -157,7 +385,7 @@ class Arm(Robot, ABC):
 
     def configuration_at(self, T_world_flange: Array, near: Array) -> Array:
         """Joint positions (n,) by Newton steps from `near`, a margin within their limits."""
-        inside = self.joint_limits + [LIMIT_MARGIN, -LIMIT_MARGIN]
+        inside = self.chain.limits + [LIMIT_MARGIN, -LIMIT_MARGIN]
         q = joints_at(self.kinematics, T_world_flange, near, inside, self.unit_m, self._away_from_limits)
         return np.radians(np.round(np.degrees(q), 4))  # 1.7 um at a metre: machines whose last digits differ begin alike
 
@@ -174,32 +402,29 @@ class Arm(Robot, ABC):
         return mount.to_camera @ (J @ ((now.q - before.q) / duration))
 
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within `stop_s`."""
+        """Its joints: encoders, limits, speeds, and the accelerations that stop it from them within STOP_S."""
         speeds, n = self.joint_speeds, len(reading.q)
 
         def jacobian(q: Array) -> Array:
             return mount.to_camera @ self.kinematics(q)[1]
 
         return OwnModel(
-            names=self.joints,
+            names=self.chain.names,
             J=jacobian(reading.q),
             jacobian=jacobian,
             q=reading.q,
             qd=reading.qd,
-            low=self.joint_limits[:, 0],
-            high=self.joint_limits[:, 1],
+            low=self.chain.limits[:, 0],
+            high=self.chain.limits[:, 1],
             nominal=self.configuration(),
             speed=speeds,
-            acceleration=speeds / self.stop_s,
+            acceleration=speeds / STOP_S,
             sums=np.zeros((0, n)),
             most=np.zeros(0),
             lag_s=self.lag_s,
             unit_m=self.unit_m,
+            slides=self.chain.slides,
         )
-
-    def displacement(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """The difference of the encoders."""
-        return now.q - before.q
 
     def allocate_rates(self, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """Joint speeds, scaled as a whole into speed and position limits."""
@@ -227,7 +452,7 @@ class Arm(Robot, ABC):
 
     def _away_from_limits(self, q: Array) -> Array:
         """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
-        limits = self.joint_limits
+        limits = self.chain.limits
         with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
             low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
         low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
@@ -263,7 +488,7 @@ class Arm(Robot, ABC):
         ones, not integrated commands: the servos lag behind those.
         """
         speed = position = math.inf
-        limits = zip(dq.tolist(), q.tolist(), self.joint_limits.tolist(), self.joint_speeds.tolist(), strict=True)
+        limits = zip(dq.tolist(), q.tolist(), self.chain.limits.tolist(), self.joint_speeds.tolist(), strict=True)
         for u, at, (low, high), most in limits:  # numpy takes thrice as long
             size = max(abs(u), 1e-12)
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN

@@ -1,10 +1,14 @@
-"""The contract of a robot: which camera twists it can make, and how a command becomes a setpoint within its limits."""
+"""The contract of a robot: which camera twists it can make, and how a command becomes a setpoint within its limits.
+
+What only some robots have is a capability: a `Body` in MuJoCo, an `Onboard` controller, the joint space of an `arm.Arm`, the wheels of a
+`vehicle.Vehicle`.
+"""
 
 from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
@@ -157,7 +161,48 @@ class RobotLog:
         return {}
 
 
+LARGEST_STEP_S = 0.002  # the largest default physics step of a robot that names no other [s]
+STOP_S = 0.25
+"""How long a robot takes to stop that names no other time [s], from any speed: at most a speed limit over it is the deceleration."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A robot's body in MuJoCo: its MJCF file, and what of it is used.
+
+    Attributes:
+        file: a name in models/, or a whole path.
+        actuators: in the order of their controls. sensors: those of the file that `Robot.instruments` turns into the reading.
+        flange: the site, or the body, in the file that carries the camera.
+        actuation: which of the file's actuators are used, and what is added to them; None: all, as they are.
+        changes: what the robot's parameters change in the file.
+        limits: lowest and highest position of each of `Robot.joints`, (n, 2) [rad, m]; None where no joint has any.
+        rest_ctrl: controls and activations (nu,) that hold the robot at its start; None where the defaults of the file do.
+        feet: geoms that may touch the ground while nothing else of the body may. standing_m: height of the base frame over what the feet
+            stand on [m].
+        gripper: whether it can hold the target in front of a camera that stands in the room.
+        slips: whether the robot feels the floor's friction (`world.floor_friction`).
+        largest_step_s: the largest physics step at which its actuators were tested [s]: servo gains of puma560.xml, contacts of wheels.
+    """
+
+    file: str
+    actuators: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()
+    flange: str = "flange"
+    actuation: Actuation | None = None
+    changes: tuple[Change, ...] = ()
+    limits: Array | None = None
+    rest_ctrl: Array | None = None
+    feet: tuple[str, ...] = ()
+    standing_m: float = 0.0
+    gripper: bool = False
+    slips: bool = True
+    largest_step_s: float = LARGEST_STEP_S
+
+
 Base = Literal["fixed", "planar", "floating"]
+SensorModel = Callable[[Array, Array, Mapping[str, list[float]]], Any]
+"""From true joint positions and speeds, (n,) each, and MuJoCo's perfect sensors by name to what the robot's sensors read."""
 
 
 class Robot:
@@ -173,62 +218,19 @@ class Robot:
     """Its word in a scenario, a field of each robot."""
     start: Any
     """The start block: `nominal`, and `random` (None without one) from which starts are drawn."""
-    actuators: ClassVar[tuple[str, ...]] = ()
-    """Actuators, in the order of their controls."""
-    sensors: ClassVar[tuple[str, ...]] = ()
-    """MJCF sensors that `measured` turns into its reading."""
-    reading: ClassVar[type[Reading]] = Reading
-    """The class of its reading."""
     base: ClassVar[Base] = "fixed"
     """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose configuration is (x, y, heading)) or
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
-    feet: ClassVar[tuple[str, ...]] = ()
-    """Geoms in its file that may touch the ground while nothing else of it may."""
-    standing_m: ClassVar[float] = 0.0
-    """Height of its base frame over what its feet stand on [m]; 0 of a robot without feet."""
-    flange: Any = "flange"
-    """The name of the site, or the body, in its file that carries the camera."""
-    gripper: ClassVar[bool] = False
-    """Whether it can hold the target, in front of a camera that stands in the room."""
-    largest_step_s: ClassVar[float] = 0.002
-    """The largest physics step at which its actuators were tested [s]: servo gains in puma560.xml, contacts of the vehicles' wheels."""
-    needed_step_s: ClassVar[float] = np.inf
-    """The longest physics step that its vibrations and its drives allow [s]; infinite where they allow any."""
-    control_period_s: ClassVar[float | None] = None
-    """Period of its onboard controller, from setpoint to actuator controls [s]; None where the setpoint is the controls."""
-    stop_s: ClassVar[float] = 0.25
-    """How long it takes to stop [s], from any speed: at most a speed limit over it is the deceleration."""
-    lag_s: ClassVar[float] = 0.0
-    """Time constant with which its velocities follow their orders [s]."""
-    motion_names: ClassVar[tuple[str, ...]] = CAMERA
-    """Names of the columns of `motion_basis`."""
-    model: ClassVar[str | None] = None
-    """Its MJCF file: a name in models/, or a whole path. None for the ideal camera, which has no joints."""
     joints: ClassVar[tuple[str, ...]] = ()
     """Joints that it measures, in the order of its reading."""
-    actuator_set: ClassVar[Actuation | None] = None
-    """Which of the actuators in its file are used, and what is added to them; None: all."""
-    body_changes: ClassVar[tuple[Change, ...]] = ()
-    """What its parameters change in its file; () for the file as it is."""
+    body: ClassVar[Body | None] = None
+    """Its body in MuJoCo; None for the ideal camera."""
+    onboard: ClassVar[Onboard | None] = None
+    """Its onboard controller; None where the setpoint is the actuators' controls."""
     acting: ClassVar[tuple[Effect, ...]] = ()
     """Its imperfections, in the order in which they change its model and act."""
-    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
-    """Of a vehicle: x of its rear and of its front end in the base frame [m]."""
-    turning_radius_m: ClassVar[float] = 0.0
-    """Of a vehicle: the radius of its tightest circle [m]; 0: it is not limited."""
-    top_speed_mps: ClassVar[float] = np.inf
-    """Largest forward speed [m/s]; infinite where it has none of its own."""
-    slips: ClassVar[bool] = True
-    """Whether it may be given a floor of another friction (`world.floor_friction`)."""
     draws: ClassVar[bool] = False
-    """Whether the scenario's seed makes a difference to its body or its sensors, besides the start and its heading."""
-    draws_heading: ClassVar[bool] = False
-    """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
-
-    @property
-    def joint_limits(self) -> Array:
-        """Lowest and highest position of each of its joints, (len(joints), 2) [rad, m]; infinite where there is none."""
-        return np.tile([-np.inf, np.inf], (len(self.joints), 1))
+    """Whether the scenario's seed makes a difference to its body or its sensors, besides the start."""
 
     @property
     def proprioception_names(self) -> tuple[str, ...]:
@@ -265,13 +267,6 @@ class Robot:
         """
         raise ParameterError("robot.kind", "must be an arm or the free camera: only they start where a view of the target asks for")
 
-    def idealised(self) -> Any:
-        """The same robot with actuators that follow their setpoint exactly, where it has such."""
-        return self
-
-    def check_mount(self, xyz: tuple[float, ...]) -> None:
-        """Refuse an impossible place of the camera on the robot [m]. ParameterError names `camera.mount.xyz`."""
-
     @abstractmethod
     def flange_pose(self, configuration: Array) -> Array:
         """Pose (4, 4) of the flange in the world, by the robot's own model."""
@@ -285,19 +280,9 @@ class Robot:
         """
         ...
 
-    @property
-    def motion_limits(self) -> tuple[Array, Array]:
-        """Largest speeds and accelerations along the columns of `motion_basis`, (n,) each [m/s, rad/s; per s]; infinite without one."""
-        endless = np.full(len(self.motion_names), np.inf)
-        return endless, endless
-
-    def noise(self, rng: np.random.Generator) -> Any:
-        """Where `measured` takes its sensors' noise from: `rng`, or what was drawn from it ahead."""
-        return rng
-
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Any) -> Any:
-        """What its sensors read: true joints and MuJoCo's perfect sensors, by name, with noise and bias added."""
-        return Reading(q, qd)
+    def instruments(self, rng: np.random.Generator) -> SensorModel:
+        """Its sensors in one run, with noise and bias; rng: draws the noise."""
+        return lambda q, qd, sensors: Reading(q, qd)
 
     @abstractmethod
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
@@ -315,20 +300,10 @@ class Robot:
 
     def own_model(self, reading: Any, mount: Mount) -> OwnModel:
         """What its controller knows of it: its own velocities, their limits, the camera twist that they make."""
-        return OwnModel.of_motions(self.motion_names, self.motion_basis(mount, reading.q), *self.motion_limits, lag_s=self.lag_s)
-
-    def displacement(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
-        """How far its own velocities have led (n,) between two readings, of which `commanded` is the camera twist that was commanded."""
-        twist = self.measured_twist(before, now, duration, commanded, mount)
-        return np.asarray(np.linalg.lstsq(self.motion_basis(mount, now.q), twist * duration, rcond=None)[0], dtype=float)
-
-    def allocate_rates(self, rates: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
-        """The setpoint for its own velocities (n,), within its limits for one period [s]."""
-        return self.allocate(self.motion_basis(mount, reading.q) @ rates, reading, mount, period)
-
-    def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
-        """Secondary task: a camera twist (6,) in the span of `null_space` (6, k), added to the law's."""
-        return np.zeros(6)
+        J = self.motion_basis(mount, reading.q)
+        n = J.shape[1]
+        names = CAMERA if n == 6 else self.joints if len(self.joints) == n else tuple(f"u_{i}" for i in range(n))
+        return OwnModel.of_motions(names, J, np.full(n, np.inf), np.full(n, np.inf))
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Supervisor:
         """What may override the law.
@@ -341,35 +316,49 @@ class Robot:
         """The columns that only this robot has in a log."""
         return RobotLog(supervisor)
 
-    def begin(self) -> Any:
-        """The initial state of its onboard controller."""
-        return None
-
-    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
-        """One step of its onboard controller: the next state and the actuators' controls (nu,)."""
-        return memory, setpoint
-
-    def reported(self, memory: Any, reading: Any) -> Any:
-        """The reading that the loop sees: what the sensors read, with the onboard controller's estimates."""
-        return reading
-
-    def rest_ctrl(self) -> Array | None:
-        """Controls and activations (nu,) that hold it at its start; None where the defaults of its file do."""
-        return None
-
-    def hold_setpoint(self) -> Array | None:
-        """The setpoint before the first command; None where `rest_ctrl` does."""
-        return None
-
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force.
 
-        By default all velocities fall to zero within `stop_s` by the same factor: the motion keeps its direction.
+        By default all velocities fall to zero within STOP_S by the same factor: the motion keeps its direction.
         """
-        return setpoint * max(0.0, 1.0 - elapsed_s / self.stop_s) if self.stop_s > 0 else np.zeros_like(setpoint)
+        return faded(setpoint, elapsed_s, STOP_S)
 
 
 RobotBase = Robot
+
+
+class Onboard(Robot):
+    """A robot with an onboard controller between its setpoint and the controls of its actuators."""
+
+    reading: ClassVar[type[Reading]] = Reading
+    """The class of the reading that the loop sees."""
+    control_period_s: float
+    """Its period [s]."""
+    first_setpoint: ClassVar[Array | None] = None
+    """The setpoint before the first command; None where the controls stay those of the start until then."""
+
+    @property
+    def onboard(self) -> Onboard | None:
+        """It has one."""
+        return self
+
+    def begin(self) -> Any:
+        """The controller's initial state."""
+        return None
+
+    @abstractmethod
+    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
+        """One step of dt [s]: the next state, and the actuators' controls (nu,). reading: of the instruments."""
+        ...
+
+    def reported(self, memory: Any, reading: Any) -> Any:
+        """The reading that the loop sees: what the instruments read, with the controller's estimates."""
+        return reading
+
+
+def faded(setpoint: Array, elapsed_s: float, stop_s: float) -> Array:
+    """A setpoint `elapsed_s` [s] after it has lost its force, for a robot that takes `stop_s` [s] to stop."""
+    return setpoint * max(0.0, 1.0 - elapsed_s / stop_s)
 
 
 def random_of(start: Any, example: str) -> Any:
@@ -379,6 +368,11 @@ def random_of(start: Any, example: str) -> Any:
     return start.random
 
 
+def needed_step(robot: Robot) -> float:
+    """The longest physics step that a robot's vibrations and drives allow [s]; infinite where they allow any."""
+    return min((effect.longest_step_s for effect in robot.acting), default=math.inf)
+
+
 def longest_step(robot: Robot) -> float:
     """The longest default physics step of a robot [s]."""
-    return min(robot.largest_step_s, robot.needed_step_s)
+    return min(robot.body.largest_step_s if robot.body else LARGEST_STEP_S, needed_step(robot))

@@ -2,12 +2,11 @@
 
 Its frame lies on the floor under the middle of the rear axle, x forward. It moves with u = (v, w) of that frame: it can neither go
 sideways nor turn on the spot. The setpoint is (speed [m/s], steering angle [rad]); `actuate` approaches both within their rate limits.
-The body is in models/car.xml, which `parameters` changes (`CarParameters`), and its imperfections (`vehicle.WornVehicle`).
+The body is in models/car.xml, which `parameters` changes (`CarParameters`), and its imperfections (`vehicle.Vehicle`).
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 from collections.abc import Callable, Mapping
@@ -28,10 +27,10 @@ from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Limit, Mount
-from vstestbed.robots.base import Reading
+from vstestbed.robots.base import Body, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
-from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle, WornVehicle
+from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 # Kinematic bicycle model: a car whose wheels roll without slip, its limits, and its closed loop with a law.
 #
@@ -364,7 +363,7 @@ CAR: Mapping[Level, Mapping[str, object]] = {
 
 
 @spec
-class Car(WornVehicle):
+class Car(Vehicle, Onboard):
     """A buggy, of 60 kg by default, with Ackermann steering and rear drive.
 
     Args:
@@ -388,18 +387,12 @@ class Car(WornVehicle):
     tyres: Tyres | None = None
     steering_play_deg: Annotated[AngleWidth, Narrower(le=20)] | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
-    model: ClassVar[str] = "car.xml"
     joints: ClassVar[tuple[str, ...]] = (
         *("steering", "front_left_steer", "front_right_steer"),
         *("rear_left", "rear_right", "front_left", "front_right"),
     )
-    actuators: ClassVar[tuple[str, ...]] = ("drive", "steering")
-    sensors: ClassVar[tuple[str, ...]] = ("heading",)
-    control_period_s: ClassVar[float | None] = 0.01
-    motion_names: ClassVar[tuple[str, ...]] = ("v", "w")
-    # No wheel is steered across the car's way; the wheels turn without end.
-    joint_limits: ClassVar[Array] = np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    proprioception_names: ClassVar[tuple[str, ...]] = (*Vehicle.proprioception_names, "compass", "steering")
+    control_period_s: ClassVar[float] = 0.01
+    proprioception_names: ClassVar[tuple[str, ...]] = (*Vehicle.proprioception_names, "compass", "steering")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
 
     def __post_init__(self) -> None:
         body, limits = self.parameters, self.limits
@@ -416,7 +409,12 @@ class Car(WornVehicle):
             raise ParameterError("parameters.motor_torque_nm", f"{words}{other}", body.motor_torque_nm)
 
     @property
-    def body_changes(self) -> tuple[Change, ...]:
+    def body(self) -> Body:
+        """No wheel is steered across the car's way; the wheels turn without end."""
+        limits = np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
+        return Body("car.xml", ("drive", "steering"), ("heading",), changes=self._changes(), limits=limits)
+
+    def _changes(self) -> tuple[Change, ...]:
         """Those of its parameters and of its imperfections."""
         found = list(self.parameters.changes)
         if self.rolling_resistance is not None:
@@ -462,27 +460,28 @@ class Car(WornVehicle):
         """Camera twists of (v, w) of the base, shape (6, 2), for any mount."""
         return mount.to_camera @ PLANE[:, [0, 2]]
 
-    @property
-    def motion_limits(self) -> tuple[Array, Array]:
-        """Its speed, and the yaw rate on its tightest circle; its servos' acceleration, and v / L times the rate of its steering."""
-        v, limits = self.limits.speed_mps, self.limits
-        turn = v * limits.steering_rate_radps / self.parameters.wheelbase_m
-        return np.array([v, v / self.turning_radius_m]), np.array([limits.acceleration_mps2, turn])
-
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(v, w), with the tightest circle."""
-        return dataclasses.replace(super().own_model(reading, mount), turning_radius_m=self.turning_radius_m)
+        """(v, w): its speed and the yaw rate on its tightest circle; its servos' acceleration, and v / L times the rate of its steering."""
+        v, limits = self.limits.speed_mps, self.limits
+        speeds = np.array([v, v / self.turning_radius_m])
+        accelerations = np.array([limits.acceleration_mps2, v * limits.steering_rate_radps / self.parameters.wheelbase_m])
+        J = self.motion_basis(mount, reading.q)
+        return OwnModel.of_motions(("v", "w"), J, speeds, accelerations, turning_radius_m=self.turning_radius_m)
 
     @property
     def draws_heading(self) -> bool:
         """The noise of its compass."""
         return self.compass.sigma_deg > 0
 
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: np.random.Generator) -> Reading:
+    def instruments(self, rng: np.random.Generator) -> SensorModel:
         """Exact encoders, and the compass: the direction of the base's true x axis with bias and noise, in [-pi, pi)."""
-        x, y = sensors["heading"][:2]
-        error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * noise.standard_normal())
-        return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
+
+        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+            x, y = sensors["heading"][:2]
+            error = math.radians(self.compass.bias_deg + self.compass.sigma_deg * rng.standard_normal())
+            return Reading(q, qd, heading=(math.atan2(y, x) + error + math.pi) % (2 * math.pi) - math.pi)
+
+        return read
 
     def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
         """Dead reckoning (x, y, heading) from its start, the compass's heading, the steering angle: (5,) [m, m, rad, rad, rad]."""

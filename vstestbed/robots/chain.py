@@ -1,17 +1,18 @@
-"""A chain of hinges and slides as plain numbers: pose and Jacobian of its end by the product of exponentials."""
+"""A chain of hinges and slides as plain numbers: pose and Jacobian of its end."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array
+from vstestbed.core.geometry import Array, inverse
 
 
 class ChainReader(Protocol):
@@ -44,7 +45,11 @@ def reader() -> ChainReader:
 class JointChain:
     """The joints between a base that stands still and a flange, in the order in which they follow each other.
 
-    T_world_flange(q) = E_1(q_1) ... E_n(q_n) T_0, where E_i turns about the axis of joint i through its anchor, or slides along it.
+    With the frame G_i of joint i where all joints are at 0, z along its axis and the origin in its anchor, and G_0 the world's,
+
+        T_world_flange(q) = A_1(q_1) ... A_n(q_n) G_n^-1 T_0,  A_i = G_(i-1)^-1 G_i E(q_i),
+
+    where E turns about z, or slides along it. That is the product of exponentials of the joints' twists, in frames of their own.
     Reference: Brockett 1984, doi:10.1007/BFb0031048; Lynch & Park 2017, Modern Robotics, chapter 4 and 5.
 
     Attributes:
@@ -61,23 +66,9 @@ class JointChain:
     anchors: Array
     T_0: Array
     limits: Array
-    torque: Array
-    friction: Array
-    drives: tuple[str, ...]
-
-    @cached_property
-    def _skew(self) -> Array:
-        """Matrices [z]x (n, 3, 3) of the axes, zero for joints that slide."""
-        x, y, z = self.axes.T
-        K = np.zeros((len(x), 3, 3))
-        K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -z, y, -x
-        K = K - K.mT
-        K[self.slides] = 0.0
-        return K
-
-    @cached_property
-    def _skew2(self) -> Array:
-        return self._skew @ self._skew
+    torque: Array = field(default_factory=lambda: np.zeros(0))
+    friction: Array = field(default_factory=lambda: np.zeros(0))
+    drives: tuple[str, ...] = ()
 
     @cached_property
     def unit_m(self) -> float:
@@ -85,28 +76,46 @@ class JointChain:
         points = np.vstack([self.anchors, self.T_0[:3, 3]])
         return max(float(np.linalg.norm(np.diff(points, axis=0), axis=1).max()), 1e-3)
 
-    def _motions(self, q: Array) -> Array:
-        """E_i (n, 4, 4)."""
-        E = np.zeros((len(q), 4, 4))
-        E[:, 3, 3] = 1.0
-        R = np.eye(3) + np.sin(q)[:, None, None] * self._skew + (1 - np.cos(q))[:, None, None] * self._skew2
-        along = np.where(self.slides, q, 0.0)[:, None] * self.axes
-        E[:, :3, :3] = R
-        E[:, :3, 3] = self.anchors - np.einsum("nij,nj->ni", R, self.anchors) + along
-        return E
+    @cached_property
+    def _parts(self) -> tuple[Array, Array, Array, Array, Array]:
+        """A_i = fixed + cosine cos q_i + sine sin q_i + along q_i, (n, 4, 4) each, and G_n^-1 T_0 (4, 4)."""
+        G = [np.eye(4), *(_frame(axis, anchor) for axis, anchor in zip(self.axes, self.anchors, strict=True))]
+        M = np.array([inverse(before) @ now for before, now in pairwise(G)])
+        fixed, cosine, sine, along = M.copy(), np.zeros_like(M), np.zeros_like(M), np.zeros_like(M)
+        turns = ~self.slides
+        fixed[turns, :, :2] = 0.0
+        cosine[turns, :, :2] = M[turns, :, :2]
+        sine[turns, :, 0], sine[turns, :, 1] = M[turns, :, 1], -M[turns, :, 0]
+        along[self.slides, :, 3] = M[self.slides, :, 2]
+        return fixed, cosine, sine, along, inverse(G[-1]) @ self.T_0
 
     def kinematics(self, q: Array) -> tuple[Array, Array]:
-        """T_world_flange (4, 4), and the Jacobian (6, n): twist (v, w) of the flange in its own frame = J @ dq, at positions q (n,)."""
-        n = len(q)
-        before = np.empty((n + 1, 4, 4))
-        before[0] = np.eye(4)
-        for i, E in enumerate(self._motions(q)):
-            np.dot(before[i], E, out=before[i + 1])
-        T = before[n] @ self.T_0
-        R, at = before[:n, :3, :3], before[:n, :3, 3]
-        axes = np.einsum("nij,nj->ni", R, self.axes)
-        arms = T[:3, 3] - (np.einsum("nij,nj->ni", R, self.anchors) + at)
-        v = np.where(self.slides[:, None], axes, np.cross(axes, arms))
-        w = np.where(self.slides[:, None], 0.0, axes)
+        """T_world_flange (4, 4), and the Jacobian (6, n): twist (v, w) of the flange in its own frame = J @ dq, at positions q (n,).
+
+        With the axis z_i and the origin o_i of the frame of joint i, and the flange's origin o, a joint that turns gives
+        v = z_i x (o - o_i) dq_i and w = z_i dq_i, one that slides v = z_i dq_i.
+        """
+        fixed, cosine, sine, along, end = self._parts
+        frames = fixed + np.cos(q)[:, None, None] * cosine + np.sin(q)[:, None, None] * sine + q[:, None, None] * along
+        for i in range(1, len(q)):
+            frames[i] = frames[i - 1] @ frames[i]
+        T = frames[-1] @ end
         R_t = T[:3, :3].T
-        return T, np.concatenate([R_t @ v.T, R_t @ w.T])
+        axes, arms = R_t @ frames[:, :3, 2].T, R_t @ (T[:3, 3] - frames[:, :3, 3]).T
+        J = np.empty((6, len(q)))
+        J[0] = axes[1] * arms[2] - axes[2] * arms[1]  # axes x arms, row by row: np.cross takes as long as all the rest
+        J[1] = axes[2] * arms[0] - axes[0] * arms[2]
+        J[2] = axes[0] * arms[1] - axes[1] * arms[0]
+        J[3:] = axes
+        if self.slides.any():
+            J[:3, self.slides], J[3:, self.slides] = axes[:, self.slides], 0.0
+        return T, J
+
+
+def _frame(axis: Array, anchor: Array) -> Array:
+    """A frame (4, 4) with its origin at a point (3,) and z along a unit vector (3,); exact for one along an axis of the world."""
+    G = np.eye(4)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    x /= np.linalg.norm(x)
+    G[:3, 0], G[:3, 1], G[:3, 2], G[:3, 3] = x, np.cross(axis, x), axis, anchor
+    return G

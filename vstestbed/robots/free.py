@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Discriminator, Tag
@@ -63,8 +63,6 @@ class Free(Robot):
 
     kind: Literal["free"] = "free"
     start: FreeStart
-    stop_s: ClassVar[float] = 0.0
-    """It has no mass, and stops at once."""
 
     def configuration(self) -> Array:
         """The nominal start as a flat pose, shape (16,)."""
@@ -102,6 +100,10 @@ class Free(Robot):
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """The commanded twist, which it follows exactly."""
         return commanded
+
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """It has no mass, and stops at once."""
+        return np.zeros_like(setpoint)
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:
         """The twist of the flange that gives the camera this twist; no limits."""

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Le, Len
-from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angle, OneForAll, PositiveSpeed, Stiffness, Torque
+from vstestbed.core.quantity import OneForAll, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
 from vstestbed.effects.links import GeometryError
-from vstestbed.robots.allocation import Actuation, Mount, Servo
-from vstestbed.robots.base import Reading, random_of
+from vstestbed.robots.allocation import Actuation, Servo
+from vstestbed.robots.arm import Arm, ArmStart
 from vstestbed.robots.chain import JointChain, reader
-from vstestbed.robots.own_model import OwnModel
-from vstestbed.robots.real_arm import RealArm
 from vstestbed.robots.realism import Level
 
 STIFFNESS, RATIO_S = 4500.0, 1 / 40
@@ -58,44 +54,7 @@ backlash. The other values are chosen."""
 
 
 @spec
-class Positions:
-    """Joint positions of the arm.
-
-    Args:
-        q_deg: the positions in the order of `joints` [deg; m for a joint that slides].
-    """
-
-    q_deg: Annotated[tuple[Angle, ...], Len(2, 7)]
-
-
-@spec
-class PositionBox:
-    """The box round the nominal positions from which random starts are drawn.
-
-    Args:
-        q_deg: half width for every hinge [deg].
-        slide_m: half width for every joint that slides [m].
-    """
-
-    q_deg: Annotated[float, Ge(0), Le(180)] = 15.0
-    slide_m: Annotated[float, Ge(0), Le(10)] = 0.05
-
-
-@spec
-class ArmStart:
-    """Joint positions at the start.
-
-    Args:
-        nominal: joint positions at the start of a run without a seed.
-        random: the box; None: a seed cannot draw a start.
-    """
-
-    nominal: Positions
-    random: PositionBox | None = None
-
-
-@spec
-class Mjcf(RealArm):
+class Mjcf(Arm):
     """An arm of one's own, driven by joint velocities; masses, gears, friction and torque limits are those of its file.
 
     Args:
@@ -127,30 +86,19 @@ class Mjcf(RealArm):
     servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), OneForAll()] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
-    actuators: ClassVar[tuple[str, ...]]
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS
 
     def __post_init__(self) -> None:
         """Read the file, and refuse what does not fit it."""
-        super().__post_init__()
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen: a run remembers where its arm is
         chain = self.chain
-        names, n = ", ".join(chain.names), len(chain.names)
         object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on
-        object.__setattr__(self, "actuators", chain.names)
-        self._check_lengths(names, n)
-        if len(self.start.nominal.q_deg) != n:
-            raise ParameterError("start.nominal.q_deg", f"must be {n} positions, of {names}", list(self.start.nominal.q_deg))
-        for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
-            if not low <= q <= high:
-                size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
-                words = f"must be within {chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
-                raise ParameterError(f"start.nominal.q_deg.{i}", words, self.start.nominal.q_deg[i])
+        self._check_lengths(", ".join(chain.names), len(chain.names))
+        self._check()
         if self.actuation == "file":
             self._check_drives(chain)
         elif self.actuation == "velocity":
             self._settle_gains(chain)
-        self._check_effects()
 
     def _check_lengths(self, names: str, n: int) -> None:
         """A number for each joint, also where one was given for all of them."""
@@ -190,15 +138,10 @@ class Mjcf(RealArm):
         return reader().joint_chain(self.file, self.flange, self.joints)
 
     @property
-    def model(self) -> str:
-        """Its file."""
-        return self.file
-
-    @property
-    def actuator_set(self) -> Actuation:
+    def servo_set(self) -> Actuation:
         """The servos: added, or the file's own."""
         ideal, chain = self.actuation == "ideal", self.chain
-        return self.compensated(Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain))))
+        return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain)))
 
     def _servos(self, chain: JointChain) -> list[Servo]:
         speeds, torques = self.speed_limits, self.torque_limits or chain.torque.tolist()
@@ -210,49 +153,9 @@ class Mjcf(RealArm):
         return [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
 
     @property
-    def joint_limits(self) -> Array:
-        """Those of the file."""
-        return self.chain.limits
-
-    @property
     def joint_speeds(self) -> Array:
         """`speed_limits`, as an array."""
         return np.array(self.speed_limits)
-
-    @property
-    def unit_m(self) -> float:
-        """The longest link."""
-        return self.chain.unit_m
-
-    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """Its joints, and which of them slide."""
-        return replace(super().own_model(reading, mount), slides=self.slides)
-
-    @property
-    def slides(self) -> NDArray[np.bool_]:
-        """Those of the file."""
-        return self.chain.slides
-
-    def kinematics(self, q: Array) -> tuple[Array, Array]:
-        """Those of the file."""
-        return self.chain.kinematics(q)
-
-    def configuration(self) -> Array:
-        """Joint positions of the nominal start, shape (n,) [rad, m]."""
-        given = np.array(self.start.nominal.q_deg)
-        return np.where(self.chain.slides, given, np.radians(given))
-
-    def started_at(self, configuration: Array) -> Mjcf:
-        """The same arm from other joint positions (n,) [rad, m]."""
-        given = np.where(self.chain.slides, configuration, np.degrees(configuration))
-        return replace(self, start=ArmStart(nominal=Positions(q_deg=tuple(given.tolist())), random=self.start.random))
-
-    def randomised(self, rng: np.random.Generator) -> Mjcf:
-        """The same arm with a start drawn within the box, clipped to the joint limits."""
-        box = random_of(self.start, "{q_deg: 15}")
-        half = np.where(self.chain.slides, box.slide_m, np.radians(box.q_deg))
-        q = self.configuration() + rng.uniform(-1, 1, len(half)) * half
-        return self.started_at(np.clip(q, *self.chain.limits.T))
 
 
 def servo_gains(inertia: float, friction: float, slides: bool) -> tuple[float, float]:

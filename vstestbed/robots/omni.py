@@ -20,7 +20,6 @@ Bodies are in models/omni.xml and models/omni_planar.xml, which `parameters` cha
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, ClassVar, Literal
@@ -37,10 +36,10 @@ from vstestbed.effects.body import Change, Scale, Set, Stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.base import Reading
+from vstestbed.robots.base import Body, Onboard, Reading, faded
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
-from vstestbed.robots.vehicle import PLANE, GroundStart, WornVehicle
+from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
 """Signs of the wheels' places (x, y) in the base frame, shape (4, 2)."""
@@ -191,7 +190,7 @@ OMNI: Mapping[Level, Mapping[str, object]] = {
 
 
 @spec
-class Omni(WornVehicle):
+class Omni(Vehicle, Onboard):
     """A platform on four mecanum wheels, driven by wheel speeds. Of its imperfections `planar` wheels can have lag alone.
 
     Args:
@@ -208,8 +207,7 @@ class Omni(WornVehicle):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
-    actuators: ClassVar[tuple[str, ...]] = WHEELS
-    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "wz")
+    control_period_s: ClassVar[float] = LAG_PERIOD_S
 
     def __post_init__(self) -> None:
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
@@ -220,9 +218,9 @@ class Omni(WornVehicle):
                 raise ParameterError("wheels", words, self.wheels)
 
     @property
-    def control_period_s(self) -> float | None:
-        """That of the drive's lag; without it the wheels' speeds are the actuators' controls."""
-        return LAG_PERIOD_S if self.drive_lag_s else None
+    def onboard(self) -> Onboard | None:
+        """The drive's lag; without it the wheels' speeds are the actuators' controls."""
+        return self if self.drive_lag_s else None
 
     @property
     def stop_s(self) -> float:
@@ -230,12 +228,12 @@ class Omni(WornVehicle):
         return self.top_speed_mps / 2.0
 
     @property
-    def model(self) -> str:
-        """Its MJCF file."""
-        return "omni.xml" if self.wheels == "rollers" else "omni_planar.xml"
+    def body(self) -> Body:
+        """With rollers, which slip, or with planar wheels, which never do."""
+        rolls = self.wheels == "rollers"
+        return Body("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=self._changes(), slips=rolls)
 
-    @property
-    def body_changes(self) -> tuple[Change, ...]:
+    def _changes(self) -> tuple[Change, ...]:
         """Those of its parameters and of its imperfections."""
         found = list(self.parameters.changes(planar=self.wheels == "planar"))
         if self.rolling_resistance is not None:
@@ -257,11 +255,6 @@ class Omni(WornVehicle):
         return self.parameters.wheel_speed_radps * self.parameters.wheel_radius_m
 
     @property
-    def slips(self) -> bool:
-        """Rollers do; planar wheels never."""
-        return self.wheels == "rollers"
-
-    @property
     def joints(self) -> tuple[str, ...]:
         """The joints that its encoders read: the wheels, or the base's own joints in the model without wheel joints."""
         # Only differences of the latter are used (`odometry`): the absolute place would be truth.
@@ -271,17 +264,18 @@ class Omni(WornVehicle):
         """Camera twists of (vx, vy, wz) of the base, shape (6, 3), for any mount."""
         return mount.to_camera @ PLANE
 
-    @property
-    def motion_limits(self) -> tuple[Array, Array]:
-        """Straight ahead, sideways, on the spot, as its wheels' speed allows; it stops from these within `stop_s`."""
-        speeds = self.parameters.wheel_speed_radps / np.abs(self.parameters.W).max(axis=0)
-        return speeds, speeds / self.stop_s
-
     def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """Its planar motion, with the speed that each wheel may have."""
-        wheels = self.parameters.W / (1 + self.wheel_radius_error)
-        most = np.full(len(wheels), self.parameters.wheel_speed_radps)
-        return dataclasses.replace(super().own_model(reading, mount), sums=wheels, most=most)
+        """(vx, vy, wz), as its wheels' speed allows them one at a time, with the speed that each wheel may have."""
+        p = self.parameters
+        speeds = p.wheel_speed_radps / np.abs(p.W).max(axis=0)
+        wheels = p.W / (1 + self.wheel_radius_error)
+        most = np.full(len(wheels), p.wheel_speed_radps)
+        J = self.motion_basis(mount, reading.q)
+        return OwnModel.of_motions(("vx", "vy", "wz"), J, speeds, speeds / self.stop_s, sums=wheels, most=most)
+
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """All wheels fall to rest within `stop_s`."""
+        return faded(setpoint, elapsed_s, self.stop_s)
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.
@@ -300,14 +294,12 @@ class Omni(WornVehicle):
         """Mean camera twist (6,) between two readings, from the encoders alone; zero where no time has passed."""
         return mount.to_camera @ PLANE @ self.odometry(before, now, duration)
 
-    def begin(self) -> Array | None:
-        """A drive with lag at rest (4,) [rad/s]."""
-        return np.zeros(4) if self.drive_lag_s else None
+    def begin(self) -> Array:
+        """A drive at rest (4,) [rad/s]."""
+        return np.zeros(4)
 
-    def actuate(self, memory: Array | None, setpoint: Array, reading: Reading, dt: float) -> tuple[Array | None, Array]:
-        """The wheel speeds (4,) [rad/s] that the drive follows: those of the setpoint, or behind them."""
-        if memory is None:
-            return None, setpoint
+    def actuate(self, memory: Array, setpoint: Array, reading: Reading, dt: float) -> tuple[Array, Array]:
+        """The wheel speeds (4,) [rad/s] that the drive follows: behind those of the setpoint, by its lag."""
         drive = self.lagged(memory, setpoint, dt)
         return drive, drive
 

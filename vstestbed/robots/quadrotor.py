@@ -9,7 +9,7 @@ alone, after `measured` has added noise and bias. The failsafe that may override
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -21,18 +21,14 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import GRAVITY, Angle, AngleWidth, Position, PositiveRate, PositiveSpeed, Sigma
 from vstestbed.core.spatial import is_matrix, upright
 from vstestbed.core.spec import spec
-from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
-from vstestbed.effects.airframe import FlightEffects
+from vstestbed.effects.airframe import FIELD, LAB, FlightBlocks, FlightEffects
 from vstestbed.effects.base import Effect, Four
-from vstestbed.effects.battery import Battery
-from vstestbed.effects.body import Change
-from vstestbed.effects.rotors import MotorSpread, RotorInertia, hover_squares
-from vstestbed.effects.vibration import Vibration
+from vstestbed.effects.rotors import hover_squares
 from vstestbed.robots import flight_sensors
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor, random_of
+from vstestbed.robots.base import Base, Body, Onboard, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
 from vstestbed.robots.flight import (
     HOLD,
     MAX_TRIM,
@@ -52,76 +48,6 @@ from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import X4, QuadrotorParameters, mix, speed_control
 
 ROTORS = ("front", "right", "back", "left")
-LAB: dict[str, object] = {
-    "ground_effect": GroundEffect(),
-    "rotor_drag": RotorDrag(),
-    "downwash": Downwash(),
-    "rotor_inertia": RotorInertia(),
-    "battery": Battery(),
-    "vibration": Vibration(),
-    "motors": MotorSpread(),
-}
-"""A craft with balanced rotors and a full battery; values as in the blocks' own defaults."""
-FIELD: dict[str, object] = LAB | {
-    "downwash": Downwash(turbulence=0.05),
-    "battery": Battery(charge=0.25, resistance_ohm=0.04),
-    "vibration": Vibration(imbalance_mps2=4.0, blade_pass_mps2=4.0, gyro_radps=0.04, accel_sigma_mps2=1.5, gyro_sigma_radps=0.015),
-    "motors": MotorSpread(thrust_sigma=0.04, limit_sigma=0.04),
-}
-"""A worn craft late in its flight: chipped rotors, a nearly empty battery that is old; values chosen."""
-
-
-@spec
-class FlightRealism(Realistic):
-    """The imperfections of a craft that flies; each block is off where it is not given, and costs nothing then.
-
-    Args:
-        ground_effect: more thrust near the ground; e.g. `{strength: 1}`.
-        rotor_drag: drag of the rotors against a cross wind, linear in the velocity; e.g. `{coefficient: 0.62}`.
-        downwash: thrust that fluctuates where the wake comes back from the ground, or from a deck; e.g. `{turbulence: 0.05}`.
-        rotor_inertia: gyroscopic and reaction torque of the rotors; e.g. `{inertia_kgm2: 6.5e-5}`.
-        battery: voltage that falls under load and with the charge, and the rotors' speed with it; e.g. `{charge: 0.4}`.
-        vibration: of the inertial measurement unit, by the rotors; e.g. `{imbalance_mps2: 8}`.
-        motors: rotors that differ in thrust and in their limit; e.g. `{thrust_sigma: 0.03}`.
-    """
-
-    ground_effect: GroundEffect | None = None
-    rotor_drag: RotorDrag | None = None
-    downwash: Downwash | None = None
-    rotor_inertia: RotorInertia | None = None
-    battery: Battery | None = None
-    vibration: Vibration | None = None
-    motors: MotorSpread | None = None
-
-    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
-
-    @property
-    def draws(self) -> bool:
-        """Motors that are not listed, a wake that fluctuates, vibration."""
-        return (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
-
-    @property
-    def imperfect(self) -> bool:
-        """Whether any block is given."""
-        return any(getattr(self, name) is not None for name in LAB)
-
-    def check_hover(self, craft: QuadrotorParameters) -> None:
-        """Refuse a battery, or listed motors, with which a craft cannot hover at its start; motors that are drawn are not known yet."""
-        share = self.battery.share_at_start(craft) if self.battery else 1.0
-        least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
-        if self.battery and share < least:
-            words = f"leaves {share:.2g} of the ordered thrust at the start; the flight loops make up for {least:.2g} at least. Works:"
-            raise ParameterError("battery.charge", f"{words} more charge, or a lower reference_charge", self.battery.charge)
-        if self.motors and self.motors.thrust:
-            front, right, back, left = self.motors.thrust
-            squares = hover_squares((front, right, back, left), craft)
-            for name, W, factor in zip(ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True):
-                most = share * factor * craft.limit
-                if most < W:
-                    words = f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover, beyond its {most**0.5:.4g}"
-                    raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))
-
-
 LOWEST_M = 0.2  # the lowest start: it hovers there, its feet 3 cm above the ground [m]
 
 
@@ -184,13 +110,13 @@ class FlightLog(RobotLog):
     world [m/s]; `speed_NAME`: true, of each rotor [rad/s]; `supervisor`: mode of the failsafe, 0 follows the law, 1 holds, 2 sinks, 3
     rotors off; of a craft with a battery `battery_v`, its voltage as measured [V].
 
-    supervisor: the craft's. rotors: names of its actuators. battery: whether it has one.
+    supervisor: the craft's. battery: whether it has one.
     """
 
-    def __init__(self, supervisor: Supervisor, rotors: tuple[str, ...], battery: bool = False):
+    def __init__(self, supervisor: Supervisor, battery: bool = False):
         super().__init__(supervisor)
         more = ("battery_v",) if battery else ()
-        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_{name}" for name in rotors), "supervisor", *more)
+        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_rotor_{name}" for name in ROTORS), "supervisor", *more)
 
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""
@@ -216,8 +142,10 @@ class FlightLog(RobotLog):
         return {"roll": roll, "pitch": pitch, **dict(zip(("vx", "vy", "vz"), body.T, strict=True)), **rates}
 
 
+STEP_S = 0.001  # period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
+STANDING_M = 0.172  # height of the centre over what the feet stand on, by models/quadrotor.xml [m]
 STANDING_MARGIN_M = 0.05
-"""Within this of `standing_m` the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
+"""Within this of STANDING_M the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
 STOPPED_MPS = 0.12
 """Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
 STANDING_COSINE = math.cos(math.radians(30))  # a craft tilted by more than 30 degrees does not stand
@@ -245,7 +173,7 @@ class Flight(NamedTuple):
 
 
 @spec
-class Quadrotor(FlightRealism):
+class Quadrotor(FlightBlocks, Realistic, Onboard):
     """A quadrotor with four simulated rotors; the camera is mounted relative to its centre (x forward, y left, z up).
 
     Args:
@@ -271,34 +199,53 @@ class Quadrotor(FlightRealism):
     max_climb_mps: PositiveSpeed = 1.0
     max_yaw_rate_radps: PositiveRate = 0.8
 
-    model: ClassVar[str] = "quadrotor.xml"
+    presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {"lab": LAB, "field": FIELD}
     proprioception_names: ClassVar[tuple[str, ...]] = ("roll", "pitch", "range", "vx", "vy", "vz", "wx", "wy", "wz")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    actuators: ClassVar[tuple[str, ...]] = ("rotor_front", "rotor_right", "rotor_back", "rotor_left")
-    sensors: ClassVar[tuple[str, ...]] = ("gyro", "accelerometer", "velocity", "range")
-    reading: ClassVar[type[Reading]] = FlightReading
     base: ClassVar[Base] = "floating"
-    feet: ClassVar[tuple[str, ...]] = ("foot_front", "foot_right", "foot_back", "foot_left")
-    standing_m: ClassVar[float] = 0.172
-    """By models/quadrotor.xml."""
-    control_period_s: ClassVar[float | None] = 0.001
-    motion_names: ClassVar[tuple[str, ...]] = ("vx", "vy", "vz", "wz")
-    largest_step_s: ClassVar[float] = 0.001
-    """The rate loop is tuned at it."""
+    reading: ClassVar[type[Reading]] = FlightReading
+    control_period_s: ClassVar[float] = STEP_S
+    first_setpoint: ClassVar[Array] = HOLD
 
     def __post_init__(self) -> None:
-        self.check_hover(self.parameters)
+        self._check_hover()
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
         if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
-            raise ParameterError(
-                "gains.rotor_s", f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)", self.gains.rotor_s
-            )
+            words = f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
+            raise ParameterError("gains.rotor_s", words, self.gains.rotor_s)
+
+    def _check_hover(self) -> None:
+        """Refuse a battery, or listed motors, with which it cannot hover at its start; motors that are drawn are not known yet."""
+        craft = self.parameters
+        share = self.battery.share_at_start(craft) if self.battery else 1.0
+        least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
+        if self.battery and share < least:
+            words = f"leaves {share:.2g} of the ordered thrust at the start; the flight loops make up for {least:.2g} at least. Works:"
+            raise ParameterError("battery.charge", f"{words} more charge, or a lower reference_charge", self.battery.charge)
+        if self.motors and self.motors.thrust:
+            front, right, back, left = self.motors.thrust
+            squares = hover_squares((front, right, back, left), craft)
+            for name, W, factor in zip(ROTORS, squares, self.motors.limit or (1.0,) * 4, strict=True):
+                most = share * factor * craft.limit
+                if most < W:
+                    words = f"makes the {name} rotor turn at {W**0.5:.4g} rad/s to hover, beyond its {most**0.5:.4g}"
+                    raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))
 
     @property
-    def body_changes(self) -> tuple[Change, ...]:
-        """Those of its parameters; the drag that `rotor_drag` models is taken from the air drag."""
-        return self.parameters.changes(self.rotor_drag.body_share if self.rotor_drag else 1.0)
+    def body(self) -> Body:
+        """Its rotors, which carry the weight at the start; the drag that `rotor_drag` models is taken from the air drag."""
+        return Body(
+            "quadrotor.xml",
+            tuple(f"rotor_{name}" for name in ROTORS),
+            sensors=("gyro", "accelerometer", "velocity", "range"),
+            changes=self.parameters.changes(self.rotor_drag.body_share if self.rotor_drag else 1.0),
+            # With activations of 0 the craft would fall while its rotors spin up.
+            rest_ctrl=np.full(4, self.parameters.hover),
+            feet=tuple(f"foot_{name}" for name in ROTORS),
+            standing_m=STANDING_M,
+            largest_step_s=STEP_S,
+        )
 
     @property
     def acting(self) -> tuple[Effect, ...]:
@@ -330,20 +277,11 @@ class Quadrotor(FlightRealism):
 
     def log(self, supervisor: Supervisor) -> RobotLog:
         """Estimates, references of the loops, wind, rotors, mode of the failsafe."""
-        return FlightLog(supervisor, self.actuators, battery=self.battery is not None)
-
-    def hold_setpoint(self) -> Array:
-        """Level, where it is."""
-        return HOLD
+        return FlightLog(supervisor, battery=self.battery is not None)
 
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """Level, where it is: its flight loops slow it down within the limits of its tilt."""
         return HOLD
-
-    def rest_ctrl(self) -> Array:
-        """Actuator controls, and activations, of the start: rotors that carry the weight, (4,) [(rad/s)^2]."""
-        # With activations of 0 the craft would fall while its rotors spin up.
-        return np.full(4, self.parameters.hover)
 
     def flange_pose(self, configuration: Array) -> Array:
         """T_world_base (4, 4) of a level craft at (x, y, z, yaw)."""
@@ -355,30 +293,27 @@ class Quadrotor(FlightRealism):
         """Camera twists (6, 4) of vx, vy, vz and wz of the level craft."""
         return mount.to_camera[:, LEVEL_AXES]
 
-    @property
-    def motion_limits(self) -> tuple[Array, Array]:
-        """Its largest setpoints; accelerations by its largest tilt, g tan(tilt), and its rotors: down it has its weight alone."""
+    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
+        """(vx, vy, vz, wz) up to its largest setpoints, with its tilt; a lag of first order would not describe its flight loops.
+
+        Accelerations are those of its largest tilt, g tan(tilt), and of its rotors: down it has its weight alone.
+        """
         level, climb = GRAVITY * self.gains.slope, GRAVITY * min(1.0, self.parameters.limit / self.parameters.hover - 1)
         speeds = np.array([self.max_speed_mps, self.max_speed_mps, self.max_climb_mps, self.max_yaw_rate_radps])
-        return speeds, np.array([level, level, climb, np.inf])
-
-    def own_model(self, reading: Reading, mount: Mount) -> OwnModel:
-        """(vx, vy, vz, wz), with its tilt; a lag of first order would not describe its flight loops."""
-        return replace(super().own_model(reading, mount), tilt=reading.tilt, most_tilt_rad=math.radians(self.gains.tilt_deg))
+        accelerations = np.array([level, level, climb, np.inf])
+        J, most = self.motion_basis(mount, reading.q), math.radians(self.gains.tilt_deg)
+        return OwnModel.of_motions(("vx", "vy", "vz", "wz"), J, speeds, accelerations, tilt=reading.tilt, most_tilt_rad=most)
 
     @property
     def draws(self) -> bool:
         """Its imperfections, and the noise of its instruments."""
         sigmas = (self.imu.gyro_sigma_radps, self.imu.accel_sigma_mps2, self.velocity.sigma_mps, self.range_sigma_m)
-        return super().draws or any(sigmas)
+        return self.blocks_draw or any(sigmas)
 
-    def noise(self, rng: np.random.Generator) -> Iterator[list[float]]:
-        """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
-        return drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng)
-
-    def measured(self, q: Array, qd: Array, sensors: Mapping[str, list[float]], noise: Iterator[list[float]]) -> Instruments:
-        """MuJoCo's perfect sensors with this craft's noise, bias and scale error."""
-        return instruments(sensors, next(noise), self.velocity.scale_error)
+    def instruments(self, rng: np.random.Generator) -> SensorModel:
+        """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and range, and the velocity's scale error."""
+        noise, scale_error = drawn_noise(self.imu, self.velocity, self.range_sigma_m, rng), self.velocity.scale_error
+        return lambda q, qd, sensors: instruments(sensors, next(noise), scale_error)
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:
         """Mean camera twist (6,) between two readings: the mean of velocity and body rates at both, through the mount."""
@@ -440,7 +375,7 @@ class Quadrotor(FlightRealism):
         descent, the climb loop has taken thrust away, to under .9 of the weight.
         """
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
-        near = reading.range_m < self.standing_m + STANDING_MARGIN_M
+        near = reading.range_m < STANDING_M + STANDING_MARGIN_M
         # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
         stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)

@@ -14,7 +14,6 @@ from typing import Annotated, ClassVar, Self, TypeVar
 import numpy as np
 from annotated_types import Ge, Le
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.quantity import AngleWidth, Distance, Narrower, Time
@@ -22,7 +21,7 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WheelSpread
-from vstestbed.robots.base import Base, Reading, Robot, RobotLog, RobotState, Supervisor, random_of
+from vstestbed.robots.base import Base, Reading, RobotLog, RobotState, Supervisor, random_of
 from vstestbed.robots.realism import Realistic
 
 PLANE = np.zeros((6, 3))
@@ -66,36 +65,6 @@ class GroundStart:
         """The same box round another nominal pose (x, y, heading), shape (3,) [m, m, rad]."""
         x, y, heading = place.tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=math.degrees(heading)), random=self.random)
-
-
-class Vehicle(Robot):
-    """Defaults of a vehicle: a planar base that starts on the floor, and the log of its dead reckoning."""
-
-    base: ClassVar[Base] = "planar"
-    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    start: GroundStart
-
-    def configuration(self) -> Array:
-        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
-        return self.start.nominal.place
-
-    def flange_pose(self, configuration: Array) -> Array:
-        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
-        return pose_on_ground(configuration)
-
-    def check_mount(self, xyz: tuple[float, ...]) -> None:
-        """The camera must be over the floor."""
-        if xyz[2] <= 0:
-            words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
-            raise ParameterError("camera.mount.xyz", words, xyz)
-
-    def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
-        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""
-        return np.zeros(3) if odometry is None else odometry
-
-    def log(self, supervisor: Supervisor) -> RobotLog:
-        """True place, estimated place, dead reckoning, slip, the supervisor's mode."""
-        return VehicleLog(supervisor, self.configuration())
 
 
 class VehicleLog(RobotLog):
@@ -157,8 +126,8 @@ Value = TypeVar("Value", float, Array)
 
 
 @spec
-class WornVehicle(Vehicle, Realistic):
-    """A vehicle with imperfections, which its allocation and its odometry do not know: both go by the nominal vehicle.
+class Vehicle(Realistic):
+    """A robot on wheels that starts on the floor. Its allocation and its odometry go by the nominal vehicle, and know no imperfection.
 
     Args:
         wheel_spread: unequal radii of its wheels; none: all have the nominal one; e.g. `{sigma: 0.003}`.
@@ -172,6 +141,18 @@ class WornVehicle(Vehicle, Realistic):
     rolling_resistance: Rolling | None = None
     drive_lag_s: Lag | None = None
     uneven_floor: UnevenFloor | None = None
+
+    start: ClassVar[GroundStart]
+    base: ClassVar[Base] = "planar"
+    proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
+    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    """x of its rear and of its front end in the base frame [m]."""
+    turning_radius_m: ClassVar[float] = 0.0
+    """Radius of its tightest circle [m]; 0: it turns on the spot."""
+    top_speed_mps: ClassVar[float] = np.inf
+    """Largest forward speed [m/s]."""
+    draws_heading: ClassVar[bool] = False
+    """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
 
     @property
     def acting(self) -> tuple[Effect, ...]:
@@ -192,6 +173,22 @@ class WornVehicle(Vehicle, Realistic):
         if wheels is self.wheel_spread and floor is self.uneven_floor:
             return self
         return dataclasses.replace(self, wheel_spread=wheels, uneven_floor=floor)
+
+    def configuration(self) -> Array:
+        """The nominal start (x, y, heading), shape (3,), [m, m, rad]."""
+        return self.start.nominal.place
+
+    def flange_pose(self, configuration: Array) -> Array:
+        """T_world_base (4, 4) at (x, y, heading): a camera's mount is relative to the base's frame, on the floor."""
+        return pose_on_ground(configuration)
+
+    def proprioception(self, reading: Reading, odometry: Array | None) -> Array:
+        """Its dead reckoning: (x, y, heading) from its start [m, m, rad]. Not its joints, which in a model without wheels are the place."""
+        return np.zeros(3) if odometry is None else odometry
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """True place, estimated place, dead reckoning, slip, the supervisor's mode."""
+        return VehicleLog(supervisor, self.configuration())
 
     def randomised(self, rng: np.random.Generator) -> Self:
         """The same vehicle with a start drawn from the box. ParameterError without a box."""

@@ -18,6 +18,7 @@ from vstestbed.laws import Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.laws.points import at_goal
 from vstestbed.robots import VEHICLES, Mount, Robot
+from vstestbed.robots.base import needed_step
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.tasks.base import Task
@@ -35,10 +36,13 @@ several times what any experiment here needs [m]. What lies beyond was meant in 
 
 
 def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
-    """Refuse a mount and a place of the target that are far beyond an experiment, as lengths in millimetres are."""
+    """Refuse a mount and a place of the target that are in millimetres, far beyond an experiment, and a camera under a vehicle."""
+    if robot.base == "planar" and camera.mount.xyz[2] <= 0:
+        words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
+        raise ParameterError("camera.mount.xyz", words, camera.mount.xyz)
     _check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
     _check_length("target.pose", target.pose.T, MOST_PLACE_M)
-    if robot.model is None:  # the ideal camera; a vehicle may be further, and its field has bounds of its own
+    if robot.body is None:  # the ideal camera; a vehicle may be further, and its field has bounds of its own
         _check_length("robot.start", robot.flange_pose(robot.configuration()), MOST_PLACE_M)
 
 
@@ -57,7 +61,7 @@ def _check_length(field: str, T: Array, most_m: float) -> None:
 
 def check_clocks(robot: Robot, timing: Timing) -> None:
     """Refuse stamps of readings for a robot that has none."""
-    if timing.robot_clock is not None and robot.model is None:
+    if timing.robot_clock is not None and robot.body is None:
         words = f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the pictures' stamps: timing.camera_clock"
         raise ParameterError("timing.robot_clock", words)
 
@@ -80,8 +84,8 @@ def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> 
 
 def check_step(robot: Robot, step_s: float) -> None:
     """Refuse a physics step [s] at which a robot's vibrations would be those of the arithmetic."""
-    if step_s > (1 + 1e-9) * robot.needed_step_s:
-        words = f"must be at most {robot.needed_step_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
+    if step_s > (1 + 1e-9) * (most := needed_step(robot)):
+        words = f"must be at most {most:.4g} s with these gears and drives; without step_s the longest that works is taken"
         raise ParameterError("physics.step_s", words, step_s)
 
 
@@ -96,8 +100,8 @@ def check_effects(robot: Robot) -> None:
 
 def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
     """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply."""
-    if robot.model is None and robot.joints:
-        words = f"{robot.kind} has joints and no body; let its `model` name an MJCF file"
+    if robot.body is None and robot.joints:
+        words = f"{robot.kind} has joints and no body; let its `body` name an MJCF file"
         raise ParameterError("robot.kind", words)
     flies = robot.base == "floating"
     if not flies and derotation != "none":
@@ -107,10 +111,10 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
     if level_trim_s and (derotation == "none" or target.moves):  # the target's own motion would be taken for a tilt
         words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         raise ParameterError("level_trim_s", words, level_trim_s)
-    if world.floor_friction is not None and not robot.slips:
+    if world.floor_friction is not None and robot.body is not None and not robot.body.slips:
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
-    if target.on_gripper and not robot.gripper:
+    if target.on_gripper and not (robot.body and robot.body.gripper):
         raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
 
 

@@ -16,7 +16,7 @@ from vstestbed.core.quantity import Seed, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
-from vstestbed.robots import ROBOTS, Robot
+from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario.checks import (
     check_carrier,
@@ -148,7 +148,6 @@ class Scenario:
         check_effects(self.robot)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         check_step(self.robot, self.clock[0])
-        self.robot.check_mount(self.camera.mount.xyz)
         check_carrier(self.target)
         check_mirror(self.camera, self.world)
         self.noise.target.check(self.target)
@@ -185,7 +184,8 @@ class Scenario:
         ]
         seen = pictured or taught or self.noise.draws(self.needs_image, self.detector.rows != 0)
         landmarks = not self.target.moves and self.target.painted_route is None
-        started = self.robot.start.random is not None or bool(self.randomise) or (landmarks and self.robot.draws_heading)
+        by_compass = landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
+        started = self.robot.start.random is not None or bool(self.randomise) or by_compass
         return started or seen or any(part.draws for part in parts)
 
     @property

@@ -60,7 +60,7 @@ def build_plant(
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
     parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
-    ideal = robot.model is None
+    ideal = robot.body is None
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     if ideal and not (needs_image or plate_m or _may_hide(target, world)):
         from vstestbed.sim.ideal import IdealPlant
@@ -117,7 +117,7 @@ def scene_files(
     from vstestbed.sim.scene.stage import Stage
 
     parts = Parts(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)
-    if robot.model is None:
+    if robot.body is None:
         spec, T = compose(parts), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])

@@ -40,7 +40,8 @@ def linear_arm(robot: Robot) -> LinearArm:
     scene.compiler.degree = False
     add_robot(scene, robot, "robot/", None)
     model = scene.compile()
-    data, at = mujoco.MjData(model), StateIndices.of(model, robot.joints, robot.actuators, "robot/")
+    names = robot.body.actuators if robot.body else ()
+    data, at = mujoco.MjData(model), StateIndices.of(model, robot.joints, names, "robot/")
     data.qpos[at.qpos] = data.qpos[at.motor_qpos] = robot.configuration()
     mujoco.mj_forward(model, data)
     soft = at.motor_qvel != at.qvel
@@ -56,7 +57,7 @@ def linear_arm(robot: Robot) -> LinearArm:
             spring += k[joint] * np.outer(pair, pair)
             damper += c[joint] * np.outer(pair, pair)
     motors = (z[:, None] == at.motor_qvel[None, :]).astype(float)
-    actuators = [model.actuator(f"robot/{name}").id for name in robot.actuators]
+    actuators = [model.actuator(f"robot/{name}").id for name in names]
     kp, kv = -model.actuator_biasprm[actuators, 1], -model.actuator_biasprm[actuators, 2]
     integrates = model.actuator_dyntype[actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
     return LinearArm(M[np.ix_(z, z)], spring, damper, motors, kp, kv, integrates)

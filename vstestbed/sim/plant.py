@@ -34,7 +34,7 @@ class RobotContacts:
         self._model = model
         bodies = [model.body(i).name.startswith("robot/") for i in range(model.nbody)]
         self._feet = np.zeros(model.ngeom, dtype=bool)
-        self._feet[[model.geom(f"robot/{name}").id for name in robot.feet]] = True
+        self._feet[[model.geom(f"robot/{name}").id for name in (robot.body.feet if robot.body else ())]] = True
         self._body = np.array(bodies)[model.geom_bodyid] & ~self._feet
         self._floors = [i for i in range(model.ngeom) if model.geom(i).name.startswith("floor")]
         self._on_wheels = robot.base == "planar"
@@ -73,11 +73,11 @@ class SensorReader:
     """
 
     def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
-        self._robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
+        robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at = stage.at
-        self._noise, self._felt = self._robot.noise(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
+        self._model, self._felt = robot.instruments(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
-        for name in self._robot.sensors:
+        for name in robot.body.sensors if robot.body else ():
             sensor = stage.model.sensor(f"robot/{name}")
             self._sensors.append((name, slice(sensor.adr[0], sensor.adr[0] + sensor.dim[0])))
         self.read_at = -1
@@ -88,7 +88,7 @@ class SensorReader:
         return self._data.qpos[self._at.qpos], self._data.qvel[self._at.qvel]
 
     def read(self, step: int) -> Any:
-        """What the sensors read at a physics step (`Robot.measured`)."""
+        """What the sensors read at a physics step (`Robot.instruments`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
         if step != self.read_at:
             values = self._values.tolist()
@@ -96,7 +96,7 @@ class SensorReader:
             for felt in self._felt:
                 sensors = felt(sensors)
             q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # of what the encoders are on
-            self._reading, self.read_at = self._robot.measured(q, qd, sensors, self._noise), step
+            self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
 
@@ -135,7 +135,7 @@ def check_static_load(stage: Stage) -> None:
     if stage.root is not None or not robot.joints:
         return
     # at rest the bias is gravity alone
-    drives = robot.actuator_set
+    drives = robot.body and robot.body.actuation
     weight = (data.qfrc_bias if drives is not None and drives.carried else data.qfrc_bias - data.qfrc_gravcomp)[stage.at.qvel]
     holds = _largest_torques(stage) + model.dof_frictionloss[stage.at.motor_qvel]
     if not (over := np.flatnonzero(np.abs(weight) > holds)).size:
@@ -156,7 +156,7 @@ def check_static_load(stage: Stage) -> None:
 def _largest_torques(stage: Stage) -> Array:
     """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
     model, found = stage.model, []
-    motors = np.array([model.actuator(f"robot/{name}").id for name in stage.parts.robot.actuators], dtype=int)
+    motors = np.array([model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int)
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]
     for joint in model.dof_jntid[stage.at.motor_qvel]:
         own = motors[model.actuator_trnid[motors, 0] == joint]
@@ -180,7 +180,7 @@ def settle(stage: Stage) -> None:
     load = data.qfrc_bias - data.qfrc_gravcomp
     for effect in robot.acting:
         effect.settle(stage.body, load)
-    if robot.actuator_set is not None and robot.actuator_set.gravity_error is not None:
+    if robot.body and robot.body.actuation and robot.body.actuation.gravity_error is not None:
         load[:] = 0.0
     for i in range(model.nu):
         if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR and model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT:
@@ -212,8 +212,8 @@ class LeadVehicle:
         self._stage, self._motion, self._root = stage, motion, stage.leader
         self._robot = stage.parts.leader
         self._mount = Mount.of(np.eye(4))
-        self._at = StateIndices.of(stage.model, self._robot.joints, self._robot.actuators, "leader/")
-        self._memory: Any = self._robot.begin()
+        self._at = StateIndices.of(stage.model, self._robot.joints, self._robot.body.actuators if self._robot.body else (), "leader/")
+        self._memory: Any = self._robot.onboard.begin() if self._robot.onboard else None
         self._s = motion.from_m
         self.steps = max(1, round(PERIOD_S / stage.parts.step))
 
@@ -231,8 +231,10 @@ class LeadVehicle:
         twist = np.array([v, 0.0, 0.0, 0.0, 0.0, w])
         data = self._stage.data
         reading = Reading(data.qpos[self._at.qpos], data.qvel[self._at.qvel])
-        setpoint = self._robot.allocate(twist, reading, self._mount, dt).setpoint
-        self._memory, data.ctrl[self._at.ctrl] = self._robot.actuate(self._memory, setpoint, reading, dt)
+        ctrl: Any = self._robot.allocate(twist, reading, self._mount, dt).setpoint
+        if onboard := self._robot.onboard:
+            self._memory, ctrl = onboard.actuate(self._memory, ctrl, reading, dt)
+        data.ctrl[self._at.ctrl] = ctrl
 
 
 AWAY = np.eye(4)
@@ -306,9 +308,9 @@ class MujocoPlant(Plant):
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity, self._push = np.zeros(6), Push(stage)
-        self._memory: Any = robot.begin()
-        period_s = robot.control_period_s
-        self._control_steps = max(1, round(period_s / self.step_s)) if period_s else 0  # 0: no onboard controller
+        self._onboard = robot.onboard
+        self._memory: Any = self._onboard.begin() if self._onboard else None
+        self._control_steps = max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0  # 0: none
         acting = [actor for actor in self._actors if type(actor).act is not Actor.act]
         self._each_step = [actor.act for actor in acting if not actor.with_controller]
         self._each_period = [actor.act for actor in acting if actor.with_controller]
@@ -416,7 +418,8 @@ class MujocoPlant(Plant):
 
     def reading(self) -> Reading:
         """The reading of the robot's sensors with the onboard estimates; the same until time passes."""
-        return self._robot.reported(self._memory, self._sensors.read(self._steps))
+        reading = self._sensors.read(self._steps)
+        return self._onboard.reported(self._memory, reading) if self._onboard else reading
 
     def _actuate(self) -> None:
         setpoint = None if self._control_steps else self._setpoints.at(self._steps)
@@ -454,9 +457,9 @@ class MujocoPlant(Plant):
         for act in self._each_period:
             act(step * self.step_s, dt)
         setpoint = self._setpoints.at(step)
-        if setpoint is not None:
+        if setpoint is not None and self._onboard is not None:
             reading = self._sensors.read(step)
-            self._memory, orders = self._robot.actuate(self._memory, setpoint, reading, dt)
+            self._memory, orders = self._onboard.actuate(self._memory, setpoint, reading, dt)
             for driven in self._driven:
                 orders = driven(orders, dt)  # pyright: ignore[reportArgumentType] - plain floats, of a craft
             self._ctrl[stage.at.ctrl] = orders

@@ -45,14 +45,14 @@ def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, 
     mujoco.mj_forward(stage.model, stage.data)
     physics = render = 0.0
     for frame in range(len(ctrl)):
-        if parts.robot.model is None:
+        if parts.robot.body is None:
             stage.place(0.0, target, q[frame], T_world_camera[frame])
         p_camera = parts.target.seen_from(inverse(target) @ T_world_camera[frame])
         began = time.perf_counter()
         if picture is not None:
             picture(p_camera)
         rendered = time.perf_counter()
-        if parts.robot.model is not None:
+        if parts.robot.body is not None:
             stage.data.ctrl[stage.at.ctrl] = ctrl[frame]
             for _ in range(steps_per_frame):
                 mujoco.mj_step(stage.model, stage.data)

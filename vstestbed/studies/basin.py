@@ -38,7 +38,7 @@ THAT_HIDE = "plates", "scenery"
 
 def left_out(scenario: Scenario) -> list[str]:
     """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
-    found = [] if scenario.robot.model is None else [*_of_robot(scenario.robot)]
+    found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
     if scenario.detector.rows is not None:
         found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
     found += [f"camera.{name}" for name in OF_CAMERAS if getattr(scenario.camera, name) not in (0.0, None)]

@@ -128,7 +128,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     start = FreeStart(nominal=Pose.of(robot.flange_pose(robot.configuration())))
     return replace(
         scenario,
-        robot=robot if robot.model is None else Free(start=start),
+        robot=robot if robot.body is None else Free(start=start),
         draw_start=False,
         camera=replace(camera, latency_s=0.0, readout_s=0.0),
         timing=Timing(),
@@ -185,7 +185,7 @@ class BatchSetup:
             raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
         if s.monitors:
             raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
-        if not (s.robot.model is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
+        if not (s.robot.body is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
             words = (
                 "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
             )

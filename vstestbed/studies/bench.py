@@ -260,9 +260,8 @@ def _floor(recording: Recording) -> BaselineCost:
         return np.column_stack(columns) if columns else np.zeros((len(recording.table), 0))
 
     T = np.array(recording.camera_poses().A)  # the floor renders the same views
-    return measure_baseline(
-        parts, steps_per_frame, joined("ctrl", robot.actuators), joined("q", robot.joints), T, scenario.detector.needs_image
-    )
+    ctrl = joined("ctrl", robot.body.actuators if robot.body else ())
+    return measure_baseline(parts, steps_per_frame, ctrl, joined("q", robot.joints), T, scenario.detector.needs_image)
 
 
 # What became slower or faster between two measurements of the benchmarks, beyond their noise.

@@ -23,6 +23,7 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.loop.stability import NO_LAG, closed_form, gain_limit, locus, loop_shares, roots, swing_frames
 from vstestbed.report.studies import Branches, write_delay
 from vstestbed.robots import Robot
+from vstestbed.robots.arm import Arm
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
@@ -265,13 +266,14 @@ def prepared(scenario: Scenario) -> Scenario:
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
-    if settled.robot.model is None:
+    if settled.robot.body is None:
         T = scenario.T_world_goal @ inverse(scenario.camera.mount.T)
         return replace(settled, robot=settled.robot.started_at(T.ravel()))
     if settled.robot.base != "fixed":
         words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
         raise ParameterError("robot.kind", words, settled.robot.kind)
-    flown = uninterrupted(run(replace(settled, robot=settled.robot.idealised())))
+    robot = settled.robot.idealised() if isinstance(settled.robot, Arm) else settled.robot
+    flown = uninterrupted(run(replace(settled, robot=robot)))
     if not flown.outcome.success:
         raise ParameterError("scenario", f"must reach its goal without delay, at a gain of 2 1/s; {flown.outcome.value}")
     q = np.array([flown[f"q_{joint}"][-1] for joint in settled.robot.joints])
@@ -293,7 +295,7 @@ def displaced(at_goal: Scenario) -> Scenario:
     """The scenario started at a small offset from its goal in all directions."""
     signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # all six directions are displaced
     robot = at_goal.robot
-    if robot.model is None:
+    if robot.body is None:
         T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
         return replace(at_goal, robot=robot.started_at(T.ravel()))
     q = robot.configuration()
@@ -301,7 +303,7 @@ def displaced(at_goal: Scenario) -> Scenario:
 
 
 def _off(robot: Robot) -> float:
-    return OFF_WITH_FRICTION if robot.actuator_set is not None and robot.actuator_set.friction else OFF
+    return OFF_WITH_FRICTION if robot.body and robot.body.actuation and robot.body.actuation.friction else OFF
 
 
 def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:

@@ -18,6 +18,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws import Law
 from vstestbed.robots import VEHICLES, Robot
 from vstestbed.robots.base import Base
+from vstestbed.robots.vehicle import Vehicle
 from vstestbed.targets import GroundLines, Target
 from vstestbed.targets.route import Route
 from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Odometer, Settle, Tolerance
@@ -63,7 +64,7 @@ class GoalGap(Continuing):
 
     def _check_room(self, robot: Robot, target: Target) -> None:
         """The vehicle's front must stay clear of the rear of the vehicle ahead."""
-        if target.carrier is None:
+        if target.carrier is None or not isinstance(robot, Vehicle):
             return
         rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
         least = target.pose.xyz[0] - rear + front
@@ -163,6 +164,8 @@ class GoalLine(Continuing):
 
     def _check_drive(self, robot: Robot, route: Route, law: Law[Any]) -> None:
         """Refuse bends tighter than the turning circle, and a cruising speed beyond the limits."""
+        if not isinstance(robot, Vehicle):
+            return
         # The parallel at an offset d to the left of a bend of curvature k has the curvature k / (1 - k d).
         k = route.samples[3]
         tightest = float(np.abs(k / np.maximum(1 - k * self.offset_m, 1e-9)).max())

@@ -73,7 +73,7 @@ class GoalLanding(Task):
         T = poses[view].copy()
         T[:3, 3] = 0.0
         below_m = float(inverse(setup.camera.mount.T @ T)[2, 3])  # the base in the target's frame, whose z points down
-        T[:3, 3] = (setup.robot.standing_m + below_m) * T[:3, 2]
+        T[:3, 3] = ((setup.robot.body.standing_m if setup.robot.body else 0.0) + below_m) * T[:3, 2]
         return T
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:

@@ -9,7 +9,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.robots.flight import FlightReading, descend
-from vstestbed.robots.quadrotor import Quadrotor
+from vstestbed.robots.quadrotor import STANDING_M
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 
@@ -57,7 +57,7 @@ def test_a_craft_that_sets_down_knows_it(place: tuple[float, float], opened: Cal
     truth = plant.truth()
     height = truth.T_world_camera[2, 3]
     assert truth.feet and not truth.contact
-    assert height == pytest.approx(Quadrotor.standing_m, abs=0.02)
+    assert height == pytest.approx(STANDING_M, abs=0.02)
 
 
 def test_the_far_floor_is_no_part_of_any_picture(opened: Callable[..., Plant]):

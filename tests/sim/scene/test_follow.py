@@ -104,7 +104,7 @@ def test_robot_target_and_goal_stay_in_the_picture_and_the_robot_large(name: str
     goal = film.T_target @ inverse(s.goal_poses[0])
     moving = s.robot.base != "fixed"
     # An arm's own motion follows from its joints: its target moves instead, which the view has to show as well.
-    way = towards(film.start, goal if moving or s.robot.model is None else film.start)
+    way = towards(film.start, goal if moving or s.robot.body is None else film.start)
     for t in np.arange(0, 15, 1 / RATE_HZ):
         film.show(t, way(t), goal)
         robot = film.pixels(film.robot())

@@ -16,7 +16,7 @@ from vstestbed.core.named_files import model_path
 from vstestbed.effects.base import RobotModel
 from vstestbed.effects.body import Change, Couple, Loosen, Scale, Set, Stretch
 from vstestbed.robots import Robot
-from vstestbed.robots.allocation import Servo
+from vstestbed.robots.allocation import Actuation, Servo
 from vstestbed.sim.scene.groups import OF_FILES
 from vstestbed.sim.scene.joint_chain import flange_in
 from vstestbed.sim.scene.model_files import carry_files, read_model
@@ -24,9 +24,8 @@ from vstestbed.sim.scene.model_files import carry_files, read_model
 UNBOUNDED = 1e6  # range of the integrated position of a joint that turns without end [rad]
 
 
-def choose_servos(model: mujoco.MjSpec, robot: Robot) -> None:
+def choose_servos(model: mujoco.MjSpec, chosen: Actuation | None) -> None:
     """Keep the actuators of the chosen profile, or add the servos, and apply gravity compensation and friction."""
-    chosen = robot.actuator_set
     if chosen is None:
         return
     if chosen.prefix is not None:
@@ -86,7 +85,7 @@ OUTPUT_KG, OUTPUT_M = 1e-3, 0.01  # mass and radius of its body, since MuJoCo de
 
 
 def reshape(model: mujoco.MjSpec, changes: tuple[Change, ...]) -> None:
-    """Apply the changes of a robot (`Robot.body_changes`) to the model of its file. Raises LookupError: the file has no such element."""
+    """Apply the changes of a robot (`Body.changes`) to the model of its file. Raises LookupError: the file has no such element."""
     for change in changes:
         match change:
             case Set():
@@ -180,31 +179,32 @@ def add_robot(
 
     Raises ParameterError: the robot's model has no site `flange`.
     """
-    if robot.model is None:
+    body = robot.body
+    if body is None:
         return scene.worldbody.add_body(name=f"{prefix}camera", mocap=True), np.eye(4)
-    if (found := flange_in(_compiled(robot.model), robot.flange)) is None:
-        words = f"has a model without a site `{robot.flange}`, which carries the camera; add one to {robot.model}"
+    if (found := flange_in(_compiled(body.file), body.flange)) is None:
+        words = f"has a model without a site `{body.flange}`, which carries the camera; add one to {body.file}"
         raise ParameterError("robot.kind", words)
-    model = _spec(robot.model, robot.body_changes)
-    choose_servos(model, robot)
+    model = _spec(body.file, body.changes)
+    choose_servos(model, body.actuation)
     _share_options(scene, model, friction)
     edited = RobotModel(
         spec=model,
         scene=scene,
-        compiled=functools.partial(_compiled, robot.model, robot.body_changes),
-        actuators=robot.actuators,
-        flange=_flange_body(model, robot.flange),
+        compiled=functools.partial(_compiled, body.file, body.changes),
+        actuators=body.actuators,
+        flange=_flange_body(model, body.flange),
         T_body_flange=found[1].copy(),
-        carried=robot.actuator_set.carried if robot.actuator_set else 0.0,
+        carried=body.actuation.carried if body.actuation else 0.0,
         assets={} if assets is None else assets,
     )
     for effect in robot.acting:
         effect.edit(edited)
-    files = carry_files(model, Path(robot.model), scene, prefix)
+    files = carry_files(model, Path(body.file), scene, prefix)
     scene.attach(model, prefix=prefix, frame=scene.worldbody.add_frame())
     if files:  # after it: an attached model brings its own assets, under a prefix that nothing refers to
         scene.assets = {**scene.assets, **files}
-    return _flange_body(scene, f"{prefix}{robot.flange}"), edited.T_body_flange
+    return _flange_body(scene, f"{prefix}{body.flange}"), edited.T_body_flange
 
 
 def _flange_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
@@ -246,5 +246,5 @@ def _compiled(model: str, changes: tuple[Change, ...] = ()) -> mujoco.MjModel:
 
 def extent_of(robot: Robot) -> float:
     """Size of a robot with a body, by MuJoCo's own measure [m]."""
-    assert robot.model is not None
-    return float(_compiled(robot.model, robot.body_changes).stat.extent)
+    assert robot.body is not None
+    return float(_compiled(robot.body.file, robot.body.changes).stat.extent)

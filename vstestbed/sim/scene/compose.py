@@ -154,7 +154,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     scenery = parts.world.scenery
     carried = add_scenery(scene, scenery.file, scenery.pose.T, parts.world.floor_z) if scenery else {}
     body, T_body_flange = add_robot(scene, parts.robot, "robot/", parts.world.floor_friction, carried)
-    housing = 1.0 if parts.robot.model else FREE_HOUSING
+    housing = 1.0 if parts.robot.body else FREE_HOUSING
     if parts.target.on_gripper:
         _show_hand(scene)
         _add_camera(scene.worldbody, parts.camera.mount.T, parts.camera, housing)
@@ -201,7 +201,7 @@ def _show_hand(scene: mujoco.MjSpec) -> None:
 def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
     """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the origin."""
     robot, target = parts.robot, parts.target
-    if robot.model is None:
+    if robot.body is None:
         frame_flight(scene, robot, target)
     elif robot.base != "fixed":
         start = robot.flange_pose(robot.configuration())[:3, 3]

@@ -159,7 +159,7 @@ class FollowCamera:
 
     def _chosen(self, around: Array, beside: Array) -> Axes:
         """The direction of the film's view; near that of the composed scene for a free camera, which has no upright."""
-        if self._stage.parts.robot.model is None:
+        if self._stage.parts.robot.body is None:
             right, up, _ = turned(self._stage.model.cam_quat[self._camera]).T
             back = np.cross(right, up)
             views = [Axes.of(right * math.cos(a) + back * math.sin(a), up) for a in SIDES]

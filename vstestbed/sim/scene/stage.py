@@ -74,11 +74,12 @@ class Stage:
         self._plate_paths = list(movers.values())
         self._plates = [self.model.body(name).mocapid[0] for name in movers]
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
-        self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.model is None else None
+        self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.body is None else None
         self.eye = self.model.site("eye").id
         self.flange_body = self.model.body_parentid[self._target.id] if parts.target.on_gripper else self.model.site_bodyid[self.eye]
-        self._rest = parts.robot.rest_ctrl()
-        self.at = StateIndices.of(self.model, parts.robot.joints, parts.robot.actuators, "robot/")
+        self._rest = parts.robot.body and parts.robot.body.rest_ctrl
+        self._actuators = parts.robot.body.actuators if parts.robot.body else ()
+        self.at = StateIndices.of(self.model, parts.robot.joints, self._actuators, "robot/")
         self.held_site = self.model.site("target/frame").id if parts.target.on_gripper else -1
         self._warnings = self.physics.data.warning.number
         self._warned = self._warnings.tobytes()
@@ -87,7 +88,7 @@ class Stage:
     def body(self) -> RobotBody:
         """The robot, for its effects."""
         robot = self.parts.robot
-        return RobotBody(self.model, self.data, self.at, self.parts.step, robot.joints, robot.actuators)
+        return RobotBody(self.model, self.data, self.at, self.parts.step, robot.joints, self._actuators)
 
     def step(self, steps: int) -> bool:
         """Advance by physics steps and update what depends on positions and velocities; False where MuJoCo warns of an instability."""
