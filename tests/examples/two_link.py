@@ -10,7 +10,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.robots import Allocation, Body, Mount, RobotBase
+from vstestbed.robots import Allocation, BodyFile, Mount, RobotBase
 from vstestbed.robots.base import Reading
 
 LENGTHS = 0.5, 0.4
@@ -32,7 +32,7 @@ class TwoLink(RobotBase):
     kind: Literal["two_link"] = "two_link"
     start: TwoLinkStart = TwoLinkStart()
     joints: ClassVar[tuple[str, ...]] = ("shoulder", "elbow")
-    body: ClassVar[Body] = Body(str(Path(__file__).with_suffix(".xml")), actuators=joints)
+    body: ClassVar[BodyFile] = BodyFile(str(Path(__file__).with_suffix(".xml")), actuators=joints)
 
     def configuration(self) -> Array:
         """Joint angles (2,) [rad]."""

@@ -157,8 +157,8 @@ def test_a_robot_whose_allocation_is_not_finite(rig: Rig, monkeypatch: pytest.Mo
     rig.sees()
     n = len(rig.sees().setpoint)
     with monkeypatch.context() as patch:
-        for method in ("allocate", "allocate_rates"):
-            patch.setattr(type(rig.scenario.robot), method, lambda *given: Allocation(np.full(n, np.nan), np.zeros(6)))
+        for method in ("allocate", "allocate_rates"):  # only an arm has the latter
+            patch.setattr(type(rig.scenario.robot), method, raising=False, value=lambda *given: Allocation(np.full(n, np.nan), np.zeros(6)))
         failed = rig.controller.arrive(*shot(rig))
     assert failed.stopped and failed.latched and "made a setpoint that is not finite" in failed.reason
     rig.agrees(failed.order)

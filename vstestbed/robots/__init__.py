@@ -6,7 +6,7 @@ from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.arm import Arm
-from vstestbed.robots.base import Body, Onboard, Reading, Robot, RobotBase
+from vstestbed.robots.base import BodyFile, Onboard, Reading, Robot, RobotBase
 from vstestbed.robots.car import Car
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
@@ -25,7 +25,7 @@ __all__ = [
     "Actuation",
     "Allocation",
     "Arm",
-    "Body",
+    "BodyFile",
     "Car",
     "Free",
     "Mjcf",

@@ -25,7 +25,7 @@ from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encode
 from vstestbed.effects.links import DisplacedLinks, GeometryError, Payload
 from vstestbed.effects.strain_wave import StrainWave
 from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
-from vstestbed.robots.base import STOP_S, Body, Reading, SensorModel, random_of
+from vstestbed.robots.base import STOP_S, BodyFile, Reading, SensorModel, random_of
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Realistic
@@ -250,11 +250,11 @@ class Arm(Realistic):
                 raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyFile:
         """Its file, with a gripper in place of the camera."""
         actuation = self.servo_set if self.gravity_error is None else replace(self.servo_set, gravity_error=self.gravity_error)
         names = self.chain.names
-        return Body(self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True)
+        return BodyFile(self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True)
 
     @property
     def draws(self) -> bool:

@@ -1,7 +1,7 @@
 """The contract of a robot: which camera twists it can make, and how a command becomes a setpoint within its limits.
 
-What only some robots have is a capability: a `Body` in MuJoCo, an `Onboard` controller, the joint space of an `arm.Arm`, the wheels of a
-`vehicle.Vehicle`.
+What only some robots have is a capability: a body in MuJoCo (`BodyFile`), an `Onboard` controller, the joint space of an `arm.Arm`, the
+wheels of a `vehicle.Vehicle`.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ STOP_S = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class BodyFile:
     """A robot's body in MuJoCo: its MJCF file, and what of it is used.
 
     Attributes:
@@ -223,7 +223,7 @@ class Robot:
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
     joints: ClassVar[tuple[str, ...]] = ()
     """Joints that it measures, in the order of its reading."""
-    body: ClassVar[Body | None] = None
+    body: ClassVar[BodyFile | None] = None
     """Its body in MuJoCo; None for the ideal camera."""
     onboard: ClassVar[Onboard | None] = None
     """Its onboard controller; None where the setpoint is the actuators' controls."""

@@ -27,7 +27,7 @@ from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Limit, Mount
-from vstestbed.robots.base import Body, Onboard, Reading, SensorModel
+from vstestbed.robots.base import BodyFile, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
@@ -409,10 +409,10 @@ class Car(Vehicle, Onboard):
             raise ParameterError("parameters.motor_torque_nm", f"{words}{other}", body.motor_torque_nm)
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyFile:
         """No wheel is steered across the car's way; the wheels turn without end."""
         limits = np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
-        return Body("car.xml", ("drive", "steering"), ("heading",), changes=self._changes(), limits=limits)
+        return BodyFile("car.xml", ("drive", "steering"), ("heading",), changes=self._changes(), limits=limits)
 
     def _changes(self) -> tuple[Change, ...]:
         """Those of its parameters and of its imperfections."""

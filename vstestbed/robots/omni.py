@@ -36,7 +36,7 @@ from vstestbed.effects.body import Change, Scale, Set, Stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.base import Body, Onboard, Reading, faded
+from vstestbed.robots.base import BodyFile, Onboard, Reading, faded
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
@@ -228,10 +228,10 @@ class Omni(Vehicle, Onboard):
         return self.top_speed_mps / 2.0
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyFile:
         """With rollers, which slip, or with planar wheels, which never do."""
         rolls = self.wheels == "rollers"
-        return Body("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=self._changes(), slips=rolls)
+        return BodyFile("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=self._changes(), slips=rolls)
 
     def _changes(self) -> tuple[Change, ...]:
         """Those of its parameters and of its imperfections."""

@@ -28,7 +28,7 @@ from vstestbed.robots import flight_sensors
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.attitude import Attitude, Filter, Imu, heading_rate, level, to_body, to_level
 from vstestbed.robots.attitude import step as attitude_step
-from vstestbed.robots.base import Base, Body, Onboard, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
+from vstestbed.robots.base import Base, BodyFile, Onboard, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
 from vstestbed.robots.flight import (
     HOLD,
     MAX_TRIM,
@@ -233,9 +233,9 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
                     raise ParameterError("motors.thrust", f"{words}; works: factors nearer to 1", list(self.motors.thrust))
 
     @property
-    def body(self) -> Body:
+    def body(self) -> BodyFile:
         """Its rotors, which carry the weight at the start; the drag that `rotor_drag` models is taken from the air drag."""
-        return Body(
+        return BodyFile(
             "quadrotor.xml",
             tuple(f"rotor_{name}" for name in ROTORS),
             sensors=("gyro", "accelerometer", "velocity", "range"),

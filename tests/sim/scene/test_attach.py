@@ -9,7 +9,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
-from vstestbed.robots import Actuation, RobotBase
+from vstestbed.robots import Actuation, BodyFile, RobotBase
 from vstestbed.robots.free import Free, FreeStart
 from vstestbed.sim.scene import attach
 
@@ -40,8 +40,7 @@ FLANGE = Pose(xyz=(0.1, 0.2, 0.3), rpy_deg=(90, 0, 0)).T
 class Swing(RobotBase):
     """A robot of one joint in a file of its own."""
 
-    model: str | None = None
-    actuator_set: Actuation | None = None
+    body: BodyFile | None = None
     kind: str = "swing"
 
 
@@ -55,7 +54,7 @@ def scene_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         (tmp_path / "swing.xml").write_text(ROBOT.format(site=site, angle=angle, quarter=90 if angle == "degree" else np.pi / 2))
         scene = mujoco.MjSpec()
         scene.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1])
-        return (scene, *attach.add_robot(scene, Swing("swing.xml", actuation), "robot/", None))
+        return (scene, *attach.add_robot(scene, Swing(BodyFile("swing.xml", actuation=actuation)), "robot/", None))
 
     yield made
     attach._compiled.cache_clear()
