@@ -111,9 +111,19 @@ def test_what_the_loop_passes_on_is_small():
     from vstestbed.sim.base import Truth
     from vstestbed.tasks.frame import Cycle, Frame
 
+    def size(cls: type) -> int:
+        return len(getattr(cls, "_fields", None) or dataclasses.fields(cls))  # some are named tuples
+
     for cls in (Frame, Goal, Observation, Command, Allocation, Order, Reading, Truth):
-        assert len(dataclasses.fields(cls)) <= (16 if cls is Observation else 14), cls  # an observation's are what laws may name
-    assert len(dataclasses.fields(Cycle)) <= 8 and len(dataclasses.fields(Frame)) <= 13
+        assert size(cls) <= (16 if cls is Observation else 14), cls  # an observation's are what laws may name
+    assert size(Cycle) <= 8 and size(Frame) <= 13
+
+
+def test_a_robot_has_at_most_25_members():
+    from vstestbed.robots import Robot
+
+    members = {name for name in (*vars(Robot), *Robot.__annotations__) if not name.startswith("_")}
+    assert len(members) <= 25, "what only some robots have is a capability (robots/base.py)"
 
 
 WRITES = {  # names of calls that write a file, of all libraries that the package uses

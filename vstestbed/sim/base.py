@@ -106,7 +106,9 @@ class Plant(ABC):
         robot = parts.robot
         self._parts, self._stage, self._eye, self._path, self._target = parts, stage, eye, path, parts.target
         self.step_s, self.steps_per_frame, self._steps = parts.step, steps_per_frame, 0
-        self._setpoints = SetpointBuffer(robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator)
+        self._setpoints = SetpointBuffer(
+            robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator
+        )
 
     @property
     def _t(self) -> float:
