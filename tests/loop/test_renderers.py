@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.loop.controller import Controller
 
 NUISANCES: dict[str, dict[str, object]] = {
@@ -24,7 +25,7 @@ def seen(r: vs.Recording, markers: int = 4) -> np.ndarray:
     return np.column_stack([np.isfinite(r[f"u_{i}"]) for i in range(markers)])
 
 
-@pytest.mark.parametrize("name", ["polar_book", "ibvs_book"])
+@pytest.mark.parametrize("name", one_quick("polar_book", "ibvs_book"))
 def test_a_quick_start_loses_no_picture_by_either_renderer(name: str):
     # The first move is beyond the windows: the camera was at rest in the picture before.
     runs = [vs.run(vs.load(name, SMALL | {"camera.renderer": renderer, "stop.duration_s": 1.5})) for renderer in ("gl", "rays")]
@@ -34,7 +35,7 @@ def test_a_quick_start_loses_no_picture_by_either_renderer(name: str):
     assert np.abs(runs[0]["error_px"] - runs[1]["error_px"]).max() < 0.3
 
 
-@pytest.mark.parametrize("nuisance", NUISANCES)
+@pytest.mark.parametrize("nuisance", one_quick(*NUISANCES, every=4))
 def test_what_is_found_does_not_depend_on_how_much_was_drawn(nuisance: str, monkeypatch: pytest.MonkeyPatch):
     s = vs.load("ibvs_book", SMALL | {"camera.renderer": "rays", "stop.duration_s": 0.6} | NUISANCES[nuisance])
     in_windows = vs.run(s)

@@ -11,6 +11,7 @@ import pytest
 
 import vstestbed as vs
 from tests.conftest import Ended
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.outcome import Outcome
 from vstestbed.tasks.frame import Frame
@@ -57,10 +58,10 @@ def test_the_books_spherical_flight():
 
 @pytest.mark.parametrize(
     "camera",
-    [
+    one_quick(
         {"kind": "fisheye", "width": 480, "height": 480, "fov_deg": 185},
         {"kind": "catadioptric", "width": 480, "height": 480, "xi": 0.8, "fov_deg": 200},
-    ],
+    ),
     ids=lambda c: c["kind"],
 )
 def test_a_wide_lens_with_an_image_plane(camera: dict[str, object]):

@@ -217,7 +217,15 @@ class TestSteering:
     @pytest.mark.parametrize(
         ("speed", "steering", "within"),
         # Slow: the kinematic circle. At 1 m/s on the tightest one (1.6 m/s^2) the body leans and the tyres slip by .4 %.
-        [(0.3, 0.1, 0.002), (0.3, 0.25, 0.002), (0.3, 0.5, 0.002), (0.3, 1, 0.002), (-0.3, 0.25, 0.002), (0.3, -0.25, 0.002), (1, 1, 0.01)],
+        one_quick(
+            (0.3, 0.1, 0.002),
+            (0.3, 0.25, 0.002),
+            (0.3, 0.5, 0.002),
+            (0.3, 1, 0.002),
+            (-0.3, 0.25, 0.002),
+            (0.3, -0.25, 0.002),
+            (1, 1, 0.01),
+        ),
     )
     def test_turning_circle(self, rubber, speed, steering, within):
         driver = Driver(rubber)

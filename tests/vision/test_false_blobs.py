@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.shortcuts import one_quick
 from tests.vision.conftest import TakePicture
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import Array, Pose, exp, rigid_error, transform
@@ -44,7 +45,7 @@ def _seen(picture: TakePicture, T: Array, extra: str):
     return Blobs().detect(Blobs().init(), picture(TARGET, T, CAMERA, extra), None, CAMERA, TARGET, RNG)[1]
 
 
-@pytest.mark.parametrize("radius", [0.015, 0.022, 0.05])
+@pytest.mark.parametrize("radius", one_quick(0.015, 0.022, 0.05))
 @pytest.mark.parametrize("markers", [(0,), (2,), (0, 1), (1, 3), (0, 1, 2, 3)], ids=str)
 def test_from_the_first_picture_on(picture: TakePicture, markers: tuple[int, ...], radius: float) -> None:
     # One decoy for each of the markers, larger and smaller than those, beside the target.

@@ -14,7 +14,7 @@ import pytest
 import vstestbed as vs
 from tests.loop.test_golden_loops import ROWS
 from tests.robots.arms import BLOCKS, HERE, NEEDS_PANDA
-from tests.shortcuts import draw_one_figure, run_here
+from tests.shortcuts import draw_one_figure, one_quick, run_here
 from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
 from vstestbed.core.named_files import bundled_comparisons
@@ -228,7 +228,7 @@ def tasks_of(comparison: str, law: str, *names: str, base: tuple[str, ...] = (),
     return {str(c.values["task"]): c for c in found}
 
 
-@pytest.mark.parametrize("law", GOLDEN_LAWS)
+@pytest.mark.parametrize("law", one_quick(*GOLDEN_LAWS, every=3))
 def test_canonical_cells_are_the_golden_ones(law: str):
     found = tasks_of("canonical", law, *(task for task, _ in GOLDEN_STARTS))
     for (task, amount), start in GOLDEN_STARTS.items():
@@ -271,12 +271,12 @@ def amounts_of(controller: Variant) -> list[tuple[float, np.ndarray]]:
 
 @pytest.mark.parametrize(
     ("comparison", "base"),
-    [
+    one_quick(
         ("canonical", ()),
         ("canonical_arm", ()),
         ("canonical_arm", ("arm_jaco",)),
         pytest.param("canonical_arm", ("arm_panda",), marks=NEEDS_PANDA),
-    ],
+    ),
 )
 def test_starts_are_what_their_amounts_say(comparison: str, base: tuple[str, ...]):
     found = tasks_of(comparison, "points", "about the axis", "along the axis", "camera turned", "target turned", base=base)
