@@ -198,7 +198,7 @@ class TestAtRest:
 
 
 class TestSteering:
-    @pytest.mark.parametrize("steering", one_quick(-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0))
+    @pytest.mark.parametrize("steering", one_quick(-1.0, -0.7, -0.25, -0.1, 0.1, 0.25, 0.5, 0.8, 1.0, every=4))
     def test_front_wheels_stand_at_ackermann_angles(self, rubber, steering):
         driver = Driver(rubber)
         driver.drive(1.5, 0.3, steering)
@@ -225,6 +225,7 @@ class TestSteering:
             (-0.3, 0.25, 0.002),
             (0.3, -0.25, 0.002),
             (1, 1, 0.01),
+            every=3,
         ),
     )
     def test_turning_circle(self, rubber, speed, steering, within):

@@ -98,7 +98,7 @@ WHOLE = ["omni_ibvs", "quadrotor_hover", "arm_ibvs", "arm_eye_to_hand", "ibvs_bo
 """Their target fits into the picture beside a robot of the least size."""
 
 
-@pytest.mark.parametrize("name", one_quick(*WHOLE, "omni_via_points", "car_pbvs", "car_catadioptric", "quadrotor_path"))
+@pytest.mark.parametrize("name", one_quick(*WHOLE, "omni_via_points", "car_pbvs", "car_catadioptric", "quadrotor_path", every=3))
 def test_robot_target_and_goal_stay_in_the_picture_and_the_robot_large(name: str) -> None:
     s = vs.load(name)
     film = Filmed(s)
