@@ -19,7 +19,6 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
-from vstestbed.report.studies import ParameterAxis
 from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
 from vstestbed.studies.tuning import NoListener
 
@@ -150,7 +149,6 @@ def test_ranges_are_read_as_they_are_written() -> None:
     assert (one.rounded(1.23456), one.rounded(0.20000001), one.rounded(1.99999)) == (1.235, 0.2, 2)
     assert Range("a", 1e-6, 1, log=True).rounded(1.23456e-6) == 1.235e-6
     assert [Range("a", 1, 3, whole=True).at(x) for x in (0, 0.4, 0.99)] == [1, 2, 3]
-    assert ParameterAxis("a", words=("p", "q")).place("q") == 1
 
 
 BAD = [

@@ -18,6 +18,7 @@ from vstestbed.core.fields import SchemaField, fields
 from vstestbed.core.registry import Room
 from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
+from vstestbed.tasks.metrics import KNOWN, own_metrics
 
 SET_LINE = 100
 """A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""
@@ -39,6 +40,18 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
         console.print()
         _wrapped(f"vstestbed describe {entry.room.what} has what all kinds have in common.", console)
     _use(entry, console)
+
+
+def describe_summary(console: Console) -> None:
+    """Print the metrics of `summary.json`: unit in which they are shown, which end is better, which runs have them."""
+    console.print(Text("summary", style="bold"))
+    console.print()
+    table = _table("metric", "shown in", "better", "what it is")
+    for metric in (*KNOWN.values(), *own_metrics().values()):
+        better = {1: "more", -1: "less", 0: ""}[metric.better]
+        words = f"{metric.title}{f', of {metric.where}' if metric.where else ''}."
+        table.add_row(Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words))
+    console.print(table)
 
 
 def _text(cls: type, console: Console) -> None:

@@ -112,8 +112,8 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
         if s["judged_by"] != "truth":  # where the truth decided, the pose at the end is that of no goal
             lines.append(f"  error     {_error_text(recording)}")
             lines.append(f"  path      {_path_text(s)}")
-    speed = _number(s, "real_time_factor", "times real time", digits=1) + (" with films and log" if filmed else " with its log")
-    lines.append(f"  time      {_number(s, 'sim_time_s', 's')} simulated in {_number(s, 'wall_time_s', 's')}: {speed}")
+    speed = _number(s, "real_time_factor", " real time", digits=1) + (" with films and log" if filmed else " with its log")
+    lines.append(f"  time      {_number(s, 'sim_time_s')} simulated in {_number(s, 'wall_time_s')}: {speed}")
     lines.append(f"  results   {folder} (open report.html)")
     return "\n".join(lines)
 
@@ -129,10 +129,10 @@ def _judged(summary: Mapping[str, Any]) -> str:
 
 def _error_text(recording: Recording) -> str:
     s = recording.summary()
-    error = _number(s, "final_error_px", "px in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
+    error = _number(s, "final_error_px", " in the image", digits=3) if s["final_error_px"] is not None else _why_no_error(recording)
     if "error_grey" in recording.columns and np.isfinite(recording["error_grey"][-1]):
         error = f"{recording['error_grey'][-1]:.3f} grey levels in the picture"
-    pose = f"{_number(s, 'final_position_error_m', 'mm', 1000)} and {_number(s, 'final_rotation_error_deg', 'deg', digits=3)} from the goal"
+    pose = f"{_number(s, 'final_position_error_m')} and {_number(s, 'final_rotation_error_deg', digits=3)} from the goal"
     free = recording.scenario.free_motions
     if free:
         pose += f", where {free} motion{'s are' if free > 1 else ' is'} free (law.redundant)"
@@ -143,7 +143,7 @@ def _path_text(summary: Mapping[str, Any]) -> str:
     since = summary["time_to_converge_s"]
     reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
     ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"
-    return f"{reached}{ratio}; largest retreat {_number(summary, 'max_retreat_m', 'm')}"
+    return f"{reached}{ratio}; largest retreat {_number(summary, 'max_retreat_m')}"
 
 
 def _why_no_error(recording: Recording) -> str:
@@ -155,6 +155,9 @@ def _why_no_error(recording: Recording) -> str:
     return "target not in sight"
 
 
-def _number(summary: Mapping[str, Any], name: str, unit: str, factor: float = 1.0, digits: int = 2) -> str:
-    value = summary[name]
-    return f"{value * factor:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"
+def _number(summary: Mapping[str, Any], name: str, more: str = "", digits: int = 2) -> str:
+    """A number of the summary in the unit in which metrics are shown, with more words behind it."""
+    from vstestbed.tasks.metrics import KNOWN
+
+    value, unit = summary[name], {"×": "times"}.get(KNOWN[name].unit, KNOWN[name].unit) + more
+    return f"{value * KNOWN[name].scale:.{digits}f} {unit}" if isinstance(value, float) else f"no {unit}"

@@ -138,7 +138,7 @@ def describe(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws.", autocompletion=complete.kinds
+            metavar="KIND", help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; summary: all metrics.", autocompletion=complete.kinds
         ),
     ],
     plugin: Plugins = None,
@@ -146,7 +146,7 @@ def describe(
     """What a law, a robot, a camera or another block takes: its equation, source, fields and an example; or what a field is."""
     from rich.console import Console
 
-    from vstestbed.cli.describe import describe_entry, describe_field
+    from vstestbed.cli.describe import describe_entry, describe_field, describe_summary
     from vstestbed.scenario.catalogue import Entry, catalogue, looked_up
     from vstestbed.scenario.plugins import load_plugins
     from vstestbed.scenario.scenario import Scenario
@@ -154,9 +154,11 @@ def describe(
 
     load_plugins(plugin or [])
     entries = catalogue(scenario=Scenario, comparison=Comparison)
-    console, found = Console(highlight=False), looked_up(kind, entries)
+    console, found = Console(highlight=False), None if kind == "summary" else looked_up(kind, entries)
     with console.capture() as text:
-        if isinstance(found, Entry):
+        if found is None:
+            describe_summary(console)
+        elif isinstance(found, Entry):
             describe_entry(found, entries, console)
         else:
             describe_field(found, entries, console)

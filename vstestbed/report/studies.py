@@ -315,18 +315,7 @@ class TrialRow:
         return self.reached == self.runs > 0 and math.isfinite(self.mean)
 
 
-@dataclass(frozen=True)
-class ParameterAxis:
-    """A parameter: its path, its ends (low, high) or its words, and whether equal factors are equally far apart."""
-
-    path: str
-    ends: tuple[float, float] = (0.0, 1.0)
-    words: tuple[str, ...] = ()
-    log: bool = False
-
-    def place(self, value: float | str) -> float:
-        """Where a value is drawn: words at 0, 1, 2, ..."""
-        return float(self.words.index(str(value))) if self.words else float(value)
+ParameterAxis = tuple[str, tuple[str, ...], bool]  # Path of a parameter, its words, and whether equal factors are equally far apart
 
 
 @dataclass(frozen=True)
@@ -351,13 +340,14 @@ def slices(found: TuningPage, width_in: float) -> Figure:
     rows = -(-len(found.axes) // TUNING_COLUMNS)
     drawn = new_figure(2.5 * rows, width_in)
     grid = panels(drawn, len(found.axes), min(TUNING_COLUMNS, len(found.axes)), sharey=True)
-    for i, (axes, axis) in enumerate(zip(grid, found.axes, strict=True)):
-        _points(axes, found, [axis.place(trial.values[i]) for trial in found.trials])
-        axes.set_xlabel(axis.path)
-        if axis.words:
-            axes.set_xticks(range(len(axis.words)), [word[:24] for word in axis.words], rotation=20 if max(map(len, axis.words)) > 8 else 0)
-            axes.set_xlim(-0.5, len(axis.words) - 0.5)
-        elif axis.log:
+    for i, (axes, (path, words, log)) in enumerate(zip(grid, found.axes, strict=True)):
+        values = (trial.values[i] for trial in found.trials)
+        _points(axes, found, [words.index(str(value)) if words else float(value) for value in values])  # words at 0, 1, 2, ...
+        axes.set_xlabel(path)
+        if words:
+            axes.set_xticks(range(len(words)), [word[:24] for word in words], rotation=20 if max(map(len, words)) > 8 else 0)
+            axes.set_xlim(-0.5, len(words) - 0.5)
+        elif log:
             axes.set_xscale("log")
     grid[0].set_ylabel(found.metric.label)
     return drawn
@@ -422,7 +412,10 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
         outcome=(found.headline, "" if found.best is None else "good" if found.sure else "open", found.sentences),
         take=found.command,
         plots=plots,
-        trials=(["Trial", *(a.path for a in found.axes), "Reached the goal", found.metric.label, "The others ended"], _trials(found)),
+        trials=(
+            ["Trial", *(path for path, _, _ in found.axes), "Reached the goal", found.metric.label, "The others ended"],
+            _trials(found),
+        ),
         command=found.made_by,
     )
 

@@ -453,7 +453,7 @@ class TuningResult:
 
 
 def _axis(p: Parameter) -> ParameterAxis:
-    return ParameterAxis(p.path, (p.low, p.high), log=p.log) if isinstance(p, Range) else ParameterAxis(p.path, words=tuple(p.words))
+    return (p.path, (), p.log) if isinstance(p, Range) else (p.path, tuple(p.words), False)
 
 
 def _row(trial: Trial, parameters: Sequence[Parameter]) -> TrialRow:

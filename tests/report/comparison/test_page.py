@@ -138,7 +138,7 @@ def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None
     place = built[0] / "figures"
     plots = [plot for plot in comparison_page.PLOTS if plot[0] != "grid"]  # which a comparison over two axes has
     assert sorted(p.name for p in place.iterdir()) == sorted(f"{n}.{end}" for n, *_ in plots for end in ("pdf", "png"))
-    for name, _, _, columns, _ in plots:
+    for name, _, columns, _ in plots:
         pdf, png = (place / f"{name}.pdf").read_bytes(), (place / f"{name}.png").read_bytes()
         assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
         assert b"/FontFile2" in pdf and b"/Type3" not in pdf  # letters are embedded whole

@@ -300,18 +300,21 @@ def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
         axes.set_xlim(0, 1)
         axes.set_xticks([])
         return 0.0, 1.0
-    low, high = used.min(), used.max()
-    below, above = known.min() < low, known.max() > high
-    if low > 0 and high > LOG_RATIO * low:
-        axes.set_xscale("log")
-        axes.xaxis.set_minor_formatter("")  # no labels at minor ticks: the panels are narrow
-        margin = (high / low) ** 0.06
-        low, high = low / margin, high * (margin**6 if above else margin)
-    else:
-        span = float(np.ptp(used)) or abs(float(used[0])) or 1.0  # all equal: the value itself is the scale
-        low, high = low - (0.4 if below else 0.06) * span, high + (0.4 if above else 0.06) * span
+    low, high = float(used.min()), float(used.max())
+    below, above = (0.4 if beyond else 0.06 for beyond in (known.min() < low, known.max() > high))
+    low, high = _with_margins(axes, low, high, low > 0 and high > LOG_RATIO * low, below, above)
     axes.set_xlim(low, high)
-    return float(low), float(high)
+    return low, high
+
+
+def _with_margins(axes: Axes, low: float, high: float, decades: bool, below: float, above: float) -> tuple[float, float]:
+    """Limits with margins as shares of the span, or of its decades on an axis that is then logarithmic."""
+    if not decades:
+        span = high - low or abs(high) or 1.0  # all equal: the value itself is the scale
+        return low - below * span, high + above * span
+    axes.set_xscale("log")
+    axes.xaxis.set_minor_formatter("")  # no labels at minor ticks: the panels are narrow
+    return low / (high / low) ** below, high * (high / low) ** above
 
 
 def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Metric, limits: tuple[float, float], most: int) -> None:
@@ -410,16 +413,9 @@ def _differs(data: Data, metric: Metric) -> bool:
 def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
     """Ends of the axis from the best to the worst value, in that order; logarithmic where the values span decades."""
     found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
-    low, high = float(found.min()), float(found.max())
     common, rare = np.quantile(found, [0.02, 0.98])
-    if low > 0 and rare > LOG_PERCENTILES * common:
-        axes.set_xscale("log")
-        axes.xaxis.set_minor_formatter("")
-        margin = (high / low) ** 0.04
-        low, high = low / margin, high * margin
-    else:
-        margin = 0.04 * (high - low or abs(high) or 1.0)
-        low, high = low - margin, high + margin
+    low, high = float(found.min()), float(found.max())
+    low, high = _with_margins(axes, low, high, low > 0 and rare > LOG_PERCENTILES * common, 0.04, 0.04)
     return (high, low) if metric.better > 0 else (low, high)
 
 

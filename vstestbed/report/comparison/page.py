@@ -117,69 +117,18 @@ FILM_BYTES: Final = 8_000_000  # A film up to this size is embedded (base64 make
 NOTEBOOK_PX: Final = 480  # Height of a comparison's result in a notebook [px]
 COLUMN_IN: Final = {1: 3.5, 2: 7.16}  # Width of a paper's figure over one and two columns (IEEE) [in]
 
-# The figures of a comparison in their order: key (of files and identifiers), title, caption, columns that it takes, function that draws it.
-Plot = tuple[str, str, str, int, Callable[[Data, float], "Figure | None"]]
+# The figures of a comparison in their order: key (of files, identifiers, and of the caption in `comparison.html`), title, columns that it
+# takes, function that draws it.
+Plot = tuple[str, str, int, Callable[[Data, float], "Figure | None"]]
 PLOTS: Final[tuple[Plot, ...]] = (
-    (
-        "error",
-        "Error over time",
-        "Median over the runs, with the band from the first to the third quartile for up to four controllers. A run that has ended holds "
-        "its last value; one without target in sight, or without a log, counts as farther away than all others. Dashed: the threshold.",
-        1,
-        figures.medians,
-    ),
-    (
-        "success",
-        "Success over time",
-        "Share of all runs that had come under the threshold for good by a time, with its pointwise 95 % band (Wilson) for up to four "
-        "controllers: the performance profile of the time to converge.",
-        1,
-        figures.success,
-    ),
-    (
-        "runs",
-        "Error of single runs",
-        "Thin: the first runs of each controller, those in red did not reach the goal, a cross where they were last seen. "
-        "Thick: median and quartiles of all its runs. Grey: the other controllers' medians in the same unit. Dashed: the threshold.",
-        2,
-        figures.each_run,
-    ),
-    (
-        "distributions",
-        "All runs in numbers",
-        "A point a run; bar and stroke: quartiles and median, as in the table. Red crosses: runs that did not reach the goal, an arrow "
-        "at the edge where they lie beyond it; a red number right of the frame counts the runs that have no such number. Of very many "
-        "runs the first are drawn; the bars are of all.",
-        2,
-        figures.distributions,
-    ),
-    (
-        "grid",
-        "Effects and controllers",
-        "A row for each value of the first axis, a column for each of the second. Of the time to converge the first row has the median, "
-        "and the others the mean change against it over the starts from which both reached the goal. Last: the mean over the columns. "
-        "In bold: p is at most 0.05 after Holm's correction over all cells, or over all rows of the last column.",
-        2,
-        effects.grid,
-    ),
-    (
-        "profiles",
-        "Performance profiles",
-        "Share of all runs that are as good as the value on the axis, or better; the good end is on the left. "
-        f"{tables.FAILED}: a curve ends at the share of those that did. Bands as above.",
-        2,
-        figures.profiles,
-    ),
-    (
-        "differences",
-        "Paired differences",
-        "Mean over the seeds on which both reached the goal, with its 95 % interval. Filled: the difference is real "
-        "after Holm's correction for all tests of the page. In colour, but not filled: only who is better more often is (sign test).",
-        2,
-        figures.differences,
-    ),
+    ("error", "Error over time", 1, figures.medians),
+    ("success", "Success over time", 1, figures.success),
+    ("runs", "Error of single runs", 2, figures.each_run),
+    ("distributions", "All runs in numbers", 2, figures.distributions),
+    ("grid", "Effects and controllers", 2, effects.grid),
+    ("profiles", "Performance profiles", 2, figures.profiles),
+    ("differences", "Paired differences", 2, figures.differences),
 )
-
 GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 
@@ -239,13 +188,13 @@ def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], me
 def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> dict[str, Any]:
     """Who is better, the controllers' numbers and how they differ, for the page."""
     verdict, look, sentences, others = tables.headline(comparison, all_pairs, gains_alone(folder, comparison))
-    sections = [tables.controllers(comparison), *tables.sections(comparison, means, all_pairs)]
-    return {"verdict": verdict, "look": look, "sentences": sentences, "others": others, "sections": sections}
+    found = {"verdict": verdict, "look": look, "sentences": sentences, "others": others}
+    return found | tables.sections(comparison, means, all_pairs)
 
 
 def _paper(data: Data, plot: int, place: Path) -> None:
     """A figure in the size and style of a paper."""
-    key, _, _, columns, draw = PLOTS[plot]
+    key, _, columns, draw = PLOTS[plot]
     with style(paper=True):
         drawn = draw(data, COLUMN_IN[columns])
         if drawn is not None:
@@ -253,7 +202,7 @@ def _paper(data: Data, plot: int, place: Path) -> None:
 
 
 def _on_page(data: Data, plot: int) -> str:
-    key, title, _, columns, draw = PLOTS[plot]
+    key, title, columns, draw = PLOTS[plot]
     with style():
         drawn = draw(data, columns * WIDTH_IN)
         return "" if drawn is None else to_svg(drawn, key, title)
@@ -277,8 +226,8 @@ def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pa
 def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call, notes: list[str]) -> dict[str, Any]:
     """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
     on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
-    drawn = [(PLOTS[i][3], (PLOTS[i][1], result_of(made), PLOTS[i][2])) for i, made in zip(numbers, on_page, strict=True)]
-    narrow, broad = ([f for columns, f in drawn if columns == wanted and f[1]] for wanted in (1, 2))
+    drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(made))) for i, made in zip(numbers, on_page, strict=True)]
+    narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
     for paper in papers:
         result_of(paper)
     return {"notes": notes, "narrow": narrow, "broad": broad}

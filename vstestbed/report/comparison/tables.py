@@ -28,8 +28,8 @@ from vstestbed.report.marks import counted, number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
 
-Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]], str]
-"""Of the page: title; tables, each with the name of the controller that it is against ("": none), heads and lines; what the numbers are."""
+Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]]]
+"""Of the page: title; tables, each with the name of the controller that it is against ("": none), heads and lines."""
 
 # The result in sentences: which controller is better, by how much, and whether the difference is significant.
 
@@ -205,94 +205,41 @@ def _list(words: list[str]) -> str:
     return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
 
 
-# Tables. Medians and differences count the runs that reached the goal; interquartile means and improvements count every run.
-FAILED: Final = "A run that did not reach the goal counts as worse than any that did"
+# Tables; `section.html` says what their numbers are. Medians and differences count the runs that reached the goal; interquartile means
+# and improvements count every run.
 NEVER: Final = "fails"  # stands for an infinite mean or end of an interval: so many runs failed
 
 
-def sections(comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> list[Section]:
-    """The tables over all runs, with what their numbers are: interquartile means, paired differences, probability of improvement."""
-    return [
-        interquartile_means(comparison, means),
-        *([differences(comparison, all_pairs), improvements(comparison, all_pairs)] if len(comparison.controllers) > 1 else []),
-    ]
-
-
-def controllers(comparison: ComparisonResults) -> Section:
-    """One row per controller: success rate with its interval, and each metric's median with its quartiles."""
-    heads = ["Controller", "Reached the goal", *(m.label for m in comparison.shown)]
-    lines = [[_name(c.label), rate_cell(c), *(_spread(c, m) for m in comparison.shown)] for c in comparison.controllers]
-    note = (
-        "Success rate with its 95 % interval (Wilson). Of each number the median and, below it, the quartiles: final errors of "
-        "every run that has one, and what a run has on its way whatever its end (overshoot, tracking), the others of the runs that "
-        "reached the goal. A count stands below where it is not all runs. Click on a head to sort."
-    )
-    return "Controllers", [("", heads, lines)], note
-
-
-def interquartile_means(comparison: ComparisonResults, means: Means) -> Section:
-    """One row per controller: the interquartile mean of each metric over all its runs, with its interval; means: `interquartiles`."""
-    heads = ["Controller", *map(_with_arrow, comparison.shown)]
-    every = zip(comparison.controllers, means, strict=True)
-    lines = [[_name(c.label), *(_iqm(found[m.name], len(c.runs)) for m in comparison.shown)] for c, found in every]
-    strata = ", resampled within each task" if any(any(c.tasks) for c in comparison.controllers) else ""
-    note = (
-        f"Mean of the middle half of all runs, with its 95 % bootstrap interval{strata}; ↓: less is better, ↑: more is better. "
-        f"{FAILED}{_but(comparison)}: where more than a quarter of the runs failed, the mean “{NEVER}”, and where so many could have, "
-        "an end of its interval does. A run that reached the goal without having the number is left out."
-    )
-    return "Interquartile means", [("", heads, lines)], note
-
-
-def differences(comparison: ComparisonResults, all_pairs: list[Pair]) -> Section:
-    """Paired differences against each reference controller, which the reader picks."""
-    names = ", ".join(m.title for m in comparison.shown if m.every_pair)
-    every_seed = f" ({names}: over all seeds)" if names else ""
-    note = (
-        "Reached the goal: on how many more seeds (McNemar's test). The numbers: the mean of this line minus the other over the seeds on "
-        f"which both reached the goal{every_seed}, its 95 % bootstrap interval "
-        f"and the p-value below. All p-values are corrected for the {tests(all_pairs)} tests of this page (Holm). Bold with a dot: p is at "
-        "most 0.05, the difference is real. An interval that excludes zero without a dot is what chance gives in one of twenty tests. "
-    )
-    if any(p.differences[m.name].skewed for p in all_pairs for m in comparison.shown):
-        note += "Skewed: a few seeds make the mean. The probability of improvement counts every seed alike, and its test is exact for "
-        note += "skewed numbers, too."
-    heads = ["Reached the goal", *(m.label for m in comparison.shown)]
-    tables = _against_each(comparison, all_pairs, "Against", heads, lambda p: [_goals(p), *(_difference(p, m) for m in comparison.shown)])
-    return "Paired differences", tables, note
-
-
-def improvements(comparison: ComparisonResults, all_pairs: list[Pair]) -> Section:
-    """The probability of improvement over each reference controller."""
-    note = (
-        "How probably the controller of the line is better than the other from the same start: the share of the common seeds on which it "
-        f"is, with its 95 % interval (Wilson); equal numbers count one half. {FAILED}{_but(comparison)}; two failed runs are equal. "
-        "Bold with a dot: p, of the sign test and corrected as above, is at most 0.05. This test is exact however skewed the numbers are."
-    )
-    heads = [*map(_with_arrow, comparison.shown)]
-    tables = _against_each(comparison, all_pairs, "Better than", heads, lambda p: [_improvement(p, m) for m in comparison.shown])
-    return "Probability of improvement", tables, note
+def sections(comparison: ComparisonResults, means: Means, all_pairs: list[Pair], every: bool = True) -> dict[str, Any]:
+    """The tables of the page, with what their notes need to know; with `every` also the controllers' medians. means: `interquartiles`."""
+    shown, controllers = comparison.shown, comparison.controllers
+    medians = [[_name(c.label), rate_cell(c), *(_spread(c, m) for m in shown)] for c in controllers]
+    middle = [[_name(c.label), *(_iqm(f[m.name], len(c.runs)) for m in shown)] for c, f in zip(controllers, means, strict=True)]
+    labels, arrows = [m.label for m in shown], [f"{m.label} {'↑' if m.better > 0 else '↓'}" for m in shown]
+    found: list[Section] = [("Controllers", [("", ["Controller", "Reached the goal", *labels], medians)])] if every else []
+    found.append(("Interquartile means", [("", ["Controller", *arrows], middle)]))
+    if len(controllers) > 1:
+        differences = _against_each(comparison, all_pairs, lambda p: [_goals(p), *(_difference(p, m) for m in shown)])
+        improvements = _against_each(comparison, all_pairs, lambda p: [_improvement(p, m) for m in shown])
+        heads = ["Reached the goal", *labels]
+        found.append(("Paired differences", [(name, [f"Against {name}", *heads], lines) for name, lines in differences]))
+        found.append(("Probability of improvement", [(name, [f"Better than {name}", *arrows], lines) for name, lines in improvements]))
+    return {
+        "sections": found,
+        "strata": any(any(c.tasks) for c in controllers),
+        "of_any_run": ", ".join(m.title for m in shown if m.every_pair),  # metrics for which a failed run counts with its own number
+        "tests": tests(all_pairs),
+        "skewed": any(p.differences[m.name].skewed for p in all_pairs for m in shown),
+    }
 
 
 def _against_each(
-    comparison: ComparisonResults, all_pairs: list[Pair], title: str, heads: Sequence[str], cells: Callable[[Pair], Sequence[Cell]]
-) -> list[tuple[str, list[str], list[list[Cell]]]]:
-    """A table for each reference controller (each of few, the first of many), of which the page shows one."""
+    comparison: ComparisonResults, all_pairs: list[Pair], cells: Callable[[Pair], Sequence[Cell]]
+) -> list[tuple[str, list[list[Cell]]]]:
+    """For each reference controller (each of few, the first of many) its name, and a line for each of the others."""
     labels = [c.label for c in comparison.controllers]
-    return [
-        (label, [f"{title} {label}", *heads], [[_name(labels[p.b]), *cells(p)] for p in against(all_pairs, i)])
-        for i, label in enumerate(labels if len(labels) <= MOST_CONTROLLERS else labels[:1])
-    ]
-
-
-def _but(comparison: ComparisonResults) -> str:
-    """The metrics for which a failed run counts with its own number."""
-    names = [m.title for m in comparison.shown if m.every_pair]
-    return f" (but with its own number for {', '.join(names)})" if names else ""
-
-
-def _with_arrow(metric: Metric) -> str:
-    return f"{metric.label} {'↑' if metric.better > 0 else '↓'}"
+    shown = labels if len(labels) <= MOST_CONTROLLERS else labels[:1]
+    return [(name, [[_name(labels[p.b]), *cells(p)] for p in against(all_pairs, i)]) for i, name in enumerate(shown)]
 
 
 def _name(label: str) -> Cell:

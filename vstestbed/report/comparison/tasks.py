@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,8 +16,7 @@ from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.canvas import new_figure, save_paper, style, to_svg
 from vstestbed.report.comparison import baseline, tables
 from vstestbed.report.comparison.page import failures
-from vstestbed.report.comparison.results import TASK, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
-from vstestbed.report.comparison.results import TIME as TIME_METRIC
+from vstestbed.report.comparison.results import TASK, TIME, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
 from vstestbed.report.marks import FAILED, MARKERS, Look, line_color
 from vstestbed.report.pages import write_page
 from vstestbed.tasks.metrics import Metric
@@ -28,52 +26,37 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 AMOUNT: Final = "amount"
-TIME: Final = "time_to_converge_s"
-DRAWN: Final = (TIME, "max_retreat_m")  # Metrics that are drawn where a comparison names none
+DRAWN: Final = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a comparison names none
 MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
 MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
 ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
 DPI: Final = 200
 
 
-@dataclass(frozen=True)
-class Cell:
-    """The runs of one law in one task: a cell of the table."""
+Cell = tuple[str, str, ControllerResults]  # A cell of the table: a law, a task, and its runs in it
 
-    law: str
-    task: str
-    controller: ControllerResults
 
-    @property
-    def amounts(self) -> list[str]:
-        """The amount of each run."""
-        return [str(a) for a in self.controller.runs[AMOUNT].to_list()]
+def amounts(runs: ControllerResults) -> list[str]:
+    """The amount of each run."""
+    return [str(a) for a in runs.runs[AMOUNT].to_list()]
 
-    @property
-    def failed(self) -> dict[str, list[str]]:
-        """Amounts of the failed runs by outcome."""
-        by_outcome: dict[str, list[str]] = defaultdict(list)
-        for amount, outcome, good in zip(self.amounts, self.controller.runs["outcome"].to_list(), self.controller.success, strict=True):
-            if not good:
-                by_outcome[str(outcome)].append(amount)
-        return dict(by_outcome)
 
-    @property
-    def time_s(self) -> float:
-        """Median time to converge [s], NaN if no run converged."""
-        return self.controller.quartiles(TIME_METRIC)[1]
+def summary_lines(runs: ControllerResults) -> list[str]:
+    """Successes with their median time, then one line for each outcome of failed runs with their amounts."""
+    by_outcome: dict[str, list[str]] = defaultdict(list)
+    for amount, outcome, reached in zip(amounts(runs), runs.runs["outcome"].to_list(), runs.success, strict=True):
+        if not reached:
+            by_outcome[str(outcome)].append(amount)
+    good, n = int(runs.success.sum()), len(runs.success)
+    first = f"{good} of {n}" + (f", {runs.quartiles(TIME)[1]:.1f} s" if good else "")
+    return [first] + [f"{_numbers(those)}: {outcome.replace('_', ' ')}" for outcome, those in by_outcome.items()]
 
-    def spread(self, metric: Metric) -> str:
-        """Median and largest value of a metric over the runs that count (`Metric.every_run`), as text; empty if none has it."""
-        counted = self.controller.counted(metric)
-        counted = counted[np.isfinite(counted)]
-        return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
 
-    def summary_lines(self) -> list[str]:
-        """Successes with their median time, then one line for each outcome of failed runs with their amounts."""
-        good, n = int(self.controller.success.sum()), len(self.controller.success)
-        first = f"{good} of {n}" + (f", {self.time_s:.1f} s" if good else "")
-        return [first] + [f"{_numbers(amounts)}: {outcome.replace('_', ' ')}" for outcome, amounts in self.failed.items()]
+def _spread(runs: ControllerResults, metric: Metric) -> str:
+    """Median and largest value of a metric over the runs that count (`ControllerResults.counted`); empty if none has it."""
+    counted = runs.counted(metric)
+    counted = counted[np.isfinite(counted)]
+    return f"{_digits(float(np.median(counted)))}, {_digits(float(counted.max()))}" if len(counted) else ""
 
 
 def _digits(value: float) -> str:
@@ -92,7 +75,7 @@ def _numbers(amounts: Sequence[str]) -> str:
 def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
     """Every law in every task, in order of first appearance; the laws are the combinations of all axes but the task."""
     return [
-        Cell(law.label, task, ControllerResults(law.label, law.runs.filter(pl.col(TASK) == task)))
+        (law.label, task, ControllerResults(law.label, law.runs.filter(pl.col(TASK) == task)))
         for law in over_all_tasks(table, axes).controllers
         for task in dict.fromkeys(table[TASK].to_list())
         if task in law.tasks
@@ -107,44 +90,44 @@ def over_all_tasks(table: pl.DataFrame, axes: Sequence[str], metrics: Sequence[s
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
     """Markdown tables, laws by tasks: successes and failures; then median and largest value of each metric but the time."""
 
-    def lines(text: Callable[[Cell], str]) -> str:
+    def lines(text: Callable[[ControllerResults], str]) -> str:
         heads, rows = _grid(found, text)
         top = [f"| {' | '.join(heads)} |".replace("|  |", "| |"), "|---" * len(heads) + "|"]
         return "\n".join([*top, *(f"| `{law}` | {' | '.join(cells)} |" for law, *cells in rows)]) + "\n"
 
-    first = lines(lambda cell: "; ".join(cell.summary_lines()))
+    first = lines(lambda runs: "; ".join(summary_lines(runs)))
     return "\n".join([first, *(f"{title}\n\n{lines(text)}" for title, text in _spreads(metrics))])
 
 
-def _spreads(metrics: Sequence[str]) -> list[tuple[str, Callable[[Cell], str]]]:
+def _spreads(metrics: Sequence[str]) -> list[tuple[str, Callable[[ControllerResults], str]]]:
     """Title and cells of a table for each metric but the time, which stands in the first table already."""
-    shown = [Metric.named(name) for name in metrics if name != TIME]
-    return [(f"{m.label}: median and largest of {m.over}", lambda cell, m=m: cell.spread(m)) for m in shown]
+    shown = [Metric.named(name) for name in metrics if name != TIME.name]
+    return [(f"{m.label}: median and largest of {m.over}", lambda runs, m=m: _spread(runs, m)) for m in shown]
 
 
-def _grid(found: Sequence[Cell], text: Callable[[Cell], Any]) -> tuple[list[str], list[list[Any]]]:
+def _grid(found: Sequence[Cell], text: Callable[[ControllerResults], Any]) -> tuple[list[str], list[list[Any]]]:
     """Heads and lines of a table: the tasks, and each law with a text for each task, empty where it has no runs."""
     tasks, laws = _tasks_and_laws(found)
-    of = {(c.law, c.task): text(c) for c in found}
+    of = {(law, task): text(runs) for law, task, runs in found}
     return ["", *tasks], [[law, *(of.get((law, task), "") for task in tasks)] for law in laws]
 
 
 def _tasks_and_laws(found: Sequence[Cell]) -> tuple[list[str], list[str]]:
     """Columns and rows of the table, in order of first appearance."""
-    return list(dict.fromkeys(c.task for c in found)), list(dict.fromkeys(c.law for c in found))
+    return list(dict.fromkeys(task for _, task, _ in found)), list(dict.fromkeys(law for law, _, _ in found))
 
 
-def _summary_cell(cell: Cell) -> list[str]:
+def _summary_cell(runs: ControllerResults) -> list[str]:
     """Successes with their median time; below, the interval of the rate and the failures."""
-    first, *failures = cell.summary_lines()
-    rate = cell.controller.rate
+    first, *failures = summary_lines(runs)
+    rate = runs.rate
     return [first, f"[{100 * rate.low:.0f}, {100 * rate.high:.0f}] %", *failures]
 
 
 def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figure:
     """One column per task, one row per metric: each law's values over the amounts; red crosses at the top: failed runs."""
     tasks, laws = _tasks_and_laws(found)
-    by_task = [[c for c in found if c.task == task] for task in tasks]
+    by_task = [[cell for cell in found if cell[1] == task] for task in tasks]
     shown = [Metric.named(name) for name in (metrics or DRAWN)[:MOST_ROWS]]
     drawn = new_figure(1.3 + 0.19 * width_in * len(shown), width_in)
     grid = drawn.subplots(len(shown), len(tasks), sharey="row", sharex="col", squeeze=False)
@@ -161,18 +144,18 @@ def draw(found: Sequence[Cell], metrics: Sequence[str], width_in: float) -> Figu
 
 
 def _unit(here: Sequence[Cell]) -> str:
-    return here[0].amounts[0].partition(" ")[2]
+    return amounts(here[0][2])[0].partition(" ")[2]
 
 
 def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: Metric) -> None:
     """One metric of one task: a curve over the amounts; where they are bare numbers, random starts, a strip of points per law."""
     commanded = bool(_unit(here))
-    for cell in here:
-        i = laws.index(cell.law)
+    for law, _, runs in here:
+        i = laws.index(law)
         # a marker a law, which tells them apart where colours do not: in grey, and with more laws than colours
-        look: Look = {"color": line_color(i), "marker": MARKERS[i % len(MARKERS)], "label": cell.law}
-        value, good = cell.controller.values(metric), cell.controller.success
-        amount = np.array([float(a.partition(" ")[0]) for a in cell.amounts])
+        look: Look = {"color": line_color(i), "marker": MARKERS[i % len(MARKERS)], "label": law}
+        value, good = runs.values(metric), runs.success
+        amount = np.array([float(a.partition(" ")[0]) for a in amounts(runs)])
         if commanded:
             axes.plot(amount, np.where(good, value, np.nan), linewidth=0.7, markersize=4.5, fillstyle="none", **look)
             _crosses(axes, amount[~good], i, len(laws))
@@ -217,7 +200,7 @@ def write_task_report(
         baseline=baseline.section(folder),
         figure=result_of(drawn[0]),
         numbers=[(title, *_grid(found, text)) for title, text in _spreads(metrics)],
-        sections=tables.sections(laws, means, all_pairs),
+        **tables.sections(laws, means, all_pairs, every=False),
         failures=failures(folder, ComparisonResults(table, axes, metrics)),
         command=command,
     )

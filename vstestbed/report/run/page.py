@@ -38,61 +38,28 @@ ROW_METRICS: Final = tuple(metric for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RU
 CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
-# The figures of a run's page in their order: the function that draws one, or gives None; title; caption.
-FIGURES: Final[tuple[tuple[Callable[[Tracks], Chart | None], str, str], ...]] = (
-    (
-        space.features,
-        "Features in the image",
-        "The path of each marker, or of a region's middle, through the image; the frame is the image border.",
-    ),
-    (
-        space.polar,
-        "Features in polar coordinates",
-        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the distance from it.",
-    ),
-    (
-        space.spherical,
-        "Features in spherical coordinates",
-        "As the law sees them: the angle about the optical axis, drawn on beyond a half turn, and the angle from it.",
-    ),
-    (
-        space.on_sphere,
-        "Features on the sphere",
-        "The unit sphere around the camera, seen from outside and ahead; z is the optical axis. What is paler lies on the far side.",
-    ),
-    (
-        figures.error,
-        "Error in the image",
-        "Root mean square of goal minus measured: over the markers' coordinates [px], or over the picture's pixels, with the law's weights "
-        "[grey levels].",
-    ),
-    (space.camera_path, "Camera path", "In the world, equal scale on all axes; pyramids look where the camera looks."),
-    (
-        space.plane,
-        "Path on the floor",
-        "From above, equal scale. Shaded: the region in the image, at the landmarks' height, at the start and at the end.",
-    ),
-    (
-        figures.task_error,
-        "Error of the task",
-        "True error: distance of the camera from its goal or path, gap minus the desired gap, or lateral offset to the left of the line.",
-    ),
-    (figures.twist, "Camera twist", "In the camera's frame: commanded (thin line) and true (pale band)."),
-    (
-        figures.velocity,
-        "Velocity of the craft",
-        "In its level frame: commanded (thin line) and its own estimate of the velocity flown (pale band).",
-    ),
-    (figures.tilt, "Tilt", "True (pale band), estimated from the IMU (thin line), and the reference of the velocity loop (dotted)."),
-    (figures.rates, "Body rates", "Reference of the attitude loop (thin line) and measured by the gyro (pale band)."),
-    (figures.rotors, "Rotors and wind", "Speeds of the rotors, their limit dotted; the wind along the world's axes."),
-    (figures.pose_error, "Distance from the goal", "True pose against the goal pose."),
-    (figures.depth, "Depth of the markers", "As the law used it (thin line) and true (pale band)."),
-    (figures.localisation_error, "Localisation error", "Estimated minus true position (distance) and heading (counter-clockwise)."),
-    (figures.wheels, "Wheels and steering", "Commanded (thin line) and measured (pale band)."),
-    (figures.slip, "Slip", "True motion minus the motion by the encoders (sliding, a wrong wheel radius): mean between two frames."),
-    (figures.joints, "Joints and actuators", "Positions [rad or m], velocities, and actuator inputs in the actuators' own units."),
-)
+# The figures of a run's page in their order, each with its title; `run.html` has the captions, by the names of these functions.
+FIGURES: Final[dict[Callable[[Tracks], Chart | None], str]] = {
+    space.features: "Features in the image",
+    space.polar: "Features in polar coordinates",
+    space.spherical: "Features in spherical coordinates",
+    space.on_sphere: "Features on the sphere",
+    figures.error: "Error in the image",
+    space.camera_path: "Camera path",
+    space.plane: "Path on the floor",
+    figures.task_error: "Error of the task",
+    figures.twist: "Camera twist",
+    figures.velocity: "Velocity of the craft",
+    figures.tilt: "Tilt",
+    figures.rates: "Body rates",
+    figures.rotors: "Rotors and wind",
+    figures.pose_error: "Distance from the goal",
+    figures.depth: "Depth of the markers",
+    figures.localisation_error: "Localisation error",
+    figures.wheels: "Wheels and steering",
+    figures.slip: "Slip",
+    figures.joints: "Joints and actuators",
+}
 
 
 def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: Setting | None = None, plugins: Sequence[str] = ()) -> Path:
@@ -142,7 +109,7 @@ def render_page(
     """
     setting = setting or Setting()
     tracks, name = Tracks.of(log, setting), str(summary.get("scenario") or "Run")
-    charts = ((title, draw(tracks), caption) for draw, title, caption in FIGURES)
+    charts = ((draw.__name__, title, draw(tracks)) for draw, title in FIGURES.items())
     timing = [(str(k), float(v)) for k, v in dict(summary.get("time_ms") or {}).items() if _is_number(v) and v >= 0]
     total_ms = sum(ms for _, ms in timing)
     return page(
@@ -156,7 +123,7 @@ def render_page(
         sentences=sentences(summary),
         tiles=tiles(summary),
         rows=rows(summary),
-        figures=[(title, chart.svg(title), caption) for title, chart, caption in charts if chart is not None],
+        figures=[(name, title, chart.svg(title)) for name, title, chart in charts if chart is not None],
         films=_films(videos),
         goals=[data_url("image/png", png) for png in goal_pictures],
         timing=[(part, ms, line_color(i)) for i, (part, ms) in enumerate(timing)] if total_ms > 0 else [],

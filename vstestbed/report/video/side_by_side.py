@@ -27,7 +27,7 @@ EARLY_S: Final = Fraction(1, 10_000)  # How much before its time a frame may be 
 
 
 class FrameReader:
-    """Decodes a film of a run, which begins at t = 0, as far as it has been shown, and holds two frames of it in memory.
+    """Decodes a film of a run, which begins at t = 0 and has a constant rate, as far as it has been shown.
 
     A film that cannot be read counts as one without frames: `rate_hz` is 0 and `ended` is true from the beginning. A truncated
     film ends at its last frame that can be decoded.
@@ -39,48 +39,35 @@ class FrameReader:
 
         self._container: InputContainer | None = None
         self._frames: Iterator[VideoFrame] = iter(())
-        self._next: VideoFrame | None = None
+        self._count, self.ended = 0, True
         self.width = self.height = 0
-        self._began = self.rate_hz = self.end_s = Fraction(0)
-        with contextlib.suppress(FFmpegError, OSError):  # an unreadable film must not prevent the film of the others
+        self.rate_hz = Fraction(0)
+        with contextlib.suppress(FFmpegError, OSError, IndexError, StopIteration):  # an unreadable film must not prevent the film of the others
             self._container = av.open(str(path))
-            for stream in self._container.streams.video[:1]:
-                stream.thread_count = 1  # the other cores belong to the runs of the comparison
-                self._frames = self._container.decode(stream)
-                self._advance()
-                if self._next is not None:
-                    self._began = self._time(self._next)
-                    self.width, self.height = self._next.width, self._next.height
-                    self.rate_hz = stream.average_rate or Fraction(25)
-
-    def ended(self, t: Fraction) -> bool:
-        """Whether the last frame has been shown for its duration at t [s]."""
-        return self._next is None and t >= self.end_s - EARLY_S
+            stream = self._container.streams.video[0]
+            stream.thread_count = 1  # the other cores belong to the runs of the comparison
+            frames = self._container.decode(stream)
+            first = next(frames)
+            self._frames, self.ended = chain([first], frames), False
+            self.width, self.height, self.rate_hz = first.width, first.height, stream.average_rate or Fraction(25)
 
     def newest(self, t: Fraction) -> VideoFrame | None:
-        """The newest frame at or before t [s]; None if it has been returned already."""
+        """The newest frame at or before t [s]; None if it has been returned already. `ended`: the last one has been shown for its time."""
+        from av.error import FFmpegError
+
         latest = None
-        while self._next is not None and self._time(self._next) <= t + EARLY_S:
-            latest = self._next
-            self.end_s = self._time(latest) + 1 / self.rate_hz
-            self._advance()
+        while not self.ended and self._count <= (t + EARLY_S) * self.rate_hz:
+            self.ended = True
+            with contextlib.suppress(FFmpegError, StopIteration):  # truncated: the film ends here
+                latest, self.ended = next(self._frames), False
+                self._count += 1
         return latest
 
     def close(self) -> None:
         """Close the file."""
         if self._container is not None:
             self._container.close()
-        self._container, self._frames, self._next = None, iter(()), None
-
-    def _advance(self) -> None:
-        from av.error import FFmpegError
-
-        self._next = None
-        with contextlib.suppress(FFmpegError):  # truncated: the film ends here
-            self._next = next(self._frames, None)
-
-    def _time(self, frame: VideoFrame) -> Fraction:
-        return (frame.pts or 0) * (frame.time_base or Fraction(0)) - self._began
+        self._container, self._frames = None, iter(())
 
 
 def scaled(frame: VideoFrame, width: int, height: int) -> Image:
@@ -171,7 +158,7 @@ class _Sheet:
             picture = reader.newest(t)
             if picture is not None:
                 place[:] = scaled(picture, place.shape[1], place.shape[0])
-        ended = all(reader.ended(t) for reader, _ in shown)
+        ended = all(reader.ended for reader, _ in shown)
         if ended:
             films[:] = cv2.convertScaleAbs(films, alpha=DIMMED)
             draw_banner(top, column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[column.success])
