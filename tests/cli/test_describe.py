@@ -46,6 +46,13 @@ def test_every_kind_has_an_entry() -> None:
         assert {f"{room.what}.{kind}" for kind in room.members} <= set(entries())
 
 
+def test_the_summary_has_its_metrics(command) -> None:
+    lines = [" ".join(line.split()) for line in command("describe", "summary").out.splitlines()]
+    assert "final_position_error_m mm less True position error." in lines
+    assert "min_border_margin_px px more Smallest margin to the border." in lines
+    assert any(line.startswith("law_switches less Switches of the law; only") for line in lines)
+
+
 def test_a_law(command) -> None:
     ended = command("describe", "pbvs")
     lines = [" ".join(line.split()) for line in ended.out.splitlines()]

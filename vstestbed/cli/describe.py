@@ -49,7 +49,7 @@ def describe_summary(console: Console) -> None:
     table = _table("metric", "shown in", "better", "what it is")
     for metric in (*KNOWN.values(), *own_metrics().values()):
         better = {1: "more", -1: "less", 0: ""}[metric.better]
-        words = f"{metric.title}{f', of {metric.where}' if metric.where else ''}."
+        words = f"{metric.title}{f'; only of {metric.where}' if metric.where else ''}."
         table.add_row(Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words))
     console.print(table)
 

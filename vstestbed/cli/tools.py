@@ -138,7 +138,9 @@ def describe(
     kind: Annotated[
         str,
         typer.Argument(
-            metavar="KIND", help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; summary: all metrics.", autocompletion=complete.kinds
+            metavar="KIND",
+            help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; summary: all metrics.",
+            autocompletion=complete.kinds,
         ),
     ],
     plugin: Plugins = None,

@@ -139,14 +139,14 @@ SOME_RUNS = (
     Metric("commands_lost", "Commands lost", of="any", where=LINK),
     Metric("final_error_grey", "Measured image error", "grey levels", of="ended", where="a law that works on grey levels", tile=True),
     Metric("swung_s", "Longest time for which the command swung", "s", of="any", where="a command that swung"),
-    Metric("swing_frames", "Period of that swing, in frames", of="any", where="a command that swung"),
+    Metric("swing_frames", "Period of that swing, in frames", better=0, of="any", where="a command that swung"),
 )
 """The metrics that a summary has where the run has what they tell of."""
 OF_A_RUN = (
     Metric("seed", "Seed", better=0),
     Metric("wall_time_s", "Wall time", "s"),
     Metric("worst_task_error_m", "Largest error once settled", "m", of="any", where="a continuing task", tile=True),
-    Metric("real_time_factor", "Real-time factor, films included", "×", tile=True),
+    Metric("real_time_factor", "Real-time factor, films included", "×", better=1, tile=True),
 )
 """Other numbers of a summary that a run's page shows, and by which no runs are compared unless they are named."""
 KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}

@@ -42,7 +42,9 @@ class FrameReader:
         self._count, self.ended = 0, True
         self.width = self.height = 0
         self.rate_hz = Fraction(0)
-        with contextlib.suppress(FFmpegError, OSError, IndexError, StopIteration):  # an unreadable film must not prevent the film of the others
+        with contextlib.suppress(
+            FFmpegError, OSError, IndexError, StopIteration
+        ):  # an unreadable film must not prevent the film of the others
             self._container = av.open(str(path))
             stream = self._container.streams.video[0]
             stream.thread_count = 1  # the other cores belong to the runs of the comparison
