@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
-from tests.shortcuts import forward, jacobian
+from tests.shortcuts import forward, jacobian, one_quick
 from vstestbed.core.geometry import exp, inverse
 from vstestbed.core.named_files import model_path
 from vstestbed.robots.allocation import Mount
@@ -23,7 +23,9 @@ def joints(recording, name="q"):
 
 @pytest.mark.parametrize(
     ("name", "outcome"),
-    [("arm_elbow", "singular"), ("arm_joint_limit", "joint_limit"), ("arm_self_collision", "collided"), ("arm_wrist", "converged")],
+    one_quick(
+        ("arm_elbow", "singular"), ("arm_joint_limit", "joint_limit"), ("arm_self_collision", "collided"), ("arm_wrist", "converged")
+    ),
 )
 def test_the_right_outcome_and_no_joint_too_fast(name, outcome):
     r = vs.run(vs.load(name, {"detector": UNLIMITED, "stop.converged.error_px": 1.0}))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import motion_between
@@ -162,13 +163,13 @@ def test_what_cannot_be_is_told_with_what_would_work():
 
 @pytest.mark.parametrize(
     ("name", "parameters"),
-    [
+    one_quick(
         ("omni_ibvs", {"wheelbase_m": 0.5, "track_m": 0.5, "mass_kg": 20}),
         ("car_pbvs", {"wheelbase_m": 1.5}),
         pytest.param("car_pbvs", {"wheelbase_m": 1.5, "mass_kg": 120, "motor_torque_nm": 60}, marks=pytest.mark.study),
         pytest.param("quadrotor_hover", {f.name: getattr(HEAVY, f.name) for f in dataclasses.fields(HEAVY)}, marks=pytest.mark.study),
         pytest.param("quadrotor_land", {f.name: getattr(HEAVY, f.name) for f in dataclasses.fields(HEAVY)}, marks=pytest.mark.study),
-    ],
+    ),
 )
 def test_a_changed_robot_reaches_its_goal_by_its_pictures(name, parameters):
     scenario = vs.load(name, {"robot.parameters": parameters})

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from tests.vision.views import CAMERA, GOAL_H, goal, homography_of, picture_by, places
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError, ScenarioError
@@ -203,7 +204,7 @@ LAWS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", one_quick(*LAWS))
 def test_laws_take_what_points_there_are(name: str):
     short = {"stop.duration_s": 0.6, "robot.start.nominal.rpy_deg": [2, -3, 10], "detector.track": "klt"}
     s = vs.load("camera_keypoints", SMALL | short | LAWS[name])

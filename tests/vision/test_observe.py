@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.shortcuts import one_quick
 from vstestbed.camera import Fisheye, Perspective, SphericalCamera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
@@ -161,7 +162,7 @@ def test_estimate_under_noise_and_kept_at_rest() -> None:
     assert rested == pytest.approx(depth, rel=1e-3)  # noise without motion teaches nothing; Z = R cos has the pixel's own
 
 
-@pytest.mark.parametrize("ratio", [3.0, 0.3])
+@pytest.mark.parametrize("ratio", one_quick(3.0, 0.3))
 @pytest.mark.parametrize("sigma", [0.0, 0.05])
 def test_estimate_from_far_off_converges_and_does_not_drift_as_motion_fades(ratio: float, sigma: float) -> None:
     # The motion of a servo: it dies away over 2 s. Depths within 1 % after 1 s, and still so at the end.

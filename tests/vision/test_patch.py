@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from tests.vision.conftest import CAMERA, TakeScene
 from tests.vision.parts import in_windows
 from vstestbed.camera import Camera, Fisheye, Perspective, Picture, SphericalCamera
@@ -71,7 +72,7 @@ def _changed(seen: Picture, change: Callable[[Array], Array]) -> Picture:
 
 @pytest.mark.parametrize(
     ("distance", "tilt", "sigma", "bias", "most"),
-    [(0.6, 0.2, 0.0, 0.03, 0.15), (1.0, 0.5, 0.0, 0.03, 0.12), (1.0, 0.5, 2.0, 0.03, 0.12), (2.0, 0.3, 2.0, 0.04, 0.2)],
+    one_quick((0.6, 0.2, 0.0, 0.03, 0.15), (1.0, 0.5, 0.0, 0.03, 0.12), (1.0, 0.5, 2.0, 0.03, 0.12), (2.0, 0.3, 2.0, 0.04, 0.2)),
 )
 def test_corners_are_found_to_a_tenth_of_a_pixel(
     poster: PictureTarget, scene_picture: TakeScene, distance: float, tilt: float, sigma: float, bias: float, most: float
@@ -135,11 +136,11 @@ def test_light_that_changes_over_the_plane_does_not_move_it(poster: PictureTarge
 
 @pytest.mark.parametrize(
     "camera",
-    [
+    one_quick(
         Perspective(distortion=(-0.2, 0.05, 0.001, -0.002, 0.0)),
         Fisheye(),
         SphericalCamera(width=512, height=512, face_px=320),
-    ],
+    ),
     ids=["distorted", "fisheye", "spherical"],
 )
 def test_every_lens(poster: PictureTarget, scene_picture: TakeScene, camera: Camera):
