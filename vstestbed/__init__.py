@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from vstestbed.effects import EFFECTS, EffectBase
     from vstestbed.features import FEATURES, Feature
     from vstestbed.features.observation import Goal, Observation, Sight
-    from vstestbed.laws import LAWS, Command, Law, LawBase
+    from vstestbed.laws import LAWS, Command, ErrorLaw, Law, LawBase
     from vstestbed.loop.controller import Controller
     from vstestbed.loop.recording import Recording
     from vstestbed.loop.session import Session, run
@@ -82,7 +82,7 @@ _HOMES = {
     "vstestbed.effects": ("EFFECTS", "EffectBase"),
     "vstestbed.features": ("FEATURES", "Feature"),
     "vstestbed.features.observation": ("Goal", "Observation", "Sight"),
-    "vstestbed.laws": ("LAWS", "Command", "Law", "LawBase"),
+    "vstestbed.laws": ("LAWS", "Command", "ErrorLaw", "Law", "LawBase"),
     "vstestbed.loop.controller": ("Controller",),
     "vstestbed.loop.recording": ("Recording",),
     "vstestbed.loop.session": ("Session", "run"),
@@ -134,6 +134,7 @@ __all__ = [
     "Detector",
     "DetectorBase",
     "EffectBase",
+    "ErrorLaw",
     "Feature",
     "Frame",
     "Goal",

@@ -10,14 +10,14 @@ import numpy as np
 
 import vstestbed as vs
 from vstestbed.laws import IBVS, PBVS, QP, Hybrid, Partitioned, Predictive, Switched, Uncalibrated
-from vstestbed.laws.switched import Turn, Until
+from vstestbed.laws.switched import Stage, SwitchCondition
 
 LAWS: dict[str, Any] = {
     "ibvs": IBVS(),
     "pbvs": PBVS(),
     "hybrid": Hybrid(),
     "partitioned": Partitioned(),
-    "switched": Switched(laws=(Turn(law=IBVS(), until=Until(retreat_over_m=0.1)), Turn(law=PBVS()))),
+    "switched": Switched(laws=(Stage(law=IBVS(), until=SwitchCondition(retreat_over_m=0.1)), Stage(law=PBVS()))),
     "uncalibrated": Uncalibrated(),
     "qp": QP(),
     "predictive": Predictive(),

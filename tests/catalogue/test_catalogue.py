@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Pose
 from vstestbed.core.named_files import folder
 from vstestbed.features import FEATURES
 from vstestbed.laws import IBVS, LAWS, PBVS
-from vstestbed.laws.switched import Turn, Until
+from vstestbed.laws.switched import Stage, SwitchCondition
 from vstestbed.robots import ROBOTS, Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.targets import TARGETS, Ball, GroundLines, MeshTarget, PictureTarget, Points, Shape, Square
@@ -35,7 +35,7 @@ from vstestbed.vision import DETECTORS, Tags
 from vstestbed.vision.perturb import PERTURBATIONS
 
 POLICY = {"file": str(Path(wrong.__file__).with_name("policy.py")) + ":Smooth"}
-TURNS = (Turn(law=IBVS(gain=1.0), until=Until(error_under_px=20.0)), Turn(law=PBVS(gain=1.0)))
+TURNS = (Stage(law=IBVS(gain=1.0), until=SwitchCondition(error_under_px=20.0)), Stage(law=PBVS(gain=1.0)))
 LAW_PARAMETERS = {word: {"gain": 1.0} for word in ("partitioned", "pbvs", "hybrid", "ibvs")} | {
     "policy": POLICY,
     "switched": {"laws": TURNS},
@@ -240,7 +240,7 @@ class TestWhatASuiteAsksForIsSaid:
         for law, got in ((Silent, "NoneType"), (Bare, "(NoneType, ndarray)")):
             r = vs.run(replace(quick("view"), law=LAWS.add(law)()))
             assert r.outcome is vs.Outcome.law_failed
-            assert r.reason.startswith(f"law {r.scenario.law.kind} returned {got}; its step must return (memory, Command)")
+            assert r.reason.startswith(f"law {r.scenario.law.kind} returned {got}; its step must return (state, Command)")
 
     def test_a_law_that_writes_to_itself_is_told_its_own_line(self, own_kinds):
         r = vs.run(replace(quick("view"), law=LAWS.add(Remembering)()))

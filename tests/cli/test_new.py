@@ -154,12 +154,12 @@ class Mine(vs.LawBase):
     kind: Literal["mine"] = "mine"
     gain: float = GAIN
 
-    def step(self, memory, observation, goal, basis):
+    def step(self, state, observation, goal, basis):
         if not observation.seen.all():
-            return memory, vs.Command.rest(basis, "a marker is out of sight")
+            return state, vs.Command.rest(basis, "a marker is out of sight")
         L = vs.features.Point().interaction(observation.xy, observation.depth)
         u = -self.gain * np.linalg.pinv(L @ basis) @ (observation.xy - goal.xy).ravel()
-        return memory, self.limits.command(u, basis)
+        return state, self.limits.command(u, basis)
 
 recording = vs.run(vs.load("ibvs_book", {"law": "mine", "detector": "oracle", "camera.rate_hz": 25.0}))
 print(recording.outcome.name, recording.scenario.law.gain)

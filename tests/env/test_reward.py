@@ -18,7 +18,7 @@ Policy = Callable[[Rollout], np.ndarray]
 
 
 def motions(rollout: Rollout) -> int:
-    return len(rollout.scale.per_unit)
+    return len(rollout.action_unit)
 
 
 def still(rollout: Rollout) -> np.ndarray:

@@ -34,16 +34,16 @@ class Broyden(vs.LawBase):
     update: Annotated[float, Gt(0), Le(1)] = 0.1
     inputs = ("xy",)
 
-    def step(self, memory, observation, goal, basis):
+    def step(self, state, observation, goal, basis):
         """One frame; the first Jacobian is that of points at the depth of the goal view."""
         if not observation.seen.all():
             return None, vs.Command.rest(basis, "a marker is out of sight")
         s, s_goal = observation.xy.ravel(), goal.xy.ravel()
-        J = vs.features.Point().interaction(goal.xy, goal.depth) @ basis if memory is None else memory.J
-        if memory is not None:
-            dx = memory.u * (observation.t - memory.t)
+        J = vs.features.Point().interaction(goal.xy, goal.depth) @ basis if state is None else state.J
+        if state is not None:
+            dx = state.u * (observation.t - state.t)
             if dx @ dx > 1e-12:  # at rest there is nothing to learn
-                J = J + self.update * np.outer(s - memory.s - J @ dx, dx) / (dx @ dx)
+                J = J + self.update * np.outer(s - state.s - J @ dx, dx) / (dx @ dx)
         u = -self.gain * np.linalg.lstsq(J, s - s_goal, rcond=None)[0]
         command = self.limits.command(u, basis)
         return Memory(observation.t, J, s, command.u), command

@@ -23,12 +23,12 @@ class Stateful(IBVS):
 
     kind: Literal["stateful"] = "stateful"
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """One frame."""
         COUNT[0] += 1
-        memory, command = super().step(memory, observation, goal, basis)
+        state, command = super().step(state, observation, goal, basis)
         factor = 1 + 0.001 * COUNT[0]
-        return memory, replace(command, u=command.u * factor, twist=command.twist * factor)
+        return state, replace(command, u=command.u * factor, twist=command.twist * factor)
 
 
 @spec
@@ -51,8 +51,8 @@ class Shifted(Blobs):
 
     def detect(self, *given: Any) -> Any:
         """Beside the markers."""
-        memory, detection = super().detect(*given)
-        return memory, replace(detection, uv=detection.uv + 2.0)
+        state, detection = super().detect(*given)
+        return state, replace(detection, uv=detection.uv + 2.0)
 
 
 @spec
@@ -61,10 +61,10 @@ class Rolling(Oracle):
 
     kind: Literal["rolling"] = "rolling"
 
-    def detect(self, memory: Any, picture: Any, view: Any, camera: Any, target: Any, rng: Any) -> Any:
+    def detect(self, state: Any, picture: Any, view: Any, camera: Any, target: Any, rng: Any) -> Any:
         """The true points, after a draw."""
         rng.random()
-        return super().detect(memory, picture, view, camera, target, rng)
+        return super().detect(state, picture, view, camera, target, rng)
 
 
 @spec
@@ -103,7 +103,7 @@ class Silent(LawBase):
 
     kind: Literal["silent"] = "silent"
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """Nothing."""
 
 
@@ -113,9 +113,9 @@ class Bare(LawBase):
 
     kind: Literal["bare"] = "bare"
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """One frame."""
-        return memory, np.zeros(basis.shape[1])
+        return state, np.zeros(basis.shape[1])
 
 
 @spec
@@ -124,7 +124,7 @@ class Remembering(LawBase):
 
     kind: Literal["remembering"] = "remembering"
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """One frame."""
         self.last = observation.t  # pyright: ignore[reportAttributeAccessIssue]  # the mistake
 
@@ -135,6 +135,6 @@ class Wild(LawBase):
 
     kind: Literal["wild"] = "wild"
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """NaN."""
-        return memory, Command(np.full(6, np.nan), np.full(6, np.nan))
+        return state, Command(np.full(6, np.nan), np.full(6, np.nan))

@@ -27,13 +27,13 @@ def bare() -> type:
         kind: Literal["bare"] = "bare"
         gain: float = 1.0
 
-        def step(self, memory, observation, goal, basis):
+        def step(self, state, observation, goal, basis):
             if not observation.seen.all():
-                return memory, Command.rest(basis, "a marker is hidden")
+                return state, Command.rest(basis, "a marker is hidden")
             point = Point()
             e = point.error(point.measure(observation.xy), point.measure(goal.xy))
             u = -self.gain * least_squares(point.interaction(observation.xy, observation.depth) @ basis, e)
-            return memory, self.limits.command(u, basis)
+            return state, self.limits.command(u, basis)
 
     return Bare
 
@@ -62,8 +62,8 @@ def test_the_suite_finds_what_is_read_and_not_named(monkeypatch: pytest.MonkeyPa
     class Rays(LawBase):
         kind: Literal["rays"] = "rays"
 
-        def step(self, memory, observation, goal, basis):
-            return memory, Command.rest(basis, str(observation.ray[0]))
+        def step(self, state, observation, goal, basis):
+            return state, Command.rest(basis, str(observation.ray[0]))
 
     with pytest.raises(AssertionError, match=r"law_failed, .*; its `inputs` do not name ray, which it reads, and which may be None then$"):
         check_law(Rays())
@@ -73,21 +73,21 @@ def test_half_as_many_markers_as_motions_by_default() -> None:
     assert [LawBase().markers_needed(np.eye(6)[:, :n]) for n in (2, 3, 6)] == [1, 2, 3]
 
 
-def step(self, memory, observation, goal, basis): ...
+def step(self, state, observation, goal, basis): ...
 
 
 def test_a_wrong_law_is_refused_when_it_is_registered() -> None:
     for make, sentence in (
         (lambda: type("Mine", (LawBase,), {"step": step}), r"^Mine is not a spec; a law is a class with @spec"),
         (lambda: spec(type("Mine", (LawBase,), {"step": step})), r"^kind is missing: Mine needs `kind: Literal"),
-        (lambda: named(), r"^Mine lacks step\(memory, observation, goal, basis\); add what is missing"),
+        (lambda: named(), r"^Mine lacks step\(state, observation, goal, basis\); add what is missing"),
         (
             lambda: named(object, step=step),
-            r"^Mine lacks tasks, inputs, depth, feature, limits, .*; derive it from vstestbed.laws.base.LawBase, .* all but kind and step$",
+            r"^Mine lacks tasks, inputs, depth, feature, limits, .*; derive it from vstestbed.laws.base.Law, .* all but kind and step$",
         ),
         (
             lambda: named(step=lambda self, observation, goal: None),
-            r"^Mine\.step must take the arguments of step\(memory, observation, goal, basis\)",
+            r"^Mine\.step must take the arguments of step\(state, observation, goal, basis\)",
         ),
         (lambda: named(step=step, init=lambda self: None), r"^Mine\.init must take the arguments of init\(goal\)"),
         (lambda: named(step=step, inputs=("xy", "depht")), r"^Mine\.inputs has no valid word 'depht'; did you mean 'depth'"),

@@ -12,11 +12,11 @@ from scipy.linalg import solve_discrete_are
 
 import vstestbed as vs
 from tests.shortcuts import one_quick
-from vstestbed.features.observation import OwnMotion
+from vstestbed.features.observation import EgoMotion
 from vstestbed.laws.feedforward import AlphaBeta, KalmanCA, KalmanCV, follow, look_ahead, white_noise
 
 DT = 0.04
-STILL = OwnMotion(np.zeros(6), DT, np.zeros(6), 0.0, np.zeros(6))
+STILL = EgoMotion(np.zeros(6), DT, np.zeros(6), 0.0, np.zeros(6))
 B = np.eye(6)
 
 
@@ -72,7 +72,7 @@ def test_the_lag_of_a_changing_speed():
 def test_the_cameras_own_motion_is_taken_out():
     twist = np.array([0.1, -0.2, 0.3, 0.1, 0.2, -0.1])
     L = np.random.default_rng(0).normal(size=(8, 6))
-    trend, motion = None, OwnMotion(twist, DT, np.zeros(6), 0.0, twist)
+    trend, motion = None, EgoMotion(twist, DT, np.zeros(6), 0.0, twist)
     for _ in range(50):
         trend = follow(KalmanCV(), trend, (L @ twist * DT, L), B, motion)
     assert np.allclose(trend.rate, 0, atol=1e-12)
@@ -88,7 +88,7 @@ def test_a_picture_without_enough_markers_is_bridged():
 
 def test_looking_ahead_adds_the_targets_way_and_the_cameras():
     trend = followed(KalmanCA(), 0.1 * DT * np.arange(100))
-    motion = OwnMotion(np.zeros(6), DT, np.array([0.01, 0, 0, 0, 0, 0]), 0.05, np.array([0.2, 0, 0, 0, 0, 0]))
+    motion = EgoMotion(np.zeros(6), DT, np.array([0.01, 0, 0, 0, 0, 0]), 0.05, np.array([0.2, 0, 0, 0, 0, 0]))
     ahead, rate = look_ahead(KalmanCA(predict_s=0.08), trend, B, motion)
     assert ahead[0] == pytest.approx(0.1 * 0.08 + 0.01 + 0.2 * 0.03, rel=1e-6)  # moved until now, commanded from there on
     assert rate[0] == pytest.approx(0.1, rel=1e-6)

@@ -10,19 +10,21 @@ import pytest
 import vstestbed as vs
 from tests.laws.test_constraints import POINTS, arm
 from vstestbed.core.geometry import exp, inverse, log, transform
-from vstestbed.laws.predictive import PlanBlocks, lagged, predict
+from vstestbed.laws.predictive import beginnings, blocks_of, lagged, predict, shifted
 
 P = POINTS + [0.1, 0.0, 1.2]
-BLOCKS = PlanBlocks.of(10, 4)
+BLOCKS = blocks_of(10, 4)
 
 
 @pytest.mark.parametrize(("horizon", "blocks"), [(10, 4), (10, 10), (3, 5), (25, 5), (1, 1), (7, 3)])
 def test_blocks_fill_the_horizon_and_grow(horizon: int, blocks: int) -> None:
-    made = PlanBlocks.of(horizon, blocks)
-    assert made.horizon == horizon and len(made.lengths) == min(horizon, blocks)
-    assert list(made.lengths) == sorted(made.lengths) and made.lengths[0] >= 1
-    each = np.arange(len(made.lengths), dtype=float)[:, None]
-    later = made.shifted(each)[:, 0]
+    block = blocks_of(horizon, blocks)
+    lengths = np.bincount(block)
+    assert len(block) == horizon and len(lengths) == min(horizon, blocks)
+    assert list(lengths) == sorted(lengths) and lengths[0] >= 1
+    np.testing.assert_array_equal(beginnings(block), np.cumsum(lengths) - lengths)
+    each = np.arange(len(lengths), dtype=float)[:, None]
+    later = shifted(each, block)[:, 0]
     assert (later >= each[:, 0]).all() and later[-1] == each[-1, 0]
 
 
@@ -30,7 +32,7 @@ def test_servos_follow_as_a_fine_simulation_does() -> None:
     plan, before, lag = np.array([[1.0], [-2.0], [0.5], [3.0]]), np.array([0.7]), 0.6
     means, changes = lagged(BLOCKS, plan, before, lag)
     r, fine = 0.7, 20_000
-    for k, b in enumerate(BLOCKS.of_period):
+    for k, b in enumerate(BLOCKS):
         way = 0.0
         for _ in range(fine):
             r += (plan[b, 0] - r) / (lag * fine)
@@ -42,7 +44,7 @@ def test_servos_follow_as_a_fine_simulation_does() -> None:
 
 def test_without_lag_the_means_are_the_orders() -> None:
     plan = np.arange(8.0).reshape(4, 2)
-    np.testing.assert_array_equal(lagged(BLOCKS, plan, np.ones(2), 0.0)[0], plan[BLOCKS.of_period])
+    np.testing.assert_array_equal(lagged(BLOCKS, plan, np.ones(2), 0.0)[0], plan[BLOCKS])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -59,7 +61,7 @@ def test_markers_and_joints_go_where_the_arm_takes_them(seed: int) -> None:
         there = scenario.robot.flange_pose(ahead.q[k]) @ mount
         # the Jacobian of each period is that of its beginning: an error of second order in the way of a period
         np.testing.assert_allclose(ahead.p[k], transform(inverse(there) @ here, P), atol=4e-3)
-    np.testing.assert_allclose(ahead.q[-1], robot.q + way / 3 + 0.04 * plan[BLOCKS.of_period].sum(axis=0))
+    np.testing.assert_allclose(ahead.q[-1], robot.q + way / 3 + 0.04 * plan[BLOCKS].sum(axis=0))
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.05])
@@ -86,12 +88,12 @@ def test_an_ideal_camera_flies_exactly_as_predicted() -> None:
     robot = replace(model, underway=np.zeros(6), coming=np.zeros(6), ordered=np.zeros(6))
     plan = np.random.default_rng(0).normal(size=(4, 6))
     T = np.eye(4)
-    for b in BLOCKS.of_period:
+    for b in BLOCKS:
         T = T @ exp(plan[b] * robot.period_s)
     ahead = predict(P, robot, BLOCKS, plan, relinearise=True)
     np.testing.assert_allclose(ahead.p[-1], transform(inverse(T), P), atol=1e-12)
     step = 1e-6 * np.eye(24)[7].reshape(4, 6)
     other = np.eye(4)
-    for b in BLOCKS.of_period:
+    for b in BLOCKS:
         other = other @ exp((plan + step)[b] * robot.period_s)
     np.testing.assert_allclose(log(inverse(T) @ other) / 1e-6, ahead.D[-1, :, 7], atol=1e-3)

@@ -115,18 +115,18 @@ class TestGains:
 class TestSmoothStart:
     def test_grows_from_rest_to_the_plain_command(self):
         smooth, plain, tau = IBVS(smooth_start_s=0.4), IBVS(), 0.4
-        memory, u0 = smooth.init(GOAL), command(plain, look())
+        state, u0 = smooth.init(GOAL), command(plain, look())
         for t in (3.0, 3.2, 3.4, 15.0):
-            memory, given = smooth.step(memory, look(t=t), GOAL, SIX)
+            state, given = smooth.step(state, look(t=t), GOAL, SIX)
             np.testing.assert_allclose(given.u, u0 * (1 - np.exp(-(t - 3.0) / tau)), atol=1e-15)
         # 30 tau later nothing is left of it.
         np.testing.assert_allclose(given.u, u0, atol=1e-12)
 
     def test_begins_anew_after_the_target_was_lost(self):
         law = IBVS(smooth_start_s=0.4)
-        memory, _ = law.step(law.init(GOAL), look(t=0.0), GOAL, SIX)
-        memory, _ = law.step(memory, look(t=5.0, unseen=(0, 1)), GOAL, SIX)
-        _, given = law.step(memory, look(t=6.0), GOAL, SIX)
+        state, _ = law.step(law.init(GOAL), look(t=0.0), GOAL, SIX)
+        state, _ = law.step(state, look(t=5.0, unseen=(0, 1)), GOAL, SIX)
+        _, given = law.step(state, look(t=6.0), GOAL, SIX)
         np.testing.assert_array_equal(given.u, np.zeros(6))
 
 
@@ -134,20 +134,20 @@ class TestSmoothing:
     def test_is_an_exponential_average(self):
         """A weight of 0.8 of each new command at 25 Hz, as the docstring has it; the first command is taken as it is."""
         law, plain = IBVS(smoothing_s=-0.04 / np.log(0.2)), IBVS()
-        memory, mean = law.init(GOAL), np.zeros(6)
+        state, mean = law.init(GOAL), np.zeros(6)
         for i, t in enumerate((0.0, 0.04, 0.08, 0.12)):
             seen = replace(look(t=t), xy=look().xy * (1 + i))
-            memory, given = law.step(memory, seen, GOAL, SIX)
+            state, given = law.step(state, seen, GOAL, SIX)
             new = command(plain, seen)
             mean = 0.8 * new + 0.2 * mean if i else new
             np.testing.assert_allclose(given.u, mean, rtol=1e-12)
 
     def test_keeps_the_last_command_where_too_few_markers_are_seen(self):
         law = IBVS(keep_last=True, limits=TwistLimits(speed_mps=0.05))
-        memory, rest = law.step(law.init(GOAL), look(unseen=(0, 1)), GOAL, SIX)
+        state, rest = law.step(law.init(GOAL), look(unseen=(0, 1)), GOAL, SIX)
         assert not rest.twist.any() and rest.rest_reason
-        memory, given = law.step(memory, look(t=1.0), GOAL, SIX)
-        _, kept = law.step(memory, look(t=2.0, unseen=(0, 1)), GOAL, SIX)
+        state, given = law.step(state, look(t=1.0), GOAL, SIX)
+        _, kept = law.step(state, look(t=2.0, unseen=(0, 1)), GOAL, SIX)
         np.testing.assert_array_equal(kept.twist, given.twist)
         assert kept.rest_reason == rest.rest_reason and not given.rest_reason
 

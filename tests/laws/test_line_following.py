@@ -40,10 +40,10 @@ def observe(lines, goal, place, t=0.0):
 def drive(law, plane, lines, goal, start, seconds, steering_radps=2.0):
     """Offsets from the way, a frame at a time; a car's steering (wheelbase 1 m) turns no faster than given."""
     basis, place = Mount.of(goal.T_base_camera).to_camera @ plane, np.array(start, dtype=float)
-    memory, steering, off = law.init(goal), 0.0, []
+    state, steering, off = law.init(goal), 0.0, []
     for k in range(round(seconds / DT)):
         off.append(lines.route.beside(place))
-        memory, command = law.step(memory, observe(lines, goal, place, k * DT), goal, basis)
+        state, command = law.step(state, observe(lines, goal, place, k * DT), goal, basis)
         commanded = motion = plane[[0, 1, 5]] @ command.u
         for _ in range(SUB):
             if plane is CAR:
@@ -136,10 +136,10 @@ class TestSight:
     def test_out_of_sight_it_coasts_and_then_rests(self):
         lines, goal = world(Straight(length_m=9))
         basis, law = Mount.of(goal.T_base_camera).to_camera @ CAR, LineFollowing(coast_s=0.2)
-        memory, first = law.step(law.init(goal), observe(lines, goal, (3, 0.05, 0)), goal, basis)
-        memory, coasting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
+        state, first = law.step(law.init(goal), observe(lines, goal, (3, 0.05, 0)), goal, basis)
+        state, coasting = law.step(state, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
         np.testing.assert_array_equal(coasting.u, first.u)
-        _, resting = law.step(memory, observe(lines, goal, (30, 0, 0), 0.24), goal, basis)
+        _, resting = law.step(state, observe(lines, goal, (30, 0, 0), 0.24), goal, basis)
         assert coasting.rest_reason and resting.rest_reason and not resting.u.any()
 
 
@@ -180,8 +180,8 @@ def test_two_points_and_nothing_else():
     assert LineFollowing().tasks == ("line",) and LineFollowing().inputs == ("xy",)
 
 
-def test_it_never_coasts_before_it_has_seen_a_line():
+def test_it_holds_no_command_before_it_has_seen_a_line():
     lines, goal = world(Straight(length_m=9))
     law, basis = LineFollowing(coast_s=5), Mount.of(goal.T_base_camera).to_camera @ CAR
-    memory, command = law.step(law.init(goal), observe(lines, goal, (30, 0, 0)), goal, basis)
-    assert command.rest_reason and not command.u.any() and memory.u is None
+    state, command = law.step(law.init(goal), observe(lines, goal, (30, 0, 0)), goal, basis)
+    assert command.rest_reason and not command.u.any() and state is None

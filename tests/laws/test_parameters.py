@@ -108,7 +108,7 @@ def test_polar_gains_at_the_borders_of_stability_are_refused():
     for wrong in ({"k_rho": 0.0}, {"k_beta": 0.0}, {"k_alpha": 1.0}, {"k_rho": math.nan}):
         with pytest.raises(ParameterError, match=next(iter(wrong))):
             PoseController(**wrong)
-    assert PoseController(k_rho=1e-3, k_alpha=1.1e-3, k_beta=-1e-3).gains.alpha == 1.1e-3
+    assert PoseController(k_rho=1e-3, k_alpha=1.1e-3, k_beta=-1e-3).k_alpha == 1.1e-3
 
 
 class TestTwistLimits:

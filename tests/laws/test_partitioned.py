@@ -198,10 +198,10 @@ def test_the_signs_and_gains_along_and_about_the_axis():
     p = transform(Pose(xyz=(0, 0, 2), rpy_deg=(0, 0, 20)).T, POINTS)
     seen = Observation(0, p[:, :2], p[:, :2] / p[:, 2:], p[:, 2])
     law = Partitioned(gain_z=0.4, gain_turn=0.3)
-    memory, command = law.step(law.init(goal), seen, goal, np.eye(6))
+    state, command = law.step(law.init(goal), seen, goal, np.eye(6))
     # Half as large as at the goal: forward; turned by 20 degrees: the camera turns after it.
     np.testing.assert_allclose(command.twist, [0, 0, 0.4 * 0.5, 0, 0, 0.3 * np.radians(20)], atol=1e-9)
-    assert memory.own[0] == pytest.approx(np.radians(20))
+    assert state.extra[0] == pytest.approx(np.radians(20))
     assert law.state_size == 1
 
 
@@ -210,13 +210,13 @@ def test_a_batch_rests_only_where_the_markers_span_no_area():
     T = np.stack([Pose(xyz=(0.1, 0, 2), rpy_deg=(0, 0, 20)).T, Pose(xyz=(0, 0, 2), rpy_deg=(90, 0, 0)).T, Pose(xyz=(0, 0.1, 1)).T])
     p = transform(T, POINTS)
     law = Partitioned(limits=TwistLimits(speed_mps=0.1))
-    memory, twist = law.step_batch(np.full((3, 1), np.nan), Views(0.0, p, T, goal, TRUE), goal)
+    state, twist = law.step_batch(np.full((3, 1), np.nan), Views(0.0, p, T, goal, TRUE), goal)
     assert np.isnan(twist[1]).all() and np.isfinite(twist[[0, 2]]).all()
     for i in (0, 2):
         seen = Observation(0, p[i, :, :2], p[i, :, :2] / p[i, :, 2:], p[i, :, 2])
         one, command = law.step(law.init(goal), seen, goal, np.eye(6))
         np.testing.assert_allclose(twist[i], command.twist, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(memory[i, 0], one.own[0])
+        np.testing.assert_allclose(state[i, 0], one.extra[0])
 
 
 PARTITIONS = [("z",), ("wz",), ("x", "y"), ("x",), ("x", "y", "wz"), ("x", "y", "z"), ("x", "y", "z", "wz")]

@@ -25,7 +25,6 @@ from vstestbed.laws.photometric import (
     NO_PICTURE,
     NO_STRUCTURE,
     GoalLevel,
-    LevelPixels,
     LevenbergMarquardt,
     Photometric,
     Robust,
@@ -86,9 +85,9 @@ def looked(image: Sight | None, t: float = 0.0) -> Observation:
 def flown(law: Photometric, texture: np.ndarray, off: list[float], frames: int = 80, spoil=lambda sight, t: sight) -> tuple[float, float]:
     """Distance [m] and angle [deg] from the goal after so many frames at 25 Hz from exp(off) T*."""
     goal, T = goal_of(texture), exp(np.array(off)) @ AT_GOAL
-    memory = law.init(goal)
+    state = law.init(goal)
     for k in range(frames):
-        memory, command = law.step(memory, looked(spoil(seen(texture, T), 0.04 * k), 0.04 * k), goal, np.eye(6))
+        state, command = law.step(state, looked(spoil(seen(texture, T), 0.04 * k), 0.04 * k), goal, np.eye(6))
         T = exp(-0.04 * command.twist) @ T
     distance, angle = rigid_error(inverse(T), inverse(AT_GOAL))
     return distance, float(np.degrees(angle))
@@ -116,7 +115,7 @@ def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion:
     camera, retake = s.camera, Retake(s.robot, s.camera, s.target, s.world)
     assert isinstance(camera, Perspective)
     T = exp(np.array([0.02, 0.01, 0.1, 0.2, -0.1, 0.3])) @ AT_GOAL
-    pixels, normal = LevelPixels.of(camera, level, 8, 1), T[:3, 2]
+    pixels, normal = GoalLevel.of(camera, np.zeros((1, 1), np.float32), level, 8, 1), T[:3, 2]
     near = ((normal[0] * pixels.x + normal[1] * pixels.y + normal[2]) / (normal @ T[:3, 3])).astype(np.float32)
 
     def picture(by: np.ndarray) -> np.ndarray:
@@ -174,11 +173,12 @@ def test_other_light_is_told_from_a_motion_far_away_too(goal: dict[str, object])
 @pytest.mark.parametrize("robust", ["none", "tukey"])
 def test_light_alone_is_no_motion(texture: np.ndarray, robust: Robust) -> None:
     """Of I = 0.9 I* + 7 nothing is left for the motion, and no error."""
-    pixels, grey = LevelPixels.of(CAMERA, 0, 4, 1), luminance(seen(texture, AT_GOAL).image)
-    level = GoalLevel(pixels, grey, np.ones_like(pixels.x), "gain_offset")
-    normal = level.normal(np.float32(0.9) * grey + 7, "desired", robust)
-    assert np.linalg.norm(np.linalg.solve(normal.H, normal.b)) < 1e-5
-    assert normal.error_grey < 1e-3
+    grey = luminance(seen(texture, AT_GOAL).image)
+    level = GoalLevel.of(CAMERA, grey, 0, 4, 1, "gain_offset")
+    level = replace(level, inverse_depth=np.ones_like(level.x))
+    H, b, error_grey = level.normal(np.float32(0.9) * grey + 7, "desired", robust)
+    assert np.linalg.norm(np.linalg.solve(H, b)) < 1e-5
+    assert error_grey < 1e-3
 
 
 def test_without_structure_or_depth_it_rests(texture: np.ndarray) -> None:
@@ -195,9 +195,9 @@ def test_the_structure_of_the_goals_picture_is_measured_once(texture: np.ndarray
     asked, eigenvalues = [], np.linalg.eigvalsh
     monkeypatch.setattr(np.linalg, "eigvalsh", lambda H: asked.append(H) or eigenvalues(H))
     law, goal = Photometric(margin_px=4), goal_of(texture)
-    memory = law.init(goal)
+    state = law.init(goal)
     for _ in range(3):
-        memory, command = law.step(memory, looked(seen(texture, AT_GOAL)), goal, np.eye(6))
+        state, command = law.step(state, looked(seen(texture, AT_GOAL)), goal, np.eye(6))
         assert not command.rest_reason
     assert len(asked) == 1
 

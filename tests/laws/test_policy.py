@@ -16,7 +16,7 @@ from tests.examples import policy as example
 from tests.laws.onnx_file import DOUBLE, linear
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
 from vstestbed.laws.base import TwistLimits
-from vstestbed.laws.policy import ActionScale, Policy, observed
+from vstestbed.laws.policy import Policy, action_unit, observed
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import parse
 from vstestbed.studies.comparison import PLAN
@@ -86,14 +86,13 @@ class TestWhatItSees:
 
 class TestActions:
     def test_one_is_the_largest_velocity(self):
-        scale = ActionScale.of(TwistLimits(speed_mps=0.2, rate_radps=0.5), np.eye(6))
-        assert np.array_equal(scale.velocities(np.array([1, -1, 0.5, 1, 9, 0])), [0.2, -0.2, 0.1, 0.5, 0.5, 0])
-        assert np.array_equal(scale.action(np.array([0.1, 0, -7, 0.25, 0, 0])), [0.5, 0, -1, 0.5, 0, 0])
+        unit = action_unit(TwistLimits(speed_mps=0.2, rate_radps=0.5), np.eye(6))
+        assert np.array_equal(unit, [0.2, 0.2, 0.2, 0.5, 0.5, 0.5])
 
     def test_a_turn_of_the_base_counts_as_a_rate_though_it_moves_the_camera(self):
         omni = vs.load("omni_ibvs").robot
         basis = omni.motion_basis(vs.Mount.of(vs.load("omni_ibvs").camera.mount.T), omni.start_joints())
-        assert np.array_equal(ActionScale.of(TwistLimits(rate_radps=0.3), basis).per_unit, [1, 1, 0.3])
+        assert np.array_equal(action_unit(TwistLimits(rate_radps=0.3), basis), [1, 1, 0.3])
 
     def test_the_twist_keeps_the_limits(self):
         frame = first_frame()

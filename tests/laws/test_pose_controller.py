@@ -14,10 +14,10 @@ DT = 0.04
 
 def arrive(law, start, there, seconds=60.0):
     """The places on the way and the commands, of a vehicle that does as told with curvature up to 1.5 1/m."""
-    want, place, memory = goal(place=np.array(there, dtype=float)), np.array(start, dtype=float), None
-    memory, ways, speeds = law.init(want), [place], []
+    want, place, state = goal(place=np.array(there, dtype=float)), np.array(start, dtype=float), None
+    state, ways, speeds = law.init(want), [place], []
     for k in range(round(seconds / DT)):
-        memory, command = law.step(memory, observe(k * DT, place, ways[0]), want, BASIS)
+        state, command = law.step(state, observe(k * DT, place, ways[0]), want, BASIS)
         v, w = command.u
         w = np.clip(w, -1.5 * abs(v), 1.5 * abs(v))
         place = move(place, np.array([v, w]), DT)
@@ -49,17 +49,17 @@ def test_a_direction_may_be_told():
 
 def test_the_direction_is_chosen_once():
     law, want = PoseController(), goal(place=np.array([5.0, 0.0, 0.0]))
-    memory, _ = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
-    assert memory.direction == 1
-    memory, command = law.step(memory, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)  # now it lies behind
-    assert memory.direction == 1 and command.u[0] > 0
+    state, _ = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+    assert state[0] == 1
+    state, command = law.step(state, observe(1, np.array([0, 0, 3.0]), np.zeros(3)), want, BASIS)  # now it lies behind
+    assert state[0] == 1 and command.u[0] > 0
 
 
 def test_a_missed_goal_is_not_circled():
     law, want = PoseController(), goal(place=np.zeros(3))
-    memory, _ = law.step(law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS)
-    memory, command = law.step(memory, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS)  # abeam, 5 cm aside
-    assert memory.arrived and not command.u.any() and not command.rest_reason
+    state, _ = law.step(law.init(want), observe(0, np.array([-1.0, 0, 0]), np.zeros(3)), want, BASIS)
+    state, command = law.step(state, observe(1, np.array([0.02, 0.05, 0.0]), np.zeros(3)), want, BASIS)  # abeam, 5 cm aside
+    assert state[1] and not command.u.any() and not command.rest_reason
 
 
 def test_without_a_place_it_rests_and_says_so():
@@ -81,8 +81,8 @@ class TestArrival:
     def after(self, place, law=None, direction="auto"):
         law, want = law or PoseController(rest_m=0.03, pass_m=0.2, direction=direction), goal(place=np.zeros(3))
         start = observe(0, np.array([-1.0, 0, 0]), np.zeros(3))
-        memory, _ = law.step(law.init(want), start, want, BASIS)
-        return law.step(memory, observe(1, np.asarray(place, dtype=float), np.zeros(3)), want, BASIS)
+        state, _ = law.step(law.init(want), start, want, BASIS)
+        return law.step(state, observe(1, np.asarray(place, dtype=float), np.zeros(3)), want, BASIS)
 
     def test_where(self):
         for place, arrived in (
@@ -94,21 +94,21 @@ class TestArrival:
             ((-0.001, 0.1, 0), False),  # just not abeam: the goal is at 89 degrees
             ((0.001, 0.1, 0), True),  # at 91 degrees
         ):
-            memory, command = self.after(place)
-            assert memory.arrived is arrived
+            state, command = self.after(place)
+            assert state[1] is arrived
             assert command.u.any() != arrived
 
     def test_for_good(self):
         law, want = PoseController(), goal(place=np.zeros(3))
-        memory, _ = law.step(law.init(want), observe(0, np.array([-0.01, 0, 0]), np.zeros(3)), want, BASIS)
-        memory, command = law.step(memory, observe(1, np.array([-0.5, 0.3, 0]), np.zeros(3)), want, BASIS)
-        assert memory.arrived and not command.u.any()
+        state, _ = law.step(law.init(want), observe(0, np.array([-0.01, 0, 0]), np.zeros(3)), want, BASIS)
+        state, command = law.step(state, observe(1, np.array([-0.5, 0.3, 0]), np.zeros(3)), want, BASIS)
+        assert state[1] and not command.u.any()
 
     def test_directions(self):
         for direction, sign in (("forward", 1), ("reverse", -1)):
             law, want = PoseController(direction=direction), goal(place=np.array([3.0, 0, 0]))
-            memory, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
-            assert memory.direction == sign and np.sign(command.u[0]) == sign
+            state, command = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3)), want, BASIS)
+            assert state[0] == sign and np.sign(command.u[0]) == sign
 
     def test_the_command_is_the_polar_laws(self):
         law, want = PoseController(k_rho=0.4, k_alpha=3, k_beta=-1, speed_mps=0.7), goal(place=np.array([1.0, 0.5, 0.3]))

@@ -67,8 +67,8 @@ def test_the_projector_is_that_of_the_paper(T: np.ndarray):
 def test_near_the_goal_it_is_the_classical_one():
     for T in (CLOSE, GOAL.T_camera_target):
         large, classical = command(Large(), T), command(Classical(), T)
-        assert len(large.free) == 1 and large.free[0].share == 1
-        np.testing.assert_array_equal(large.free[0].twists, classical.free[0].twists)
+        assert len(large.free) == 1 and large.free[0][0] == 1
+        np.testing.assert_array_equal(large.free[0][1], classical.free[0][1])
     assert not secondary(command(Classical(), FAR)).any()
 
 

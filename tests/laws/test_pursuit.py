@@ -14,11 +14,11 @@ def follow(law, leader, seconds=40.0, gap=2.0):
     """Gap errors of a follower without masses behind a leader whose place is a function of time."""
     want = goal(gap_m=gap)
     place = start = np.array([-3.0, 0.3, 0.2])
-    memory, errors = law.init(want), []
+    state, errors = law.init(want), []
     for k in range(round(seconds / DT)):
         there = leader(k * DT)
         errors.append(np.hypot(*(there - place)[:2]) - gap)
-        memory, command = law.step(memory, observe(k * DT, place, start, there), want, BASIS)
+        state, command = law.step(state, observe(k * DT, place, start, there), want, BASIS)
         place = move(place, command.u, DT)
     return np.array(errors), place
 
@@ -57,13 +57,13 @@ def test_too_near_it_waits():
 
 def test_out_of_sight_it_coasts_and_then_rests():
     law, want = Pursuit(coast_s=0.5), goal(gap_m=2.0)
-    memory, first = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0])), want, BASIS)
+    state, first = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0])), want, BASIS)
     assert first.u[0] > 0
     unseen = observe(0.4, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False)
-    memory, coasting = law.step(memory, unseen, want, BASIS)
+    state, coasting = law.step(state, unseen, want, BASIS)
     np.testing.assert_array_equal(coasting.u, first.u)
     assert coasting.rest_reason
-    _, resting = law.step(memory, observe(0.6, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False), want, BASIS)
+    _, resting = law.step(state, observe(0.6, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False), want, BASIS)
     assert not resting.u.any() and resting.rest_reason
 
 
@@ -72,9 +72,9 @@ class TestOneFrame:
 
     HERE, LEADER = np.zeros(3), np.array([3.0, 1.0, 0])
 
-    def step(self, law, memory, t, place, there, seen=True):
+    def step(self, law, state, t, place, there, seen=True):
         return law.step(
-            memory, observe(t, np.asarray(place, dtype=float), self.HERE, np.asarray(there, dtype=float), seen), goal(gap_m=2.0), BASIS
+            state, observe(t, np.asarray(place, dtype=float), self.HERE, np.asarray(there, dtype=float), seen), goal(gap_m=2.0), BASIS
         )
 
     def test_speed_and_arc(self):
@@ -85,11 +85,11 @@ class TestOneFrame:
 
     def test_the_leaders_speed_is_filtered_and_counts_the_own_way(self):
         law = Pursuit(gain=1.0, filter_s=0.5)
-        memory, _ = self.step(law, law.init(goal(gap_m=2.0)), 1.0, self.HERE, (3, 0, 0))
+        state, _ = self.step(law, law.init(goal(gap_m=2.0)), 1.0, self.HERE, (3, 0, 0))
         # In .2 s .1 m nearer by its own .3 m: the leader drove .2 m, at 1 m/s; the filter takes 1 - exp(-.2/.5) of that.
-        memory, command = self.step(law, memory, 1.2, (0.3, 0, 0), (3.2, 0, 0))
+        state, command = self.step(law, state, 1.2, (0.3, 0, 0), (3.2, 0, 0))
         speed = (1 - np.exp(-0.4)) * 1.0
-        assert memory.speed == pytest.approx(speed, rel=1e-6)
+        assert state.speed == pytest.approx(speed, rel=1e-6)
         assert command.u[0] == pytest.approx(speed + 0.9, rel=1e-6)
         # Sideways of the line of sight its own way brings it no nearer: at 60 degrees, half of it.
         aside = np.array([1.0, np.sqrt(3.0), 0]) * 1.5
@@ -99,22 +99,22 @@ class TestOneFrame:
 
     def test_a_second_picture_of_the_same_time_tells_no_speed(self):
         law = Pursuit()
-        memory, _ = self.step(law, law.init(goal(gap_m=2.0)), 1.0, self.HERE, (3, 0, 0))
-        again, command = self.step(law, memory, 1.0, self.HERE, (3.5, 0, 0))
+        state, _ = self.step(law, law.init(goal(gap_m=2.0)), 1.0, self.HERE, (3, 0, 0))
+        again, command = self.step(law, state, 1.0, self.HERE, (3.5, 0, 0))
         assert again.speed == 0 and command.u[0] == pytest.approx(1.5)
 
     def test_at_the_target_itself_the_arc_is_bounded(self):
         law = Pursuit(gain=1.0)
-        memory, _ = self.step(law, law.init(goal(gap_m=2.0)), 0.0, (-9, 0, 0), (0, 0, 0))
-        _, command = law.step(memory, observe(0.04, self.HERE, np.array([-9.0, 0, 0]), np.array([0, 1e-9, 0])), goal(gap_m=2.0), BASIS)
+        state, _ = self.step(law, law.init(goal(gap_m=2.0)), 0.0, (-9, 0, 0), (0, 0, 0))
+        _, command = law.step(state, observe(0.04, self.HERE, np.array([-9.0, 0, 0]), np.array([0, 1e-9, 0])), goal(gap_m=2.0), BASIS)
         assert np.isfinite(command.u).all()
 
     def test_it_coasts_up_to_its_time_and_says_what_is_missing(self):
         law = Pursuit(coast_s=0.5)
-        memory, first = self.step(law, law.init(goal(gap_m=2.0)), 0.0, self.HERE, self.LEADER)
+        state, first = self.step(law, law.init(goal(gap_m=2.0)), 0.0, self.HERE, self.LEADER)
         for t, moves in ((0.5, True), (0.51, False)):
-            after, command = self.step(law, memory, t, self.HERE, self.LEADER, seen=False)
-            assert after is memory and command.rest_reason == "too few markers in sight"
+            after, command = self.step(law, state, t, self.HERE, self.LEADER, seen=False)
+            assert after is state and command.rest_reason == "too few markers in sight"
             np.testing.assert_array_equal(command.u, first.u if moves else [0, 0])
         _, command = law.step(law.init(goal()), observe(0.0, self.HERE, self.HERE), goal(gap_m=2.0), BASIS)
         assert command.rest_reason == "the pose cannot be estimated" and not command.u.any()

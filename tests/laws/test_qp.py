@@ -52,10 +52,10 @@ WITHIN = [
 def test_where_nothing_binds_it_is_the_law_within(within: Any) -> None:
     law = QP(law=within)
     _, frames = flown(law, changes={"stop.duration_s": 0.3})
-    memory = within.init(frames[0].goal)
+    state = within.init(frames[0].goal)
     free = 0
     for frame in frames:
-        memory, alone = within.step(memory, frame.observation, frame.goal, np.eye(6))
+        state, alone = within.step(state, frame.observation, frame.goal, np.eye(6))
         if frame.command.mode == 0:
             free += 1
             np.testing.assert_allclose(frame.command.twist, alone.twist, atol=2e-4 * np.abs(alone.twist).max())

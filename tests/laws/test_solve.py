@@ -15,9 +15,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.features import Point
 from vstestbed.features.depth import OracleDepth
-from vstestbed.features.observation import Goal, Observation, OwnMotion
+from vstestbed.features.observation import EgoMotion, Goal, Observation
 from vstestbed.laws import IBVS, PBVS, Hybrid, Law, LineFollowing, Partitioned
-from vstestbed.laws.error_law import Followed
+from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.feedforward import KalmanCV, follow
 from vstestbed.laws.solve import PINV_RCOND, Solve, least_squares
 from vstestbed.robots import Mount
@@ -228,26 +228,27 @@ class TestLawsUseIt:
 
     def test_the_target_of_a_feedforward(self):
         change, solve = (np.ones(6), np.diag([1.0, 1, 1, 1, 1, 0.05])), Solve(cutoff=0.1)
-        still = OwnMotion(np.zeros(6), 0.04, np.zeros(6), 0.0, np.zeros(6))
+        still = EgoMotion(np.zeros(6), 0.04, np.zeros(6), 0.0, np.zeros(6))
         trend = follow(KalmanCV(), follow(KalmanCV(), None, None, np.eye(6), still), change, np.eye(6), still, solve)
-        np.testing.assert_allclose(trend.way, [1, 1, 1, 1, 1, 0], atol=1e-12)
+        np.testing.assert_allclose(trend.moved, [1, 1, 1, 1, 1, 0], atol=1e-12)
         # A law's own estimate of a target that has moved sideways, of which this cutoff leaves the tilt alone.
         before = self.observation()
         moved = replace(before, xy=before.xy + [0.01, 0], motion=still)
-        state = Followed(before, 0.0, np.zeros(4), KalmanCV().update(None, None, 0.04, 6))
+        estimate = KalmanCV().update(None, None, 0.04, 6)
+        state = ErrorState(np.zeros(0), seen=before, known_t=0.0, marker_t=np.zeros(4), target=estimate)
         L = Point().interaction(before.xy, before.depth)
         for solve in (Solve(), Solve(cutoff=0.5)):
             law = IBVS(solve=solve, feedforward=KalmanCV())
-            memory, _ = law.step(replace(law.init(self.GOAL), followed=state), moved, self.GOAL, np.eye(6))
+            after, _ = law.step(state, moved, self.GOAL, np.eye(6))
             mean = (L + Point().interaction(moved.xy, moved.depth)) / 2
-            assert memory.followed.trend is not None
-            np.testing.assert_allclose(memory.followed.trend.way, self.solved(solve, mean, np.tile([0.01, 0], 4)), atol=1e-10)
+            assert after.target is not None
+            np.testing.assert_allclose(after.target.moved, self.solved(solve, mean, np.tile([0.01, 0], 4)), atol=1e-10)
 
     def test_directions_that_are_left_out_are_free_for_a_secondary_task(self):
         for solve, free in ((Solve(), 0), (Solve(cutoff=0.1), 2)):
             law = IBVS(redundant=True, solve=solve)
             command = law.step(law.init(self.GOAL), self.observation(), self.GOAL, np.eye(6))[1]
-            assert [f.twists.shape for f in command.free] == [(6, free)]
+            assert [twists.shape for _, twists in command.free] == [(6, free)]
 
     def test_the_turn_of_a_line_follower(self):
         basis = Mount.of(UNDER.T).to_camera @ CAR

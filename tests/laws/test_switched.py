@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose, transform
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, PBVS, Switched
-from vstestbed.laws.switched import Turn, Until, quantity
+from vstestbed.laws.switched import QUANTITIES, Stage, SwitchCondition
 from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
 from vstestbed.report.run.page import rows
@@ -38,9 +38,9 @@ def half_turned(law: object, **changes: object) -> vs.Scenario:
     return vs.load("ibvs_retreat", {"law": law, "detector": "oracle", "camera.rate_hz": 25, **changes})
 
 
-def of(first: Until, *others: object, **fields: object) -> Switched:
+def of(first: SwitchCondition, *others: object, **fields: object) -> Switched:
     """IBVS until that, then the others."""
-    return Switched(laws=(Turn(law=IBVS(), until=first), *others), **fields)  # pyright: ignore[reportArgumentType]
+    return Switched(laws=(Stage(law=IBVS(), until=first), *others), **fields)  # pyright: ignore[reportArgumentType]
 
 
 def seen(T: np.ndarray, t: float = 0.0, **more: object) -> Observation:
@@ -66,16 +66,23 @@ numbers = st.sampled_from([1.0, 7.9, 8.0, 8.1, 10.0, 12.0, 12.1, 15.0, np.nan])
     prefer=st.sampled_from(["active", "first"]),
     hysteresis=st.sampled_from([0.0, 0.2]),
     dwell=st.sampled_from([0, 1, 3]),
-    other=st.sampled_from([Until(error_under_px=8.0), Until(error_over_px=12.0), Until(error_over_px=12.0, error_under_px=2.0)]),
+    other=st.sampled_from(
+        [SwitchCondition(error_under_px=8.0), SwitchCondition(error_over_px=12.0), SwitchCondition(error_over_px=12.0, error_under_px=2.0)]
+    ),
 )
 @settings(max_examples=60, derandomize=True, database=None, deadline=None)
-def test_the_choice_is_that_of_a_state_machine(errors: list[float], prefer: Any, hysteresis: float, dwell: int, other: Until):
+def test_the_choice_is_that_of_a_state_machine(errors: list[float], prefer: Any, hysteresis: float, dwell: int, other: SwitchCondition):
     """Three laws with thresholds on the image error; the machine is written down once more, by states and thresholds."""
     law = of(
-        Until(error_over_px=10.0), Turn(law=PBVS(), until=other), Turn(law=IBVS()), prefer=prefer, hysteresis=hysteresis, dwell_s=dwell / 25
+        SwitchCondition(error_over_px=10.0),
+        Stage(law=PBVS(), until=other),
+        Stage(law=IBVS()),
+        prefer=prefer,
+        hysteresis=hysteresis,
+        dwell_s=dwell / 25,
     )
     low, high = other.error_under_px or -np.inf, other.error_over_px or np.inf
-    memory, basis = law.init(GOAL), np.eye(6)
+    state, basis = law.init(GOAL), np.eye(6)
     active, stayed, barred = 0, 10**6, {0: False, 1: False, 2: False}
     for k, e in enumerate(errors):
         if e > 10:
@@ -94,25 +101,25 @@ def test_the_choice_is_that_of_a_state_machine(errors: list[float], prefer: Any,
             stayed = 0
         stayed += 1
         view = replace(seen(GOAL.T_camera_target, k / 25), uv=GOAL.uv + e)  # RMS e; NaN: nothing is seen
-        memory, command = law.step(memory, view, GOAL, basis)
+        state, command = law.step(state, view, GOAL, basis)
         assert law.modes[command.mode] == ("ibvs 1", "pbvs", "ibvs 2")[active], (k, e)
 
 
 def test_quantities():
     T = Pose(xyz=(0.3, 0.1, 1.5), rpy_deg=(0, 0, 30)).T
     view, start = seen(T), 1.2
-    assert quantity("position", view, GOAL, start) == pytest.approx(np.linalg.norm((GOAL.T_camera_target @ np.linalg.inv(T))[:3, 3]))
-    assert quantity("rotation", view, GOAL, start) == pytest.approx(30)
-    assert quantity("retreat", view, GOAL, start) == pytest.approx(np.linalg.norm([0.3, 0.1, 1.5]) - start)
-    assert quantity("error", view, GOAL, start) == pytest.approx(np.sqrt(np.mean((view.uv - GOAL.uv) ** 2)))
+    assert QUANTITIES["position"][0](view, GOAL, start) == pytest.approx(np.linalg.norm((GOAL.T_camera_target @ np.linalg.inv(T))[:3, 3]))
+    assert QUANTITIES["rotation"][0](view, GOAL, start) == pytest.approx(30)
+    assert QUANTITIES["retreat"][0](view, GOAL, start) == pytest.approx(np.linalg.norm([0.3, 0.1, 1.5]) - start)
+    assert QUANTITIES["error"][0](view, GOAL, start) == pytest.approx(np.sqrt(np.mean((view.uv - GOAL.uv) ** 2)))
     nearest = min(view.uv.min() + 0.5, 999.5 - view.uv.max())
-    assert quantity("border", replace(view, radius_px=np.full(4, 3.0)), GOAL, start) == pytest.approx(nearest - 3)
+    assert QUANTITIES["border"][0](replace(view, radius_px=np.full(4, 3.0)), GOAL, start) == pytest.approx(nearest - 3)
     gone = replace(view, uv=np.where([[True], [False], [False], [False]], np.nan, view.uv))
-    assert quantity("border", gone, GOAL, start) == 0.0
+    assert QUANTITIES["border"][0](gone, GOAL, start) == 0.0
     counted = replace(GOAL, counted=np.array([False, True, True, True]))
-    assert quantity("border", gone, counted, start) > 0
-    assert np.isnan(quantity("rotation", replace(view, T_camera_target=None), GOAL, start))
-    assert np.isnan(quantity("joint_margin", view, GOAL, start))
+    assert QUANTITIES["border"][0](gone, counted, start) > 0
+    assert np.isnan(QUANTITIES["rotation"][0](replace(view, T_camera_target=None), GOAL, start))
+    assert np.isnan(QUANTITIES["joint_margin"][0](view, GOAL, start))
 
 
 def test_the_margin_of_the_joints_is_that_of_the_nearest_limit():
@@ -122,7 +129,7 @@ def test_the_margin_of_the_joints_is_that_of_the_nearest_limit():
     model = robot.own_model(vs.Reading(q, q), controller._mount_at(q))
     near = replace(model, q=np.where(np.arange(6) == 2, model.high - np.radians(4.0), q))
     assert "robot" in scenario.law.inputs
-    assert quantity("joint_margin", replace(seen(GOAL.T_camera_target), robot=near), GOAL, np.nan) == pytest.approx(4)
+    assert QUANTITIES["joint_margin"][0](replace(seen(GOAL.T_camera_target), robot=near), GOAL, np.nan) == pytest.approx(4)
 
 
 def test_after_a_switch_the_command_crosses_over():
@@ -232,7 +239,7 @@ def test_laws_that_cannot_work_in_turn_are_refused():
 
 
 def test_what_it_tells_of_itself():
-    law = of(Until(border_under_px=30.0, retreat_over_m=1.0), Turn(law=PBVS()))
+    law = of(SwitchCondition(border_under_px=30.0, retreat_over_m=1.0), Stage(law=PBVS()))
     assert law.tasks == ("view",) and law.modes == ("ibvs", "pbvs")
     assert law.inputs == ("xy", "depth", "T_camera_target", "radius_px")
     assert law.feature == IBVS().feature and law.limits.speed_mps is None

@@ -14,7 +14,7 @@ from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import Command, Uncalibrated
 from vstestbed.laws.points import TOO_FEW
-from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, Broyden, MotionSums, RecursiveLeastSquares, UncalibratedMemory
+from vstestbed.laws.uncalibrated import EXCITES, NO_CIRCLE, SERVOES, TILTS, Broyden, MotionSums, RecursiveLeastSquares, UncalibratedState
 from vstestbed.robots.own_model import OwnModel
 
 ENDLESS = np.full(3, np.inf)
@@ -92,7 +92,7 @@ class Plant:
         goal = Goal.from_view(vs.load("ibvs_book").camera, np.array([[0.1, 0, 1], [0, 0.1, 1], [-0.1, 0, 1]]), np.eye(4))
         self.goal = replace(goal, uv=60 * rng.normal(size=(3, 2)))
         self.start = self.goal.uv - (self.J @ np.array([0.2, -0.15, 0.1]))
-        self.memory: UncalibratedMemory = law.init(self.goal)
+        self.state: UncalibratedState = law.init(self.goal)
         self.places, self.orders = [self.q], [np.zeros(3)] * (late + 1)
 
     def step(self, hide: tuple[int, ...] = (), dt: float = 0.04) -> Command:
@@ -105,7 +105,7 @@ class Plant:
         robot = replace(robot, moved=moved, since_s=dt if self.t else 0.0, underway=pending, underway_s=self.late * dt)
         seen = Observation(self.t, uv, uv, np.ones(3), robot=robot)
         self.places.append(self.q)
-        self.memory, command = self.law.step(self.memory, seen, self.goal, np.eye(6)[:, :3])
+        self.state, command = self.law.step(self.state, seen, self.goal, np.eye(6)[:, :3])
         if command.rates is not None:
             self.orders.append(command.rates)
         self.q = self.q + dt * self.orders[-1 - self.late]
@@ -125,8 +125,8 @@ def test_a_linear_plant_is_measured_and_driven_to_the_goal(estimator: Any, late:
     modes = [plant.step().mode for _ in range(500)]
     first = modes.index(SERVOES)
     assert set(modes[:first]) == {EXCITES} and set(modes[first:]) == {SERVOES}
-    assert plant.memory.estimate is not None
-    np.testing.assert_allclose(plant.memory.estimate.J * plant.memory.estimate.scale, plant.J, rtol=1e-6, atol=1e-4)
+    assert plant.state.estimate is not None
+    np.testing.assert_allclose(plant.state.estimate.J * plant.state.estimate.scale, plant.J, rtol=1e-6, atol=1e-4)
     assert plant.error_px() < 0.1
 
 
@@ -155,19 +155,19 @@ def test_a_jacobian_that_turned_wrong_is_measured_anew() -> None:
         pass
     plant.start, plant.J = plant.start + 2 * plant.J @ plant.q, -plant.J  # as if the camera had been mounted upside down
     modes = [plant.step().mode for _ in range(1500)]
-    assert plant.memory.excitations >= 2 and EXCITES in modes and plant.error_px() < 0.2
-    assert plant.memory.patience_s == 3.0 * 2 ** (plant.memory.excitations - 1)
+    assert plant.state.excitations >= 2 and EXCITES in modes and plant.error_px() < 0.2
+    assert plant.state.patience_s == 3.0 * 2 ** (plant.state.excitations - 1)
 
 
 def test_a_marker_out_of_sight_keeps_its_rows_and_too_few_are_rest() -> None:
     plant = Plant(Uncalibrated())
     while plant.step().mode == EXCITES:
         pass
-    assert plant.memory.estimate is not None
-    rows = plant.memory.estimate.J[0]
+    assert plant.state.estimate is not None
+    rows = plant.state.estimate.J[0]
     for _ in range(20):
         assert plant.step(hide=(0,)).mode == SERVOES
-    np.testing.assert_array_equal(plant.memory.estimate.J[0], rows)
+    np.testing.assert_array_equal(plant.state.estimate.J[0], rows)
     command = plant.step(hide=(0, 1))
     assert command.rest_reason == TOO_FEW and not command.twist.any()
     for _ in range(300):
@@ -187,7 +187,7 @@ def test_an_excitation_that_loses_the_markers_goes_back_by_the_sensors(dynamic: 
     assert np.linalg.norm(plant.J @ (plant.q * [0, 1, 0]), axis=1).mean() < 3
     for _ in range(500):
         plant.step()
-    assert plant.error_px() < 0.5 and plant.memory.excitations == 1
+    assert plant.error_px() < 0.5 and plant.state.excitations == 1
 
 
 @pytest.mark.parametrize(("model", "why"), [({"turning_radius_m": 1.0}, NO_CIRCLE), ({"tilt": np.zeros(2)}, TILTS)])
@@ -217,12 +217,12 @@ def frames_of(name: str, seconds: float) -> tuple[vs.Recording, list[vs.Frame], 
 @pytest.mark.parametrize("name", ["arm_ibvs", "arm_eye_to_hand"])
 def test_the_measured_jacobian_is_that_of_the_arm_and_the_camera(name: str) -> None:
     _, frames, scenario = frames_of(name, 7.0)
-    memory, robot, q = scenario.law.init(frames[0].goal), scenario.robot, frames[0].truth.q
+    state, robot, q = scenario.law.init(frames[0].goal), scenario.robot, frames[0].truth.q
     for frame in frames:
-        memory, command = scenario.law.step(memory, frame.observation, frame.goal, np.eye(6))
+        state, command = scenario.law.step(state, frame.observation, frame.goal, np.eye(6))
         if command.mode == SERVOES:
             break
-    J = memory.estimate.J * memory.estimate.scale
+    J = state.estimate.J * state.estimate.scale
 
     def pixels(at: np.ndarray) -> np.ndarray:
         flange, mount = robot.flange_pose(at), scenario.camera.mount.T
@@ -238,7 +238,7 @@ def test_commands_follow_from_pixels_and_sensors_alone() -> None:
     recording, frames, scenario = frames_of("arm_ibvs", 8.0)
     law, rng = cast(Any, scenario.law), np.random.default_rng(7)
     fisheye = vs.load("arm_fisheye").camera
-    memory = law.init(frames[0].goal)
+    state = law.init(frames[0].goal)
     assert set(recording["law_mode"]) == {EXCITES, SERVOES}
     for frame in frames:
         robot = frame.observation.robot
@@ -247,7 +247,7 @@ def test_commands_follow_from_pixels_and_sensors_alone() -> None:
         n = len(frame.observation.uv)
         garbage = {"xy": rng.normal(size=(n, 2)), "depth": rng.normal(size=n), "T_camera_target": None}
         goal = replace(frame.goal, depth=np.full(n, np.nan), T_camera_target=np.zeros((4, 4)), camera=fisheye)
-        memory, command = law.step(memory, replace(frame.observation, robot=wrong, **garbage), goal, np.eye(6))
+        state, command = law.step(state, replace(frame.observation, robot=wrong, **garbage), goal, np.eye(6))
         np.testing.assert_array_equal(command.rates, frame.command.rates)
         np.testing.assert_allclose(frame.command.twist, robot.J @ frame.command.rates)
     assert law.depth == AtGoal() and law.inputs == ("robot",)

@@ -11,7 +11,6 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError
 from vstestbed.laws import IBVS
-from vstestbed.laws.base import FreeMotions
 from vstestbed.testing.laws import quick
 
 NAN = np.full(6, np.nan)
@@ -37,12 +36,12 @@ def wild(value: Any) -> Any:
     [
         (ParameterError("damping", "must be <= 1000", 2000), "raised ParameterError: damping must be <= 1000, got 2000"),
         (SystemExit(3), "raised SystemExit: 3"),
-        (None, "returned NoneType; its step must return (memory, Command)"),
+        (None, "returned NoneType; its step must return (state, Command)"),
         (lambda c: replace(c, twist=[0.0] * 6), "gave the twist [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]; the twist of a Command must be an array"),
         (lambda c: replace(c, twist=np.zeros(3)), "gave the twist array([0., 0., 0.]); the twist of a Command must be an array of six"),
         (lambda c: replace(c, twist=NAN), "gave a twist that is not finite, [nan"),
         (lambda c: replace(c, rates=NAN), "gave rates that are not finite, [nan"),
-        (lambda c: replace(c, free=(FreeMotions(1.0, NAN[:, None]),)), "gave free motions that are not finite"),
+        (lambda c: replace(c, free=((1.0, NAN[:, None]),)), "gave free motions that are not finite"),
     ],
     ids=["ParameterError", "SystemExit", "None", "list", "short", "twist", "rates", "free"],
 )

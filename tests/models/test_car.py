@@ -10,7 +10,7 @@ import pytest
 
 from tests.shortcuts import one_quick
 from vstestbed.core.planar import moved
-from vstestbed.laws.pose_controller import PolarGains, polar_law
+from vstestbed.laws.pose_controller import polar_law
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading
 from vstestbed.robots.car import BUGGY, Car, CarLimits, CarServos, drive
@@ -330,7 +330,7 @@ def test_at_three_metres_a_second_it_slides_and_does_not_tip(rubber):
 )
 def test_under_the_polar_law_it_drives_as_the_ideal_bicycle(rubber, start, way):
     """The law knows the true place, at 25 Hz; what differs is lag, tyres and springs."""
-    goal, gains, mount = np.array([5, 5, np.pi / 2]), PolarGains(1, 4, -2.5), Mount.of(np.eye(4))
+    goal, gains, mount = np.array([5, 5, np.pi / 2]), (1, 4, -2.5), Mount.of(np.eye(4))
     driver, order = Driver(rubber), [0.0, 0.0]
     driver.data.qpos[[0, 1, 3, 6]] = *start[:2], np.cos(start[2] / 2), np.sin(start[2] / 2)
     basis, limits = driver.car.motion_basis(mount, driver.reading.q), driver.car.limits

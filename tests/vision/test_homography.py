@@ -25,8 +25,8 @@ def compare(T: Array, xy: Array | None = None) -> tuple[float, float]:
     assert found is not None
     R = T[:3, :3] @ GOAL[:3, :3].T
     goal, now = transform(GOAL, POINTS), transform(T, POINTS)
-    m = (goal / goal[:, 2:]) @ found.H.T
-    return float(rotation_angle(found.R_camera_goal @ R.T)), float(np.abs(m - now / goal[:, 2:]).max())
+    m = (goal / goal[:, 2:]) @ found[0].T
+    return float(rotation_angle(found[1] @ R.T)), float(np.abs(m - now / goal[:, 2:]).max())
 
 
 def some_pose() -> Array:
@@ -84,7 +84,7 @@ def test_frontal_views_the_goal_itself_and_shifts_alone(distance: float):
         for T in views:
             found = relative_view(project(goal), project(T), goal[:3, 2])
             assert found is not None
-            worst = max(worst, float(rotation_angle(found.R_camera_goal @ (T[:3, :3] @ goal[:3, :3].T).T)))
+            worst = max(worst, float(rotation_angle(found[1] @ (T[:3, :3] @ goal[:3, :3].T).T)))
     assert worst < 5e-7  # the root of rounding
 
 

@@ -18,9 +18,9 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws import IBVS
-from vstestbed.laws.error_law import Followed
+from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.feedforward import KalmanCV
-from vstestbed.laws.points import carried_markers
+from vstestbed.laws.points import reckoned_markers
 from vstestbed.loop.controller import detail
 from vstestbed.vision import Keypoints, keypoints
 from vstestbed.vision.keypoints import Klt, Slots
@@ -225,12 +225,12 @@ def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
     before, other = observed(xy, list(range(8))), xy.copy()
     other[3] += 0.2  # another point in this row
     now = observed(other, [0, 1, 2, 30, 4, 5, 6, 7])
-    state = Followed(before, 0.0, np.zeros(8), KalmanCV().update(None, None, 0.1, 6))
+    state = ErrorState(np.zeros(0), seen=before, known_t=0.0, marker_t=np.zeros(8), target=KalmanCV().update(None, None, 0.1, 6))
     change = IBVS()._change(state, now, Goal.of_points(CAMERA, np.column_stack([xy, np.ones(8)]), T_GOAL), np.eye(6))
     assert change is not None and change[0].shape == (14,) and np.abs(change[0]).max() < 1e-12
     lost = other.copy()
     lost[[3, 5]] = np.nan
-    carried = carried_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))
+    carried = reckoned_markers(observed(lost, [0, 1, 2, 30, 4, 5, 6, 7]), before, np.eye(4), np.full(8, 0.04), 0.3, np.eye(6))
     np.testing.assert_allclose(carried.xy[5], xy[5], atol=1e-9)
     assert np.isnan(carried.xy[3]).all()
     flow = FlowState(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))

@@ -51,7 +51,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
             name: gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype) for name, b in self._rollout.bounds().items()
         }
         self.observation_space = gymnasium.spaces.Dict(boxes)
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.scale.per_unit.shape, np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.action_unit.shape, np.float64)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode: its observation and info. `options` has no effect."""

@@ -13,7 +13,7 @@ import numpy as np
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
-from vstestbed.laws.policy import MOST_PX, ActionScale, observed
+from vstestbed.laws.policy import MOST_PX, action_unit, observed
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
 from vstestbed.report.video.film import Pictures, quality_of, replay_of
@@ -120,7 +120,7 @@ class Rollout:
     no markers, `both` has all.
 
     Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
-    none (`laws.policy.ActionScale`); clipped. It has the scenario's latency and the robot's limits.
+    none (`laws.policy.action_unit`); clipped. It has the scenario's latency and the robot's limits.
 
     An episode ends with the run's outcome: truncated by a time-out, terminated by any other. Two of the ends can be switched off for
     learners, who rest and lose the target often: `local_minimum` (and `stuck` of the monitor `settles`), and `target_lost`.
@@ -157,7 +157,7 @@ class Rollout:
         self.scenario = replace(given, stop=replace(given.stop, **rest, **loss))
         self._mode, self._reward = observation, reward
         robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
-        self.scale = ActionScale.of(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
+        self.action_unit = action_unit(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
         self._frame: Frame | None = None
         self._replay: Replay | None = None
@@ -196,7 +196,7 @@ class Rollout:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
         Raises ParameterError: an action of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
         """
-        u = self.scale.velocities(self._checked(action))
+        u = self.action_unit * np.clip(self._checked(action), -1.0, 1.0)
         session, frame = self._running()
         if frame.outcome is None:
             frame = self._frame = session.step(u)
@@ -212,7 +212,7 @@ class Rollout:
 
     def expert(self) -> Array:
         """The action (n,) of the scenario's own law for the last frame, clipped to [-1, 1]: a demonstration. SessionError without one."""
-        return self.scale.action(self._running()[1].command.u)
+        return np.clip(self._running()[1].command.u / self.action_unit, -1.0, 1.0)
 
     def recording(self) -> Recording:
         """The episode so far, as `Session.recording`. Raises SessionError: before `reset`, or after `close`."""
@@ -256,8 +256,8 @@ class Rollout:
             numbers = np.array(action, dtype=float)
         except (TypeError, ValueError):
             numbers = np.zeros(0)
-        if numbers.shape != self.scale.per_unit.shape:
-            raise ParameterError("action", f"must be {len(self.scale.per_unit)} numbers in [-1, 1]", action)
+        if numbers.shape != self.action_unit.shape:
+            raise ParameterError("action", f"must be {len(self.action_unit)} numbers in [-1, 1]", action)
         if not np.isfinite(numbers).all():  # not their sum: it may overflow
             raise ParameterError("action", "must be finite", action)
         return numbers

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ class DepthCues(NamedTuple):
     p_by_size: Array | None = None
 
 
-class DepthSource(ABC):
+class DepthSource:
     """Where depths Z (along the optical axis) and ranges (along the ray) of the markers come from."""
 
     kind: Any  # the word in a scenario: a field of each
@@ -54,37 +53,29 @@ class DepthSource(ABC):
         """Measured depths (N,) [m] at pixels uv (N, 2) of a depth picture (H, W) [m]; None for a source that needs none."""
         return None
 
-    @abstractmethod
-    def depths(self, cues: DepthCues) -> Array:
-        """Depth of each marker, shape (N,) [m], NaN where unknown."""
-
-    def ranges(self, cues: DepthCues) -> Array:
-        """Range of each marker, shape (N,) [m], NaN where unknown; by default the depth, which a law of ranges takes for it."""
-        return self.depths(cues)
-
-
-class FromPose(DepthSource):
-    """Depth from the estimated pose of the target."""
-
-    needs_pose: ClassVar[bool] = True
+    def points(self, cues: DepthCues) -> Array | None:
+        """The markers in the camera frame (N, 3) [m] by this source, None where it knows none; by default by the estimated pose."""
+        return cues.p_estimated
 
     def depths(self, cues: DepthCues) -> Array:
-        """Z of the markers under the estimated pose, at least NEAREST_M for those that are seen."""
-        if cues.p_estimated is None:
+        """Depth of each marker, shape (N,) [m], NaN where unknown; by default that of `points`, at least NEAREST_M for those seen."""
+        p = self.points(cues)
+        if p is None:
             return np.full(len(cues.xy), np.nan)
-        z = cues.p_estimated[:, 2]
-        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(z, NEAREST_M), z)
+        return np.where(np.isfinite(cues.xy[:, 0]), np.maximum(p[:, 2], NEAREST_M), p[:, 2])
 
     def ranges(self, cues: DepthCues) -> Array:
-        """Distance of the markers under the estimated pose."""
-        return np.full(len(cues.xy), np.nan) if cues.p_estimated is None else lengths(cues.p_estimated)[:, 0]
+        """Range of each marker, shape (N,) [m], NaN where unknown; by default that of `points`."""
+        p = self.points(cues)
+        return np.full(len(cues.xy), np.nan) if p is None else lengths(p)[:, 0]
 
 
 @spec
-class PnP(FromPose):
+class PnP(DepthSource):
     """Depth from the target's pose, solved from its known points and the measured pixels (perspective-n-point)."""
 
     kind: Literal["pnp"] = "pnp"
+    needs_pose: ClassVar[bool] = True
 
 
 @spec
@@ -102,6 +93,8 @@ class Constant(DepthSource):
     def depths(self, cues: DepthCues) -> Array:
         """The same number for all."""
         return np.full(len(cues.xy), self.depth_m)
+
+    ranges = depths  # which a law of ranges takes for it
 
 
 @spec
@@ -162,13 +155,9 @@ class BySize(DepthSource):
     kind: Literal["size"] = "size"
     needs_size: ClassVar[bool] = True
 
-    def depths(self, cues: DepthCues) -> Array:
-        """Z of the points of the outline."""
-        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else cues.p_by_size[:, 2]
-
-    def ranges(self, cues: DepthCues) -> Array:
-        """Distance of the points of the outline."""
-        return np.full(len(cues.xy), np.nan) if cues.p_by_size is None else lengths(cues.p_by_size)[:, 0]
+    def points(self, cues: DepthCues) -> Array | None:
+        """The points of the outline."""
+        return cues.p_by_size
 
 
 @spec
@@ -178,22 +167,19 @@ class OracleDepth(DepthSource):
     kind: Literal["oracle"] = "oracle"
     true: ClassVar[bool] = True
 
-    def depths(self, cues: DepthCues) -> Array:
-        """True depths."""
-        return self._true(cues)[:, 2]
-
-    def ranges(self, cues: DepthCues) -> Array:
-        """True ranges."""
-        return np.linalg.norm(self._true(cues), axis=1)
-
-    def _true(self, cues: DepthCues) -> Array:
+    def points(self, cues: DepthCues) -> Array:
+        """The true places of the markers."""
         if cues.p_true is None:
             raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate, sensor")
         return cues.p_true
 
+    def depths(self, cues: DepthCues) -> Array:
+        """True depths, also of a marker behind the camera."""
+        return self.points(cues)[:, 2]
+
 
 @spec
-class OnFloor(FromPose):
+class OnFloor(DepthSource):
     """For a vehicle: depth from its place on the floor, solved from two or more landmarks of known height.
 
     The mount is known, the vehicle stands upright (one that pitches on its suspension is off by as much): three unknowns, where `pnp` has
@@ -201,6 +187,7 @@ class OnFloor(FromPose):
     """
 
     kind: Literal["floor"] = "floor"
+    needs_pose: ClassVar[bool] = True
     on_floor: ClassVar[bool] = True
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,12 @@ class Sight:
     depth: NDArray[np.float32] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Relative:
-    """This view against the goal's, from the image of one plane: the homography H (3, 3) with Z/Z* m = H m*, and R_camera_goal."""
-
-    H: Array
-    R_camera_goal: Array
+Relative = tuple[Array, Array]
+"""This view against the goal's, from the image of one plane: the homography H (3, 3) with Z/Z* m = H m*, and R_camera_goal (3, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
-class OwnMotion:
+class EgoMotion:
     """The camera's own motion, as measured by the robot (joints) and as commanded.
 
     Attributes:
@@ -85,7 +80,7 @@ class Observation:
     relative: Relative | None = None
     odometry: Array | None = None
     place: Array | None = None
-    motion: OwnMotion | None = None
+    motion: EgoMotion | None = None
     radius_px: Array | None = None
     proprioception: Array | None = None
     robot: OwnModel | None = None
@@ -117,13 +112,6 @@ class Observation:
         return replace(self, **kept)
 
 
-class FittedPlane(NamedTuple):
-    """The plane that fits points best: their mean (3,) [m], and the unit normal (3,) away from the origin."""
-
-    middle: Array
-    normal: Array
-
-
 @dataclass(frozen=True)
 class Goal:
     """The goal of a law: a view through a calibrated camera, and the other quantities of tasks that are not defined by a view.
@@ -131,7 +119,8 @@ class Goal:
     Attributes:
         uv: markers in the picture (N, 2) [px]; `xy` (N, 2) the same, normalised. depth (N,), range (N,) [m], ray (N, 3).
         T_camera_target: pose at the goal (4, 4). camera: the calibrated lens, with its mount `T_base_camera`.
-        plane: of the markers in the camera's frame [m].
+        middle: mean of the markers in the camera's frame (3,) [m]. normal: unit normal (3,) of the plane that fits them best, away from the
+            camera.
         place: (x, y, heading) where a vehicle is to stand [m, m, rad]. gap_m: distance to keep from the target [m].
         twist: of the camera of a view that moves (6,) [m/s, rad/s], in its own frame.
         counted: which markers count, (N,) bool; None: all. view: number of the view, among several in turn.
@@ -145,7 +134,8 @@ class Goal:
     range: Array
     T_camera_target: Array
     camera: Camera
-    plane: FittedPlane
+    middle: Array
+    normal: Array
     place: Array | None = None
     gap_m: float | None = None
     twist: Array | None = None
@@ -169,16 +159,6 @@ class Goal:
         return self
 
     @property
-    def middle(self) -> Array:
-        """Mean of the markers in the camera's frame (3,) [m]."""
-        return self.plane.middle
-
-    @property
-    def normal(self) -> Array:
-        """Unit normal (3,) of the markers' plane, away from the camera."""
-        return self.plane.normal
-
-    @property
     def T_base_camera(self) -> Array:
         """The camera's mount, as the robot knows it (4, 4)."""
         return self.camera.mount.T
@@ -192,13 +172,13 @@ class Goal:
     def of_points(cls, camera: Camera, p: Array, T_camera_target: Array) -> Goal:
         """The view of points p (N, 3) in the camera's frame [m]."""
         uv, reach = camera.project(p), np.linalg.norm(p, axis=-1)
-        return cls(uv, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, _plane(p))
+        return cls(uv, p[:, 2], p / reach[:, None], reach, T_camera_target, camera, *_plane(p))
 
     @classmethod
     def of_picture(cls, camera: Camera, uv: Array, p: Array, T_camera_target: Array) -> Goal:
         """The view in a picture with markers at uv (N, 2), taken to be at p (N, 3) in the camera's frame [m]."""
         reach = np.linalg.norm(p, axis=-1)
-        return cls(uv, p[:, 2], camera.ray(uv), reach, T_camera_target, camera, _plane(p))
+        return cls(uv, p[:, 2], camera.ray(uv), reach, T_camera_target, camera, *_plane(p))
 
     def of_rows(self, rows: NDArray[np.bool_] | slice) -> Goal:
         """The same view with its markers `rows` (N,) alone; plane and middle stay those of all."""
@@ -214,7 +194,7 @@ class Goal:
 
     def of(self, points: Goal) -> Goal:
         """This view, of the points of another goal for the same view."""
-        return replace(self, **points._of_points, plane=points.plane, counted=points.counted)
+        return replace(self, **points._of_points, middle=points.middle, normal=points.normal, counted=points.counted)
 
     @property
     def _of_points(self) -> dict[str, Array]:
@@ -222,12 +202,11 @@ class Goal:
 
     def deepened(self, scale: Array) -> Goal:
         """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
-        plane = FittedPlane(self.middle * scale.mean(), self.normal)
-        return replace(self, depth=self.depth * scale, range=self.range * scale, plane=plane)
+        return replace(self, depth=self.depth * scale, range=self.range * scale, middle=self.middle * scale.mean())
 
 
-def _plane(p: Array) -> FittedPlane:
+def _plane(p: Array) -> tuple[Array, Array]:
     """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""
     middle = p.mean(axis=0)
     normal = np.linalg.svd(p - middle)[2][2]
-    return FittedPlane(middle, normal if normal @ middle > 0 else -normal)
+    return middle, normal if normal @ middle > 0 else -normal

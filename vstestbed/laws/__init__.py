@@ -1,6 +1,7 @@
 """Control laws: what the camera saw, in; a velocity, out. A law never touches a simulator."""
 
 from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase
+from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.line_following import LineFollowing
@@ -24,6 +25,7 @@ __all__ = [
     "PBVS",
     "QP",
     "Command",
+    "ErrorLaw",
     "Hybrid",
     "Law",
     "LawBase",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,26 +16,15 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed
 from vstestbed.core.registry import Contract
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.features.base import Feature
-from vstestbed.features.depth import Depth, PnP
+from vstestbed.features.depth import PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
+from vstestbed.laws.feedforward import Estimator, NoFeedforward
 from vstestbed.laws.points import Visibility
 from vstestbed.laws.solve import load_lapack
 
 M = TypeVar("M")
-
-
-class FreeMotions(NamedTuple):
-    """Motions that a law leaves to a secondary task of the robot.
-
-    Attributes:
-        share: weight of the secondary task projected on them, 0 to 1; the shares of a command are 1 together.
-        twists: camera twists (6, k) as columns, which span them.
-    """
-
-    share: float
-    twists: Array
+Motions = tuple[tuple[float, Array], ...]
+"""Motions left to a secondary task, as pairs of a share and camera twists (6, k); see `Command.free`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +33,11 @@ class Command:
 
     Attributes:
         u: velocities along the robot's motions (n,) [m/s, rad/s]. twist: the camera twist (6,), (v, w) in the camera frame [m/s, rad/s].
-        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it, the law coasts:
-            it cannot measure, and continues on what it knew.
+        rest_reason: why the law orders rest although the goal is not reached; "" while it works. With a motion beside it, the law
+            cannot measure, and holds its last command.
         scale: factor in (0, 1] by which the law's own limits shortened the twist.
-        free: the motions that the robot may use for a secondary task, none where the law does not compute them.
+        free: motions left to a secondary task of the robot, as pairs of a share and camera twists (6, k), which span them as columns; the
+            share is the weight of the task projected on them, and all shares together are 1. None where the law does not compute them.
         rates: the robot's own velocities (m,) (`Observation.robot`) that the law orders, whose camera twist `twist` is; None: the robot
             finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
@@ -57,7 +48,7 @@ class Command:
     twist: Array
     rest_reason: str = ""
     scale: float = 1.0
-    free: tuple[FreeMotions, ...] = ()
+    free: Motions = ()
     rates: Array | None = None
     mode: int = 0
     error_grey: float = math.nan
@@ -66,100 +57,6 @@ class Command:
     def rest(cls, basis: Array, why: str) -> Command:
         """Zero motion, with the reason."""
         return cls(u=np.zeros(basis.shape[1]), twist=np.zeros(6), rest_reason=why)
-
-
-class Law(Protocol[M]):
-    """A control law: parameters frozen in the object, memory passed through. All that other parts read of a law; see `LawBase`."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
-
-    @property
-    def kind(self) -> str:
-        """The law's word in a scenario."""
-        ...
-
-    @property
-    def tasks(self) -> tuple[str, ...]:
-        """The kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a vehicle), `gap`, `line`."""
-        ...
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The fields of an Observation that the law reads, without those of its feedforward and visibility field (`inputs_of`); the costly
-        ones are computed only for laws that name them.
-        """
-        ...
-
-    @property
-    def depth(self) -> Depth:
-        """The source of the markers' depth, and with it of the target's pose."""
-        ...
-
-    @property
-    def feature(self) -> Feature | None:
-        """The image feature whose error is regulated, for reports; None for a law that has no single one."""
-        ...
-
-    @property
-    def limits(self) -> TwistLimits:
-        """Largest speed and rate of the commanded twist."""
-        ...
-
-    @property
-    def visibility(self) -> Visibility:
-        """The repulsion field at the border of the image."""
-        ...
-
-    @property
-    def feedforward(self) -> Feedforward:
-        """The feedforward term for a moving target."""
-        ...
-
-    @property
-    def cruise_mps(self) -> float | None:
-        """The constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none."""
-        ...
-
-    @property
-    def rest_m(self) -> float:
-        """Distance from the goal under which the law stands still for good [m]; 0 for a law that never stops."""
-        ...
-
-    @property
-    def modes(self) -> tuple[str, ...]:
-        """Words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`."""
-        ...
-
-    @property
-    def needs_same_markers(self) -> bool:
-        """Whether each row must show the same marker in every picture, in the target's order."""
-        ...
-
-    def markers_needed(self, basis: Array) -> int:
-        """The least number of visible markers with which `step` can control the robot's motions, basis (6, n)."""
-        ...
-
-    def check(self, points: Array, goal: Goal) -> None:
-        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
-
-    def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        """Refuse a goal view whose markers are too near to the picture's border for this law.
-
-        called: what messages call a marker.
-
-        Raises ParameterError: it names a field of the law.
-        """
-
-    def init(self, goal: Goal) -> M:
-        """The memory before the first frame."""
-        ...
-
-    def prepare(self) -> None:
-        """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
-
-    def step(self, memory: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
-        """One frame: the next memory and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
-        ...
 
 
 @spec
@@ -259,49 +156,85 @@ class TwistLimits:
         return Command(u=u * factor, twist=twist * factor, scale=factor)
 
 
-class LawBase:
-    """Defaults for all members of `Law` but `kind` and `step`: the base class for a law of one's own.
+class Law(Generic[M]):
+    """A control law: parameters frozen in the object, state passed through; with defaults for all but `kind` and `step`.
 
-        class Mine(LawBase):  # with @LAWS.add and @spec
+        class Mine(Law):  # with @LAWS.add and @spec
             kind: Literal["mine"] = "mine"
 
-            def step(self, memory, observation, goal, basis): ...
+            def step(self, state, observation, goal, basis): ...
 
     In a spec, an annotated attribute is a parameter in YAML, and one without annotation is a constant of the class: a law with
-    `depth = PnP()` has a fixed source of depth, one with `depth: Depth = PnP()` leaves it to the scenario.
+    `depth = PnP()` has a fixed source of depth, one with `depth: Depth = PnP()` leaves it to the scenario. A law of an error and its
+    Jacobian derives from `ErrorLaw`, and gives these alone.
+
+    Attributes:
+        kind: the law's word in a scenario, a field of each law.
+        tasks: the kinds of goals that it can be given: `view`, `path`, `landing`, `pose` (of a vehicle), `gap`, `line`.
+        inputs: the fields of an Observation that it reads, without those of its feedforward and visibility field (`inputs_of`); the costly
+            ones are computed only for laws that name them.
+        depth: the source of the markers' depth (`Depth`), and with it of the target's pose.
+        feature: the image feature (`Feature`) whose error is regulated, for reports; None for a law that has no single one.
+        limits: largest speed and rate of the commanded twist (`TwistLimits`). visibility: the field at the border of the image
+            (`Visibility`). feedforward: the term for a moving target (`Feedforward`).
+        cruise_mps: the constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none.
+        rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law that never stops.
+        modes: words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`.
+        needs_same_markers: whether each row must show the same marker in every picture, in the target's order.
     """
 
-    # Without annotations: a type checker refuses to override a declared attribute by a field of a narrower type or by a property.
-    tasks = ("view",)
-    inputs = ("xy", "depth")
-    depth = PnP()
-    feature = None
-    limits = TwistLimits()
-    visibility = Visibility()
-    feedforward = NoFeedforward()
-    cruise_mps = None
-    rest_m = 0.0
-    modes = ()
-    needs_same_markers = False
+    __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
+    kind: Any
+    # Any, so that a kind may have a field or a property in their place.
+    tasks: Any = ("view",)
+    inputs: Any = ("xy", "depth")
+    depth: Any = PnP()
+    feature: Any = None
+    limits: Any = TwistLimits()
+    visibility: Any = Visibility()
+    feedforward: Any = NoFeedforward()
+    cruise_mps: Any = None
+    rest_m: Any = 0.0
+    modes: Any = ()
+    needs_same_markers: Any = False
 
     def markers_needed(self, basis: Array) -> int:
-        """As many markers as the robot's motions, basis (6, n), need with two equations each."""
+        """The least number of visible markers with which `step` can control the robot's motions, basis (6, n).
+
+        By default as many as give an equation for each motion, two each.
+        """
         return math.ceil(basis.shape[1] / 2)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Accept any markers and any goal view."""
+        """Refuse markers (N, 3) in the target frame [m], or a goal view of them, with which the law cannot work, by a ParameterError."""
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
-        """What the repulsive field refuses."""
+        """Refuse a goal view whose markers are too near to the picture's border: by default for the visibility field.
+
+        called: what messages call a marker. Raises ParameterError: it names a field of the law.
+        """
         self.visibility.check(goal, marker_radius_m, called)
 
-    def init(self, goal: Goal) -> Any:  # Any: each law's memory is of a type of its own
-        """No memory."""
+    def init(self, goal: Goal) -> Any:
+        """The state before the first frame: by default none."""
         return None
 
     def prepare(self) -> None:
-        """The solver of `least_squares`."""
+        """Import what the first `step` needs: it must not take longer than the others, for which a robot waits as well."""
         load_lapack()
+
+    @abstractmethod
+    def step(self, state: M, observation: Observation, goal: Goal, basis: Array) -> tuple[M, Command]:
+        """One frame: the next state and the command. basis (6, n): camera twists of the robot's n motions, as columns."""
+        ...
+
+
+LawBase = Law  # the name from which plugins derive
+
+
+def held(limits: TwistLimits, u: Array | None, basis: Array, why: str) -> Command:
+    """A frame without a measurement: the last command u (n,) again, rest where that is None; why: in words."""
+    return Command.rest(basis, why) if u is None else replace(limits.command(u, basis), rest_reason=why)
 
 
 def inputs_of(law: Law[Any]) -> tuple[str, ...]:
@@ -311,4 +244,4 @@ def inputs_of(law: Law[Any]) -> tuple[str, ...]:
 
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
-LAW_CONTRACT = Contract(Law, base=LawBase, words={"inputs": OBSERVATION_FIELDS})
+LAW_CONTRACT = Contract(Law, base=Law, words={"inputs": OBSERVATION_FIELDS})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.points import pixel_interaction, points, usable_rows
+from vstestbed.laws.solve import least_squares
 from vstestbed.robots.arm import singularity_damping2, unit_scale
 from vstestbed.robots.own_model import OwnModel
 
@@ -35,6 +37,11 @@ class Group:
     A: Array
     low: Array
 
+    @classmethod
+    def none(cls, word: str, n: int) -> Group:
+        """No inequalities of n unknowns."""
+        return cls(word, np.zeros((0, n)), np.zeros(0))
+
 
 @dataclass(frozen=True, slots=True)
 class Solution:
@@ -49,6 +56,35 @@ class Solution:
     gave_way: tuple[str, ...] = ()
     bound: bool = False
     failure: str = ""
+
+    def command(self, rates: Array, robot: OwnModel, basis: Array, limits: TwistLimits, words: tuple[str, ...]) -> Command:
+        """The command that orders the robot's velocities `rates` (n,), those of the solution or a part of them.
+
+        words: of the groups in the order in which they give way. The mode is 0 where nothing binds, 1 where a constraint binds, 2 and more
+        for the last group that gave way (`program_modes`).
+        """
+        mode = 2 + words.index(self.gave_way[-1]) if self.gave_way else int(self.bound)
+        twist = robot.J @ rates
+        scale = limits.scale(twist)
+        rates, twist = rates * scale, twist * scale
+        u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
+        return Command(u, twist, scale=scale, rates=rates, mode=mode)
+
+    def and_accelerations(self, too_quick: bool) -> Solution:
+        """The same; where too_quick, the accelerations had to give way to positions and speeds (`velocity_bounds`)."""
+        if not too_quick or "acceleration" in self.gave_way:
+            return self
+        return replace(self, gave_way=(*self.gave_way, "acceleration"))
+
+
+def program_modes(words: tuple[str, ...]) -> tuple[str, ...]:
+    """Words for `Law.modes` of a law whose groups of constraints give way in the order of `words`; the last one is for a rest."""
+    return "free", "constrained", *(f"{word} gave way" for word in words), "not solved"
+
+
+def unsolved(solution: Solution, basis: Array, words: tuple[str, ...]) -> Command:
+    """The rest of a program that was not solved."""
+    return replace(Command.rest(basis, solution.failure), mode=2 + len(words))
 
 
 def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, ...]) -> Solution:
@@ -168,7 +204,7 @@ def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     scale = unit_scale(robot.unit_m)[:, None]
     U, s, Vt = np.linalg.svd(robot.J * scale)
     if n < 6 or not INSIDE * least < s[-1] < NEARLY * least:
-        return Group("singularity", np.zeros((0, n)), np.zeros(0))
+        return Group.none("singularity", n)
     u, v = U[:, len(s) - 1], Vt[len(s) - 1]
     slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / STEP for d in STEP * np.eye(n)]
     return Group("singularity", np.array([slopes]), np.array([-rate * (s[-1] - least)]))
@@ -210,11 +246,10 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
 
     Reference: Ames, Coogan, Egerstedt, Notomista, Sreenath & Tabuada 2019, doi:10.23919/ECC.2019.8796030 (barrier functions).
     """
-    nothing = Group("border", np.zeros((0, robot.J.shape[1])), np.zeros(0))
     around = seen.ray is not None and seen.range is not None
     rows = usable_rows(seen, ("ray", "range") if around else ("xy", "depth"), 1)
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
-        return nothing
+        return Group.none("border", robot.J.shape[1])
     uv = seen.uv[rows]
     L = pixel_interaction(goal.camera, points(seen)[rows])
     uv = uv + L @ (robot.way + target * robot.underway_s)
@@ -234,7 +269,7 @@ def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: floa
     """
     rows = usable_rows(seen, ("xy", "depth"), 1)
     if isinstance(rows, str):
-        return Group("plane", np.zeros((0, robot.J.shape[1])), np.zeros(0))
+        return Group.none("plane", robot.J.shape[1])
     p = points(seen)[rows]
     middle = p.mean(axis=0)
     _, s, Vt = np.linalg.svd(p - middle)

@@ -14,60 +14,46 @@ from vstestbed.core.geometry import Array, exp
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, FreeMotions, Gain, LawBase, TwistLimits
-from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, Trend, follow, look_ahead
-from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, carried_markers, carried_pose, usable_rows
+from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, held
+from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, TargetEstimate, follow, look_ahead
+from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, reckoned_pose, usable_rows
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 
-CARRY_S = 0.3
-"""How long what is not seen is carried over by the estimated motion of the target [s]: longer, and what it accelerates by counts."""
+DEAD_RECKON_S = 0.3
+"""How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and what it accelerates by counts."""
 OF_MARKERS, OF_POSE = ("xy", "depth", "ray", "range"), ("T_camera_target", "relative")
 """Fields of a view that each marker has, and those that the view has as a whole."""
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
-    """The state of the feedforward between frames.
+class ErrorState:
+    """The state of a law of an error between frames: of the shape of its command, and of the tracker of its feedforward.
 
     Attributes:
-        seen: the last observation, with what was carried over, with which the next is compared; None before the first.
-        t: time of the last observation that sufficed for the law [s]; NaN before the first.
-        marker_t: time of the last observation of each marker (N,) [s]; None before the first. trend: the estimate of the target's motion.
+        extra: numbers (k,) that a law adds to it, NaN before the first frame (`ErrorLaw.extra_size`).
+        t0: time of the first command [s]. u0: that command without the smooth start (n,).
+        t: time of the last command [s]. u: that command, before limits (n,). All four only where a later command depends on them.
+        seen: the last observation, with what was dead-reckoned, with which the next is compared; None before the first.
+        known_t: time of the last observation that sufficed for the law [s]; NaN before the first.
+        marker_t: time of the last observation of each marker (N,) [s]; None before the first. target: the estimate of the target's motion.
         integral: integral of the remaining motion (n,), for the feedforward `integral`.
     """
 
-    seen: Observation | None = None
-    t: float = math.nan
-    marker_t: Array | None = None
-    trend: Trend | None = None
-    integral: Array | None = None
-
-
-NOTHING = Followed()
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorState:
-    """What a law of an error keeps from one frame to the next.
-
-    Attributes:
-        own: numbers (k,) of the law itself, NaN before the first frame (`ErrorLaw.own_size`).
-        t0: time of the first command [s]. u0: that command without the smooth start (n,).
-        t: time of the last command [s]. u: that command, before limits (n,). All four only where a later command depends on them.
-        followed: the state of the feedforward.
-    """
-
-    own: Array
+    extra: Array
     t0: float = math.nan
     u0: Array | None = None
     t: float = math.nan
     u: Array | None = None
-    followed: Followed = NOTHING
+    seen: Observation | None = None
+    known_t: float = math.nan
+    marker_t: Array | None = None
+    target: TargetEstimate | None = None
+    integral: Array | None = None
 
 
 @spec
-class ErrorLaw(LawBase, ABC):
+class ErrorLaw(Law[ErrorState], ABC):
     """u = -gain pinv(J B) e, camera twist v = B u, for an error e with e_dot = J v: a law of one's own gives `equations` alone.
 
         class Mine(ErrorLaw):  # with @LAWS.add and @spec
@@ -79,7 +65,7 @@ class ErrorLaw(LawBase, ABC):
     With `smooth_start_s` = tau the command grows from rest: u - u(0) exp(-t/tau). With `smoothing_s` = T it is filtered:
     u_k = u_(k-1) + (1 - exp(-dt/T)) (u - u_(k-1)), from the first command on. A goal view that moves along a path adds its own velocity u*.
 
-    With `feedforward` a moving target is tracked without lag, for CARRY_S also while it is not visible.
+    With `feedforward` a moving target is tracked without lag, for DEAD_RECKON_S also while it is not visible.
 
     Args:
         gain: lambda [1/s], a number or an adaptive gain of the remaining motion pinv(J B) e.
@@ -104,8 +90,8 @@ class ErrorLaw(LawBase, ABC):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
-    own_size = 0
-    """Numbers k that the law itself keeps from frame to frame (`ErrorState.own`)."""
+    extra_size = 0
+    """Numbers k that the law adds to the state (`ErrorState.extra`)."""
 
     @abstractmethod
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:
@@ -125,107 +111,95 @@ class ErrorLaw(LawBase, ABC):
         e, J = self.equations(now, before)
         return e, (self.equations(before, now)[1] + J) / 2
 
-    def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> tuple[FreeMotions, ...]:
+    def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> Motions:
         """Motions left to the robot's secondary task, for J (rows, 6), e (rows,) and the remaining motion x (n,): none by default."""
         return ()
 
     def motion(
-        self, own: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
+        self, extra: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
     ) -> tuple[Array, Array | str, Array | None]:
-        """The law's own numbers (..., k), velocities u = -gain x (..., n) or the reason for rest, and x = pinv(J B) e, None if not needed.
+        """The law's extra state (..., k), velocities u = -gain x (..., n) or the reason for rest, and x = pinv(J B) e, None if not needed.
 
         basis: the robot's motions (6, n); None: all six of the camera. shift: how x changes until the prediction horizon (n,), or None.
         """
         x = self.solve.least_squares(J if basis is None else J @ basis, e)
         ahead = x if shift is None else x + shift
-        return own, -self.gain.at(ahead) * ahead, x
+        return extra, -self.gain.at(ahead) * ahead, x
 
     def markers_needed(self, basis: Array) -> int:
         """As many as the robot's motions, basis (6, n), need with two equations each; three for a pose.
 
         With three a pose has up to four solutions, and the observer takes the one next to the last pose.
         """
-        return 3 if self._read_of_pose else LawBase.markers_needed(self, basis)
+        return 3 if self._reads[1] else Law.markers_needed(self, basis)
 
     def init(self, goal: Goal) -> ErrorState:
         """Nothing measured so far."""
-        return ErrorState(np.full(self.own_size, np.nan))
+        return ErrorState(np.full(self.extra_size, np.nan))
 
-    def step(self, memory: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
+    def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
         """One frame; rest where too few markers are seen, or no pose is known."""
-        known, rows, why = self._known(memory.followed, observation, goal, basis)
+        known, rows, why = self._known(state, observation, goal, basis)
         if isinstance(rows, str):
-            return self._unseen(memory, basis, rows)
+            return self._unseen(state, basis, rows)
         view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
         e, J = self.equations(view, at)
-        followed, shift, tau = memory.followed, None, None
-        if self._estimates and known.motion is not None:
-            followed, shift, tau = self._estimated(followed, known, goal, basis, why)
-        own, u, x = self.motion(memory.own, e, J, view, at, basis, shift)
+        after, shift, tau = state, None, None
+        if known.motion is not None and isinstance(self.feedforward, Estimator):
+            after, shift, tau = self._estimated(state, known, goal, basis, why)
+        extra, u, x = self.motion(state.extra, e, J, view, at, basis, shift)
         if isinstance(u, str):
-            return self._unseen(memory, basis, u)
+            return self._unseen(state, basis, u)
         if isinstance(self.feedforward, Integral):
-            followed, tau = integrated(self.feedforward, followed, known, self.solve.least_squares(J @ basis, e) if x is None else x)
+            after, tau = integrated(self.feedforward, after, known, self.solve.least_squares(J @ basis, e) if x is None else x)
         if tau is not None:
             u = u - tau
         if goal.twist is not None:
             u = u + least_squares(basis, goal.twist)  # u*, as far as the robot's motions allow
-        state, u = self._shaped(memory, observation.t, u) if self._kept else (memory, u)
+        if extra is not state.extra:
+            after = replace(after, extra=extra)
+        if self._shapes or self.keep_last:
+            after, u = self._shaped(after, observation.t, u)
         if self.visibility.margin_px > 0:
             u = u + self.visibility.push(observation, goal, basis)
         command = self.limits.command(u, basis)
-        if free := self.free_motions(J, e, x, basis):
-            command = replace(command, free=free)
-        if command.scale < 1 and followed.integral is not None:  # anti-windup: while limits shorten the command, the integral does not grow
-            followed = replace(followed, integral=memory.followed.integral)
-        if own is not state.own or followed is not state.followed:
-            state = ErrorState(own, state.t0, state.u0, state.t, state.u, followed)
-        return state, replace(command, rest_reason=why) if why else command
+        if command.scale < 1 and after.integral is not None:  # anti-windup: while limits shorten the command, the integral does not grow
+            after = replace(after, integral=state.integral)
+        free = self.free_motions(J, e, x, basis)
+        return after, replace(command, free=free, rest_reason=why) if free or why else command
 
     @property
     def state_size(self) -> int:
-        """Numbers of the state of one of many runs: the law's own, and u0, u and t of the shape of its command."""
-        return self.own_size + (13 if self._shapes else 0)
+        """Numbers of the state of one of many runs: the law's extra ones, and u0, u and t of the shape of its command."""
+        return self.extra_size + (13 if self._shapes else 0)
 
-    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+    def step_batch(self, state: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of M runs: the next state (M, state_size), and the camera twists (M, 6), NaN where the law orders rest.
 
-        memory: the state, NaN before the first frame. views: the current views. goal: the goal view of the same markers.
+        state: NaN before the first frame. views: the current views. goal: the goal view of the same markers.
         """
         e, J = self.equations(views, goal)
-        own, u, _ = self.motion(memory[:, : self.own_size], e, J, views, goal, None, None)
+        extra, u, _ = self.motion(state[:, : self.extra_size], e, J, views, goal, None, None)
         assert not isinstance(u, str)
         if not self._shapes:
-            return own, self.limits.within(u)
-        state = memory[:, self.own_size :]
-        u0, last, since = state[:, :6], state[:, 6:12], views.t - state[:, 12:]
+            return extra, self.limits.within(u)
+        u0, last, since = np.split(state[:, self.extra_size :], [6, 12], axis=1)
         if self.smooth_start_s > 0:
             u0 = np.where(np.isnan(u0), u, u0)
             u = u - u0 * math.exp(-views.t / self.smooth_start_s)
         if self.smoothing_s > 0:
-            u = np.where(np.isnan(last), u, last + (1 - np.exp(-since / self.smoothing_s)) * (u - last))
-        return np.column_stack([own, u0, u, np.full(len(u), views.t)]), self.limits.within(u)
+            u = np.where(np.isnan(last), u, last + (1 - np.exp(-(views.t - since) / self.smoothing_s)) * (u - last))
+        return np.column_stack([extra, u0, u, np.full(len(u), views.t)]), self.limits.within(u)
 
     @cached_property
     def _shapes(self) -> bool:
+        """Whether the command is shaped by a smooth start or a filter."""
         return self.smooth_start_s > 0 or self.smoothing_s > 0
 
     @cached_property
-    def _kept(self) -> bool:
-        """Whether a later command depends on this one."""
-        return self._shapes or self.keep_last
-
-    @cached_property
-    def _estimates(self) -> bool:
-        return isinstance(self.feedforward, Estimator)
-
-    @cached_property
-    def _read_of_markers(self) -> tuple[str, ...]:
-        return tuple(name for name in self.inputs if name in OF_MARKERS)
-
-    @cached_property
-    def _read_of_pose(self) -> tuple[str, ...]:
-        return tuple(name for name in self.inputs if name in OF_POSE)
+    def _reads(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Of `inputs` the fields that each marker has, and those that the view has as a whole."""
+        return tuple(n for n in self.inputs if n in OF_MARKERS), tuple(n for n in self.inputs if n in OF_POSE)
 
     def _shaped(self, before: ErrorState, t: float, u: Array) -> tuple[ErrorState, Array]:
         """The next state, and the command after smooth start and filter, for the law's u (n,) at a time t [s]."""
@@ -235,50 +209,51 @@ class ErrorLaw(LawBase, ABC):
             u = u - u0 * math.exp(-(t - t0) / self.smooth_start_s)
         if self.smoothing_s > 0 and before.u is not None:
             u = before.u + (1 - math.exp(-(t - before.t) / self.smoothing_s)) * (u - before.u)
-        return ErrorState(before.own, t0, u0, t, u, before.followed), u
+        return replace(before, t0=t0, u0=u0, t=t, u=u), u
 
     def _unseen(self, before: ErrorState, basis: Array, why: str) -> tuple[ErrorState, Command]:
         """A frame without a measurement: rest, from which the next command starts smoothly again, or the last command; why: in words."""
         if not self.keep_last or before.u is None:
-            return ErrorState(before.own), Command.rest(basis, why)
-        return replace(before, followed=NOTHING), replace(self.limits.command(before.u, basis), rest_reason=why)
+            return ErrorState(before.extra), Command.rest(basis, why)
+        after = ErrorState(before.extra, before.t0, before.u0, before.t, before.u)  # the tracker begins again
+        return after, held(self.limits, before.u, basis, why)
 
-    def _known(self, followed: Followed, seen: Observation, goal: Goal, basis: Array) -> tuple[Observation, Rows | str, str]:
-        """The observation, with what was carried over; its usable markers, or the reason for rest; what it lacks itself, "" if nothing."""
-        kind, needed, lacks = self.feedforward, self.markers_needed(basis), ""
-        if names := self._read_of_pose:
-            lacks = TOO_FEW if np.count_nonzero(seen.seen) < needed else NO_POSE if _without(seen, names) else ""
+    def _known(self, state: ErrorState, seen: Observation, goal: Goal, basis: Array) -> tuple[Observation, Rows | str, str]:
+        """The observation, with what was dead-reckoned; its usable markers, or the reason for rest; what it lacks itself, "" if nothing."""
+        kind, needed, lacks, (of_markers, of_pose) = self.feedforward, self.markers_needed(basis), "", self._reads
+        if of_pose:
+            lacks = TOO_FEW if np.count_nonzero(seen.seen) < needed else NO_POSE if _without(seen, of_pose) else ""
             if lacks:
-                carried = usable_pose(kind, followed, seen, goal, basis)
-                if carried is None or _without(carried, names):
+                reckoned = usable_pose(kind, state, seen, goal, basis)
+                if reckoned is None or _without(reckoned, of_pose):
                     return seen, lacks, lacks
-                seen = carried
-            if not self._read_of_markers:
+                seen = reckoned
+            if not of_markers:
                 return seen, ALL, lacks
-        known, rows, why = usable_markers(kind, followed, seen, basis, self._read_of_markers, needed)
+        known, rows, why = usable_markers(kind, state, seen, basis, of_markers, needed)
         return known, rows, lacks or why
 
-    def _estimated(self, before: Followed, known: Observation, goal: Goal, basis: Array, why: str) -> tuple[Followed, Array, Array]:
-        """The next state of the feedforward, how the remaining motion changes until the prediction horizon (n,), and tau (n,)."""
+    def _estimated(self, before: ErrorState, known: Observation, goal: Goal, basis: Array, why: str) -> tuple[ErrorState, Array, Array]:
+        """The state with the next estimate, how the remaining motion changes until the prediction horizon (n,), and tau (n,)."""
         kind, motion = self.feedforward, known.motion
         assert isinstance(kind, Estimator) and motion is not None
-        # What was carried over is no measurement: the estimate goes on without.
-        change = None if why or before.trend is None else self._change(before, known, goal, basis)
-        trend = follow(kind, before.trend, change, basis, motion, self.solve)
-        shift, tau = look_ahead(kind, trend, basis, motion)
+        # What was dead-reckoned is no measurement: the estimate goes on without.
+        change = None if why or before.target is None else self._change(before, known, goal, basis)
+        target = follow(kind, before.target, change, basis, motion, self.solve)
+        shift, tau = look_ahead(kind, target, basis, motion)
         marker_t = np.where(known.seen, known.t, -np.inf if before.marker_t is None else before.marker_t)
-        return Followed(known, before.t if why else known.t, marker_t, trend, before.integral), shift, tau
+        known_t = before.known_t if why else known.t
+        return replace(before, seen=known, known_t=known_t, marker_t=marker_t, target=target), shift, tau
 
-    def _change(self, followed: Followed, now: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | None:
+    def _change(self, state: ErrorState, now: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | None:
         """`change` since the last frame, by the markers that are known in both; None where they are too few, or a pose is lacking."""
-        before = followed.seen
-        if before is None or _without(before, self._read_of_pose):
+        before, (of_markers, of_pose) = state.seen, self._reads
+        if before is None or _without(before, of_pose):
             return None
-        if names := self._read_of_markers:
+        if of_markers:
             both = now.same(before)
-            for name in names:
-                for values in (getattr(before, name), getattr(now, name)):
-                    both = both & np.isfinite(values if values.ndim == 1 else values[:, 0])
+            for values in (getattr(view, name) for name in of_markers for view in (before, now)):
+                both = both & np.isfinite(values if values.ndim == 1 else values[:, 0])
             if np.count_nonzero(both) < self.markers_needed(basis):
                 return None
             if not both.all():
@@ -291,55 +266,56 @@ def _without(seen: Observation, names: tuple[str, ...]) -> bool:
     return any(getattr(seen, name) is None for name in names)
 
 
-def _way(kind: Feedforward, memory: Followed, seen: Observation, basis: Array) -> Array | None:
+def _motion_since(kind: Feedforward, state: ErrorState, seen: Observation, basis: Array) -> Array | None:
     """The motion (4, 4) of the target in the camera's frame since the last frame; None where it is not known.
 
     Relative to the target, the camera moves by its own measured twist and the estimated motion of the target, v + B tau.
     """
-    trend, motion = memory.trend, seen.motion
-    if not isinstance(kind, Estimator) or trend is None or motion is None:
+    target, motion = state.target, seen.motion
+    if not isinstance(kind, Estimator) or target is None or motion is None:
         return None
-    return exp(-(motion.twist * motion.since_s + basis @ trend.ahead(motion.since_s)[0]))
+    return exp(-(motion.twist * motion.since_s + basis @ target.ahead(motion.since_s)[0]))
 
 
-def usable_pose(kind: Feedforward, memory: Followed, seen: Observation, goal: Goal, basis: Array) -> Observation | None:
+def usable_pose(kind: Feedforward, state: ErrorState, seen: Observation, goal: Goal, basis: Array) -> Observation | None:
     """An observation without a pose or a homography, with those of the last frame; None where the law is to rest.
 
-    They are carried over by the measured motion of the camera and the estimated one of the target, for CARRY_S at most. Without an
+    They are dead-reckoned by the measured motion of the camera and the estimated one of the target, for DEAD_RECKON_S at most. Without an
     estimator the law rests.
 
-    kind: the feedforward. memory: its state at the last frame. seen: the observation of this frame. goal: the goal view. basis: the robot's
-    motions (6, n).
+    kind: the feedforward. state: that of the law at the last frame. seen: the observation of this frame. goal: the goal view. basis: the
+    robot's motions (6, n).
     """
-    way = _way(kind, memory, seen, basis)
-    if way is None or memory.seen is None or seen.t - memory.t > CARRY_S:
+    motion = _motion_since(kind, state, seen, basis)
+    if motion is None or state.seen is None or seen.t - state.known_t > DEAD_RECKON_S:
         return None
-    return carried_pose(seen, memory.seen, way, goal)
+    return reckoned_pose(seen, state.seen, motion, goal)
 
 
 def usable_markers(
-    kind: Feedforward, memory: Followed, seen: Observation, basis: Array, inputs: tuple[str, ...], needed: int
+    kind: Feedforward, state: ErrorState, seen: Observation, basis: Array, inputs: tuple[str, ...], needed: int
 ) -> tuple[Observation, Rows | str, str]:
     """The observation, for a law of markers; its usable markers, or the reason for rest; and what the law lacks, "" if nothing.
 
-    The markers that are not seen are carried over as poses are (`usable_pose`), each for CARRY_S at most (`carried_markers`).
+    The markers that are not seen are dead-reckoned as poses are (`usable_pose`), each for DEAD_RECKON_S at most (`reckoned_markers`).
 
-    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers. The others as `usable_pose`.
+    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers. The others are those of
+    `usable_pose`.
     """
     rows = usable_rows(seen, inputs, needed)
     why = rows if isinstance(rows, str) else ""
-    if rows is ALL or memory.seen is None or memory.marker_t is None:  # the usual frame first
+    if rows is ALL or state.seen is None or state.marker_t is None:  # the usual frame first
         return seen, rows, why
-    way = _way(kind, memory, seen, basis)
-    if way is None or (why and seen.t - memory.t > CARRY_S):
+    motion = _motion_since(kind, state, seen, basis)
+    if motion is None or (why and seen.t - state.known_t > DEAD_RECKON_S):
         return seen, rows, why
-    known = carried_markers(seen, memory.seen, way, seen.t - memory.marker_t, CARRY_S, None if why else basis)
+    known = reckoned_markers(seen, state.seen, motion, seen.t - state.marker_t, DEAD_RECKON_S, None if why else basis)
     return known, usable_rows(known, inputs, needed), why
 
 
-def integrated(kind: Integral, memory: Followed, seen: Observation, x: Array) -> tuple[Followed, Array]:
+def integrated(kind: Integral, state: ErrorState, seen: Observation, x: Array) -> tuple[ErrorState, Array]:
     """The next state and the feedforward term (n,), for the remaining motion x (n,)."""
     # Without an observation at the last frame nothing is added: the error in between is unknown.
-    since = seen.t - memory.seen.t if memory.seen else 0.0
-    total = x * since + (0 if memory.integral is None else memory.integral)
-    return replace(memory, seen=seen, integral=total), kind.rate_per_s2 * total
+    since = seen.t - state.seen.t if state.seen else 0.0
+    total = x * since + (0 if state.integral is None else state.integral)
+    return replace(state, seen=seen, integral=total), kind.rate_per_s2 * total

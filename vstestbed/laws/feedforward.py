@@ -3,9 +3,9 @@
 With e_dot = L v + L B tau, where v = B u is the camera twist and tau (n,) the target's motion expressed in the robot's motion
 space, the law u = -lambda pinv(L B) e has the steady tracking error |tau| / lambda. Here
 
-    u = -lambda (x + p tau + own) - tau,   x = pinv(L B) e
+    u = -lambda (x + p tau + ego) - tau,   x = pinv(L B) e
 
-where p is the prediction horizon after the exposure, `own` the camera's motion from the exposure to the horizon, which the image
+where p is the prediction horizon after the exposure, `ego` the camera's motion from the exposure to the horizon, which the image
 does not show yet (as in Smith's predictor), and tau the output of a filter. The filter works in motion space: the change
 of the features between two frames, less the part explained by the measured camera motion, is mapped to a displacement by
 pinv(L B) of the markers seen in both frames. So its state has n numbers a derivative with one covariance, for all features.
@@ -27,7 +27,7 @@ from annotated_types import Ge, Le
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Frequency, Narrower, PositiveGain
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.features.observation import OwnMotion
+from vstestbed.features.observation import EgoMotion
 from vstestbed.laws.solve import PSEUDO_INVERSE, Solve, least_squares
 
 Ahead = Annotated[float, Ge(0), Le(2)]
@@ -36,17 +36,17 @@ LEARNS = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Trend:
-    """The estimate of the target's motion in motion space.
+class TargetEstimate:
+    """The estimate of the target's velocity in motion space.
 
     Attributes:
         state: displacement, rate and, for kalman_ca, acceleration as rows (k, n) [m, rad; per s; per s^2].
-        way: the measured displacement since the first frame (n,) [m, rad].
+        moved: the measured displacement since the first frame (n,) [m, rad].
         P: covariance of the rows (k, k) in units of the measurement noise, the same for all n motions.
     """
 
     state: Array
-    way: Array
+    moved: Array
     P: Array
 
     @property
@@ -115,46 +115,42 @@ class AlphaBeta:
     alpha: Annotated[PositiveGain, Narrower(le=1)] = 0.8
     predict_s: Ahead | None = 0.0
 
-    def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
-        """Take in the target's displacement `step` (n,) during dt, None where it was not seen."""
-        if trend is None:
-            return Trend(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))  # constant gains: P stays unused
-        state = _model(2, dt) @ trend.state
+    def update(self, before: TargetEstimate | None, step: Array | None, dt: float, size: int) -> TargetEstimate:
+        """The estimate after the target's displacement `step` (size,) during dt, None where it was not seen."""
+        if before is None:
+            return TargetEstimate(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))  # constant gains: P stays unused
+        state = _model(2, dt) @ before.state
         if step is None:
-            return Trend(state, state[0], trend.P)
-        way = trend.way + step
+            return TargetEstimate(state, state[0], before.P)
+        moved = before.moved + step
         beta = self.alpha**2 / (2 - self.alpha)
-        return Trend(state + np.outer([self.alpha, beta / dt], way - state[0]), way, trend.P)
+        return TargetEstimate(state + np.outer([self.alpha, beta / dt], moved - state[0]), moved, before.P)
 
 
-class _Kalman:
-    """A Kalman filter with `order` states; the measurement and the next derivative have white noise, whose ratio sets the bandwidth.
+def _kalman_update(self: KalmanCV | KalmanCA, before: TargetEstimate | None, step: Array | None, dt: float, size: int) -> TargetEstimate:
+    """As `AlphaBeta.update`, by a Kalman filter with `order` states, displacement first.
 
-    In continuous time the steady filter's poles are those of a Butterworth filter with the corner (density ratio)^(1/(2 order)).
+    The measurement and the next derivative have white noise, whose ratio sets the bandwidth: in continuous time the steady filter's poles
+    are those of a Butterworth filter with the corner (density ratio)^(1/(2 order)).
     """
-
-    order: int
-    bandwidth_hz: float
-
-    def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
-        """Take in the target's displacement `step` (n,) during dt, None where it was not seen."""
-        k, corner = self.order, 2 * math.pi * self.bandwidth_hz
-        if trend is None:
-            return Trend(np.zeros((k, size)), np.zeros(size), np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))]))
-        F = _model(k, dt)
-        state, P = F @ trend.state, F @ trend.P @ F.T + white_noise(k, dt, corner ** (2 * k))
-        if step is None:  # prediction only; the measured displacement continues from the predicted one
-            return Trend(state, state[0], P)
-        way = trend.way + step
-        K = P[:, 0] / (P[0, 0] + 1 / dt)  # measurement noise of unit density: its variance in one sample is 1/dt
-        return Trend(state + np.outer(K, way - state[0]), way, P - np.outer(K, P[0]))
+    k, corner = self.order, 2 * math.pi * self.bandwidth_hz
+    if before is None:
+        P = np.diag([corner, *(LEARNS * corner ** (2 * i + 1) for i in range(1, k))])
+        return TargetEstimate(np.zeros((k, size)), np.zeros(size), P)
+    F = _model(k, dt)
+    state, P = F @ before.state, F @ before.P @ F.T + white_noise(k, dt, corner ** (2 * k))
+    if step is None:  # prediction only; the measured displacement continues from the predicted one
+        return TargetEstimate(state, state[0], P)
+    moved = before.moved + step
+    K = P[:, 0] / (P[0, 0] + 1 / dt)  # measurement noise of unit density: its variance in one sample is 1/dt
+    return TargetEstimate(state + np.outer(K, moved - state[0]), moved, P - np.outer(K, P[0]))
 
 
 Bandwidth = Annotated[Frequency, Narrower(le=100)]
 
 
 @spec
-class KalmanCV(_Kalman):
+class KalmanCV:
     """A Kalman filter for a target of constant velocity, disturbed by white acceleration.
 
     Args:
@@ -169,10 +165,11 @@ class KalmanCV(_Kalman):
     order = 2
     bandwidth_hz: Bandwidth = 5.0
     predict_s: Ahead | None = 0.0
+    update = _kalman_update
 
 
 @spec
-class KalmanCA(_Kalman):
+class KalmanCA:
     """A Kalman filter for a target of constant acceleration, disturbed by white jerk: its rate does not lag, and is noisier.
 
     Args:
@@ -184,6 +181,7 @@ class KalmanCA(_Kalman):
     order = 3
     bandwidth_hz: Bandwidth = 2.0
     predict_s: Ahead | None = 0.0
+    update = _kalman_update
 
 
 @spec
@@ -201,9 +199,9 @@ class Smith:
     kind: Literal["smith"] = "smith"
     predict_s: Ahead | None = None
 
-    def update(self, trend: Trend | None, step: Array | None, dt: float, size: int) -> Trend:
+    def update(self, before: TargetEstimate | None, step: Array | None, dt: float, size: int) -> TargetEstimate:
         """No motion."""
-        return Trend(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
+        return TargetEstimate(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
 
 
 FEEDFORWARDS = OneOf("feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none")
@@ -212,28 +210,33 @@ Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
 
 
 def follow(
-    kind: Estimator, trend: Trend | None, change: tuple[Array, Array] | None, basis: Array, motion: OwnMotion, solve: Solve = PSEUDO_INVERSE
-) -> Trend:
+    kind: Estimator,
+    before: TargetEstimate | None,
+    change: tuple[Array, Array] | None,
+    basis: Array,
+    motion: EgoMotion,
+    solve: Solve = PSEUDO_INVERSE,
+) -> TargetEstimate:
     """The target's motion after one more frame, basis (6, n).
 
     change: the error since the last frame e (m,) and its Jacobian J (m, 6); None where the two have too little in common. solve: inversion
     of J B.
     """
     step = None
-    if trend is not None and change is not None:
+    if before is not None and change is not None:
         e, J = change
         step = solve.least_squares(J @ basis, e - J @ (motion.twist * motion.since_s))
-    return kind.update(trend, step, motion.since_s, basis.shape[1])
+    return kind.update(before, step, motion.since_s, basis.shape[1])
 
 
-def look_ahead(kind: Estimator, trend: Trend, basis: Array, motion: OwnMotion) -> tuple[Array, Array]:
+def look_ahead(kind: Estimator, target: TargetEstimate, basis: Array, motion: EgoMotion) -> tuple[Array, Array]:
     """The change of the remaining motion (n,) from the exposure to the prediction horizon, and tau (n,) at the horizon.
 
     The camera's own motion is the measured one until now, and the last command from then on.
     """
     age = motion.age_s
     p = age if kind.predict_s is None else kind.predict_s
-    shift, rate = trend.ahead(p)
-    own = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved  # a horizon before now takes its share of the way
-    own = own + motion.commanded * max(p - age, 0.0)
-    return shift + least_squares(basis, own), rate
+    shift, rate = target.ahead(p)
+    ego = motion.moved * min(p / age, 1.0) if age > 0 else motion.moved  # a horizon before now takes its share of the way
+    ego = ego + motion.commanded * max(p - age, 0.0)
+    return shift + least_squares(basis, ego), rate

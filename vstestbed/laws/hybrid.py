@@ -82,7 +82,8 @@ class Hybrid(ErrorLaw):
         o = goal.middle
         if self.source == "homography" and view.relative is not None:
             # H m* = Z/Z* m, with m* = o / Z* in normalised coordinates.
-            return view.relative.H @ (o / o[2]), view.relative.R_camera_goal.T
+            H, R_camera_goal = view.relative
+            return H @ (o / o[2]), R_camera_goal.T
         T_camera_goal = view.T_camera_target @ inverse(goal.T_camera_target)
         R = T_camera_goal[..., :3, :3]
         return (R @ o + T_camera_goal[..., :3, 3]) / o[2], R.mT

@@ -16,7 +16,7 @@ from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal
-from vstestbed.laws.base import FreeMotions
+from vstestbed.laws.base import Motions
 from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import check_goal
 from vstestbed.laws.solve import Solve
@@ -31,9 +31,9 @@ class Classical:
 
     kind: Literal["classical"] = "classical"
 
-    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
+    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> Motions:
         """The free motions, for A = L B (m, n), e (m,), the remaining motion solved (n,) and the robot's motions basis (6, n)."""
-        return (FreeMotions(1.0, basis @ solve.null_space(A)),)
+        return ((1.0, basis @ solve.null_space(A)),)
 
 
 @spec
@@ -74,13 +74,13 @@ class Large:
         along = min(max(along, 0.0), 1.0) - 0.5
         return (1 + math.tanh(STEEP * along) / math.tanh(STEEP / 2)) / 2  # a logistic function that is 0 and 1 at its ends
 
-    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> tuple[FreeMotions, ...]:
+    def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> Motions:
         """The free motions; see `Classical.free`."""
         share, gradient = self.share(solved), A.T @ e
         classical = basis @ solve.null_space(A)
         if share == 0 or not gradient.any():
-            return (FreeMotions(1.0, classical),)
-        return FreeMotions(1 - share, classical), FreeMotions(share, basis @ solve.null_space(gradient[None]))
+            return ((1.0, classical),)
+        return (1 - share, classical), (share, basis @ solve.null_space(gradient[None]))
 
 
 PROJECTIONS = OneOf("projection", Classical, Large)
@@ -142,7 +142,7 @@ class IBVS(ErrorLaw):
         rows = 0 if self.redundant else self.feature.rows_per_marker
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
-    def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> tuple[FreeMotions, ...]:
+    def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> Motions:
         """Those of `projection`, of a law that is redundant."""
         return self.projection.free(self.solve, J @ basis, e, x, basis) if self.redundant and x is not None else ()
 

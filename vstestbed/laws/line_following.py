@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -15,7 +14,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.line import LineFeature, floor_plane, floor_point, line_interaction, line_on_floor
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.base import Command, Law, TwistLimits, held
 from vstestbed.laws.points import TOO_FEW
 from vstestbed.laws.solve import Solve
 
@@ -24,17 +23,12 @@ LEAST_AHEAD_M = 0.05
 """Least distance of the mean look distance from the vehicle's origin [m]: the turn rate is a speed divided by it."""
 
 
-@dataclass(frozen=True, slots=True)
-class LineMemory:
-    """The desired lateral position of each line, `aim` (lines,) to the left [m]; time [s] and command u (n,) at the last visible line."""
-
-    aim: Array
-    t: float = math.nan
-    u: Array | None = None
+LineState = tuple[float, Array] | None
+"""Time [s] and command u (n,) of the last frame with a visible line; None before the first."""
 
 
 @spec
-class LineFollowing(LawBase):
+class LineFollowing(Law[LineState]):
     """L B u = -e_dot* at a given forward speed, with L the interaction matrix of the observed line (rho, theta) in the floor plane.
 
     The line in the image is the chord through the points where the painted line crosses the look distances, x_n and x_f ahead of the
@@ -97,21 +91,16 @@ class LineFollowing(LawBase):
             words = f"must have its middle {LEAST_AHEAD_M:g} m or more before the vehicle's origin, in the camera's view of the floor"
             raise ParameterError("target.look_m", f"{words}; with this mount it is {ahead.mean():.3g} m")
 
-    def init(self, goal: Goal) -> LineMemory:
-        """No line observed so far; the goal view has the desired position of each."""
-        return LineMemory(aim=_on_floor(goal.xy, goal)[..., 1].mean(axis=1))
-
-    def step(self, memory: LineMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[LineMemory, Command]:
+    def step(self, state: LineState, observation: Observation, goal: Goal, basis: Array) -> tuple[LineState, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
-        xy = observation.xy.reshape(-1, 2, 2)
         # NaN where a point is not detected, and where its ray does not meet the floor; a line needs both points.
         seen = np.isfinite(_on_floor(observation.xy, goal)).all(axis=(1, 2))
         if not seen.any():
-            if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), rest_reason=TOO_FEW)
-            return memory, Command.rest(basis, TOO_FEW)
-        u = self._motion(xy[seen], memory.aim[seen], goal, basis)
-        return LineMemory(memory.aim, observation.t, u), self.limits.command(u, basis)
+            u = state[1] if state is not None and observation.t - state[0] <= self.coast_s else None
+            return state, held(self.limits, u, basis, TOO_FEW)
+        aim = _on_floor(goal.xy, goal)[..., 1].mean(axis=1)  # the desired lateral position of each line, to the left [m]
+        u = self._motion(observation.xy.reshape(-1, 2, 2)[seen], aim[seen], goal, basis)
+        return (observation.t, u), self.limits.command(u, basis)
 
     def _motion(self, xy: Array, aim: Array, goal: Goal, basis: Array) -> Array:
         """The motion u (n,) for lines through normalised points xy (lines, 2, 2) with desired positions `aim` (lines,) [m] to the left."""

@@ -81,7 +81,7 @@ class Partitioned(ErrorLaw):
     sigma: Literal["difference", "ratio", "log"] = "ratio"
     turn_limits_deg: Annotated[tuple[Angle, ...], Len(2, 2)] | None = None
     depth: Depth = PnP()
-    own_size = 1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
+    extra_size = 1  # the remaining rotation about the optical axis at the last frame [rad], not wrapped
 
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
@@ -114,7 +114,7 @@ class Partitioned(ErrorLaw):
         return _POINT.error(_POINT.measure(view.xy), _POINT.measure(goal.xy)), _POINT.interaction(view.xy, view.depth)
 
     def motion(
-        self, own: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
+        self, extra: Array, e: Array, J: Array, view: Any, goal: Goal, basis: Array | None, shift: Array | None
     ) -> tuple[Array, Array | str, Array | None]:
         """The rotation that is left (..., 1), and the velocities; rest where the markers span no area."""
         if basis is not None and shift is not None:
@@ -125,10 +125,10 @@ class Partitioned(ErrorLaw):
         sigma, d, sigma_star, d_star = size(view.xy), segments(view.xy), size(goal.xy), segments(goal.xy)
         flat = ~(spans_area(sigma, d) & spans_area(sigma_star, d_star))
         if basis is not None and flat:
-            return own, NO_AREA, None
+            return extra, NO_AREA, None
         if basis is None:  # of many, those without an area are computed with sigma* instead, and set to NaN at the end: no branches
             sigma = np.where(flat, sigma_star, sigma)
-        turn = self._turn(own[..., 0], angle_error(d, d_star))
+        turn = self._turn(extra[..., 0], angle_error(d, d_star))
         twist = self._twist(e, J, view, goal, size_error(sigma, sigma_star, self.sigma), turn)
         if basis is None:
             twist[flat] = np.nan

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
 from vstestbed.core.spec import kind_of, spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
-from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase, TwistLimits
+from vstestbed.laws.base import Command, ConstantGain, Gain, Law, TwistLimits
 
 # A lamp that changed since the goal's picture was taken: gain and offset of the grey levels.
 #
@@ -126,61 +126,6 @@ def gradient(grey: Grey) -> tuple[Grey, Grey]:
     return np.asarray(along, np.float32), np.asarray(across, np.float32)
 
 
-class Normal(NamedTuple):
-    """Normal equations of the weighted least squares over the pixels.
-
-    Attributes:
-        H: L^T W L (6, 6). b: L^T W e (6,). error_grey: root of the weighted mean of e^2 [grey levels]; NaN where no pixel counts.
-        share: mean weight of the pixels, 1 where none is an outlier.
-    """
-
-    H: Array
-    b: Array
-    error_grey: float
-    share: float
-
-
-@dataclass(frozen=True)
-class LevelPixels:
-    """The pixels of one level of the pyramid that enter the error: all but a border, every `stride`-th in both directions.
-
-    Attributes:
-        at: slices (rows, columns) of the level's picture. x, y: their normalised coordinates (h, w).
-        slope: du/dx, du/dy, dv/dx, dv/dy of the lens, in pixels of the level, numbers or (h, w).
-    """
-
-    at: tuple[slice, slice]
-    x: Grey
-    y: Grey
-    slope: tuple[Grey | float, ...]
-
-    @classmethod
-    def of(cls, camera: Perspective, level: int, margin_px: int, stride: int) -> LevelPixels:
-        """The pixels of a camera's picture, halved `level` times; margin_px: border left out [px of the full picture]."""
-        scale = 2**level
-        edge = max(len(DIFFERENCE) // 2, -(-margin_px // scale))
-        h, w = (-(-n // scale) for n in (camera.height, camera.width))
-        at = slice(edge, h - edge, stride), slice(edge, w - edge, stride)
-        v, u = np.meshgrid(np.arange(h)[at[0]] * scale, np.arange(w)[at[1]] * scale, indexing="ij")
-        uv = np.stack([u, v], axis=-1).astype(float)
-        xy = camera.normalise(uv)
-        x, y = (np.ascontiguousarray(xy[..., i], np.float32) for i in (0, 1))
-        return cls(at, x, y, _slope(camera, xy, scale))
-
-    def normalised(self, along: tuple[Grey, Grey]) -> tuple[Grey, Grey]:
-        """The gradient of these pixels in normalised coordinates, of one in pixels of the level, (h, w) each."""
-        gu, gv = along[0][self.at], along[1][self.at]
-        ux, uy, vx, vy = self.slope
-        if isinstance(ux, float):
-            return gu * np.float32(ux), gv * np.float32(vy)
-        return np.asarray(gu * ux + gv * vx, np.float32), np.asarray(gu * uy + gv * vy, np.float32)
-
-    def interaction(self, along: tuple[Grey, Grey], inverse_depth: Grey) -> Grey:
-        """Rows of L transposed, (6, pixels), as `rows` has them, of the gradient (dI/du, dI/dv) of the level's picture."""
-        gx, gy = self.normalised(along)
-        return rows(gx.ravel(), gy.ravel(), self.x.ravel(), self.y.ravel(), inverse_depth.ravel())
-
-
 def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
     """L_I = -(dI/dx L_x + dI/dy L_y) of pixels, transposed: (6, n), with the rows L_x and L_y of image points.
 
@@ -203,18 +148,48 @@ def rows(gx: Grey, gy: Grey, x: Grey, y: Grey, inverse_depth: Grey) -> Grey:
 
 @dataclass(frozen=True)
 class GoalLevel:
-    """One level of the goal's pyramid.
+    """One level of the goal's pyramid. All its pixels enter the error but a border, every `stride`-th in both directions.
 
     Attributes:
-        pixels: those that enter the error. grey: the goal's picture at this level (h, w).
-        inverse_depth: 1/Z of the pixels in the goal view (h, w) [1/m]; 0 where the depth is not known.
+        grey: the goal's picture at this level. at: slices (rows, columns) of those pixels in it.
+        x, y: their normalised coordinates (h, w).
+        slope: du/dx, du/dy, dv/dx, dv/dy of the lens, in pixels of the level, numbers or (h, w).
+        inverse_depth: 1/Z of the pixels in the goal view (h, w) [1/m]; 0 where the depth is not known, or not set yet.
         light: whether gain and offset of the grey levels are fitted with the motion.
     """
 
-    pixels: LevelPixels
     grey: Grey
+    at: tuple[slice, slice]
+    x: Grey
+    y: Grey
+    slope: tuple[Grey | float, ...]
     inverse_depth: Grey
     light: Light = "same"
+
+    @classmethod
+    def of(cls, camera: Perspective, grey: Grey, level: int, margin_px: int, stride: int, light: Light = "same") -> GoalLevel:
+        """The picture of a camera, halved `level` times, without depths; margin_px: border left out [px of the full picture]."""
+        scale = 2**level
+        edge = max(len(DIFFERENCE) // 2, -(-margin_px // scale))
+        h, w = (-(-n // scale) for n in (camera.height, camera.width))
+        at = slice(edge, h - edge, stride), slice(edge, w - edge, stride)
+        v, u = np.meshgrid(np.arange(h)[at[0]] * scale, np.arange(w)[at[1]] * scale, indexing="ij")
+        xy = camera.normalise(np.stack([u, v], axis=-1).astype(float))
+        x, y = (np.ascontiguousarray(xy[..., i], np.float32) for i in (0, 1))
+        return cls(grey, at, x, y, _slope(camera, xy, scale), np.zeros_like(x), light)
+
+    def normalised(self, along: tuple[Grey, Grey]) -> tuple[Grey, Grey]:
+        """The gradient of these pixels in normalised coordinates, of one in pixels of the level, (h, w) each."""
+        gu, gv = along[0][self.at], along[1][self.at]
+        ux, uy, vx, vy = self.slope
+        if isinstance(ux, float):
+            return gu * np.float32(ux), gv * np.float32(vy)
+        return np.asarray(gu * ux + gv * vx, np.float32), np.asarray(gu * uy + gv * vy, np.float32)
+
+    def interaction(self, along: tuple[Grey, Grey], inverse_depth: Grey) -> Grey:
+        """Rows of L transposed, (6, pixels), as `rows` has them, of the gradient (dI/du, dI/dv) of the level's picture."""
+        gx, gy = self.normalised(along)
+        return rows(gx.ravel(), gy.ravel(), self.x.ravel(), self.y.ravel(), inverse_depth.ravel())
 
     @cached_property
     def gradient(self) -> tuple[Grey, Grey]:
@@ -224,7 +199,7 @@ class GoalLevel:
     @cached_property
     def L(self) -> Grey:
         """The interaction matrix at the goal, transposed, (6, n)."""
-        return np.where(self.inverse_depth.ravel() > 0, self.pixels.interaction(self.gradient, self.inverse_depth), np.float32(0))
+        return np.where(self.inverse_depth.ravel() > 0, self.interaction(self.gradient, self.inverse_depth), np.float32(0))
 
     @cached_property
     def H(self) -> Array:
@@ -234,7 +209,7 @@ class GoalLevel:
     @cached_property
     def of_light(self) -> Grey:
         """Derivatives (2, n) of I = (1 + a) I* + b by gain a and offset b of the light, of the goal's grey levels I* (n,)."""
-        goal = self.grey[self.pixels.at].ravel()
+        goal = self.grey[self.at].ravel()
         return np.stack([goal, np.ones_like(goal)])
 
     @cached_property
@@ -242,14 +217,16 @@ class GoalLevel:
         """RMS change [grey levels] by the motion of size S (`MOTION`) with the least: root of the least eigenvalue of S H S / n."""
         return float(np.sqrt(max(np.linalg.eigvalsh(self.H * np.outer(MOTION, MOTION))[0], 0.0) / max(self.L.shape[1], 1)))
 
-    def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> Normal:
-        """The normal equations of a picture (h, w) of this level against the goal's.
+    def normal(self, grey: Grey, which: Which, robust: Robust, inverse_depth: Grey | None = None) -> tuple[Array, Array, float]:
+        """Normal equations H = L^T W L (6, 6) and b = L^T W e (6,) of the weighted least squares of a picture (h, w) against the goal's.
+
+        The third value is the root of the weighted mean of e^2 [grey levels], NaN where no pixel counts.
 
         grey: the picture. which: L of this picture, of the goal's, or the mean of both. robust: weights of the pixels. inverse_depth: 1/Z
         of the pixels in this picture (h, w), 0 where it is not known; None: the goal's.
         """
         near = self.inverse_depth if inverse_depth is None else inverse_depth
-        e = (grey[self.pixels.at] - self.grey[self.pixels.at]).ravel()
+        e = (grey[self.at] - self.grey[self.at]).ravel()
         known = (near.ravel() > 0) & (self.inverse_depth.ravel() > 0)
         e = self._unlit(e, None if known.all() else known.astype(np.float32))
         w = _weights(robust, e, known)
@@ -258,9 +235,8 @@ class GoalLevel:
             H, b = eliminated(H, b)
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
-        n, total = len(e), float(len(e) if w is None else w.sum(dtype=float))
-        error = float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
-        return Normal(H, b, error, total / max(n, 1))
+        total = float(len(e) if w is None else w.sum(dtype=float))
+        return H, b, float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
 
     def _unlit(self, e: Grey, w: Grey | None) -> Grey:
         """Errors (n,) without what a light that may have changed explains of them."""
@@ -281,7 +257,7 @@ class GoalLevel:
 
     def _banded(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey) -> Iterator[tuple[slice, Grey]]:
         """Bands of pixels with their rows of L transposed, (6, band), of a picture's gradient; of the goal's for None."""
-        columns = None if along is None else [g.ravel() for g in (*self.pixels.normalised(along), self.pixels.x, self.pixels.y, near)]
+        columns = None if along is None else [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
         for start in range(0, self.L.shape[1], BAND_PX):
             band = slice(start, start + BAND_PX)
             L = self.L[:, band] if columns is None else rows(*(column[band] for column in columns))
@@ -364,7 +340,7 @@ class LevenbergMarquardt:
 
 
 @dataclass(frozen=True, slots=True)
-class PhotometricMemory:
+class PhotometricState:
     """What the law keeps.
 
     Attributes:
@@ -379,7 +355,7 @@ class PhotometricMemory:
 
 
 @spec
-class Photometric(LawBase):
+class Photometric(Law[PhotometricState]):
     """u = -lambda (H + mu diag(H))^-1 (L_I B)^T W (I - I*), H = (L_I B)^T W L_I B, camera twist v = B u.
 
     I and I* are the luminance of the current picture and of the goal's, pixel by pixel: nothing is detected, matched or tracked. L_I
@@ -447,35 +423,35 @@ class Photometric(LawBase):
             )
             raise ParameterError("law", f"{words}; make one of them smaller")
 
-    def init(self, goal: Goal) -> PhotometricMemory:
+    def init(self, goal: Goal) -> PhotometricState:
         """No picture so far."""
-        return PhotometricMemory()
+        return PhotometricState()
 
-    def step(self, memory: PhotometricMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PhotometricMemory, Command]:
+    def step(self, state: PhotometricState, observation: Observation, goal: Goal, basis: Array) -> tuple[PhotometricState, Command]:
         """One frame: the picture against the goal's."""
         sight = observation.image
         if sight is None:
-            return memory, Command.rest(basis, NO_PICTURE)
-        if memory.pyramid is None or memory.goal is not goal.image:
+            return state, Command.rest(basis, NO_PICTURE)
+        if state.pyramid is None or state.goal is not goal.image:
             pyramid = self._pyramid(goal)
-            memory = PhotometricMemory(pyramid, len(pyramid) - 1, observation.t, goal.image)
-        assert memory.pyramid is not None
-        level, grey, near = memory.pyramid[memory.level], self._at_level(sight.image, memory.level), self._measured(sight, memory)
-        if why := self._why_not(memory.pyramid[0], near):
-            return memory, Command.rest(basis, why)
+            state = PhotometricState(pyramid, len(pyramid) - 1, observation.t, goal.image)
+        assert state.pyramid is not None
+        level, grey, near = state.pyramid[state.level], self._at_level(sight.image, state.level), self._measured(sight, state)
+        if why := self._why_not(state.pyramid[0], near):
+            return state, Command.rest(basis, why)
         if float(grey.std()) < LEAST_CONTRAST * float(level.grey.std()):
-            return memory, Command.rest(basis, BLANK)
+            return state, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
-        robust = self.robust if memory.level == 0 else "none"
-        if memory.level > 0 and self.light == "gain_offset":  # at the finest level the light is fitted with the motion
+        robust = self.robust if state.level == 0 else "none"
+        if state.level > 0 and self.light == "gain_offset":  # at the finest level the light is fitted with the motion
             grey = relit(grey, level.grey)
-        normal = level.normal(grey, self.interaction, robust, near)
-        step = self._solved(normal, basis, self.damping.at(observation.t - memory.t0))
+        H, b, error_grey = level.normal(grey, self.interaction, robust, near)
+        step = self._solved(basis.T @ H @ basis, basis.T @ b, self.damping.at(observation.t - state.t0))
         if step is None:
-            return memory, Command.rest(basis, NO_PIXEL)
+            return state, Command.rest(basis, NO_PIXEL)
         command = self.limits.command(-self.gain.at(step) * step, basis)
-        memory = replace(memory, level=self._next_level(memory, basis @ step, goal))
-        return memory, replace(command, error_grey=normal.error_grey)
+        state = replace(state, level=self._next_level(state, basis @ step, goal))
+        return state, replace(command, error_grey=error_grey)
 
     def _why_not(self, goal: GoalLevel, near: Grey | None) -> str:
         """Why the law cannot work with these pictures; "" if it can."""
@@ -483,27 +459,26 @@ class Photometric(LawBase):
             return NO_DEPTH
         return "" if goal.least_change >= LEAST_CHANGE else NO_STRUCTURE
 
-    def _solved(self, normal: Normal, basis: Array, mu: float) -> Array | None:
-        """The remaining motion (n,) along the robot's motions [m, rad]; None where the pixels do not determine it."""
-        H = basis.T @ normal.H @ basis
+    def _solved(self, H: Array, b: Array, mu: float) -> Array | None:
+        """The remaining motion (n,) by normal equations (n, n) and (n,) [m, rad]; None where the pixels do not determine it."""
         scale = np.sqrt(np.diag(H))
         if not (scale > 0).all():
             return None
         # Scaled to a unit diagonal, to which mu is then added: the condition of metres against radians is not in the matrix.
         scaled = H / np.outer(scale, scale) + mu * np.eye(len(H))
         try:
-            return np.linalg.solve(scaled, basis.T @ normal.b / scale) / scale
+            return np.linalg.solve(scaled, b / scale) / scale
         except np.linalg.LinAlgError:
             return None
 
-    def _next_level(self, memory: PhotometricMemory, step: Array, goal: Goal) -> int:
+    def _next_level(self, state: PhotometricState, step: Array, goal: Goal) -> int:
         """The level for the next picture, after a step (6,) [m, rad] of the camera that would reach the goal."""
-        assert memory.pyramid is not None and isinstance(goal.camera, Perspective)
-        near = memory.pyramid[-1].inverse_depth
-        moved = motion_px(goal.camera, step, 1 / float(near[near > 0].mean())) / 2**memory.level
+        assert state.pyramid is not None and isinstance(goal.camera, Perspective)
+        near = state.pyramid[-1].inverse_depth
+        moved = motion_px(goal.camera, step, 1 / float(near[near > 0].mean())) / 2**state.level
         if moved < FINER_PX:
-            return max(memory.level - 1, 0)
-        return min(memory.level + 1, len(memory.pyramid) - 1) if moved > COARSER_PX else memory.level
+            return max(state.level - 1, 0)
+        return min(state.level + 1, len(state.pyramid) - 1) if moved > COARSER_PX else state.level
 
     def _at_level(self, image: NDArray[np.uint8], level: int) -> Grey:
         grey = luminance(image, self.smooth_px)
@@ -517,32 +492,33 @@ class Photometric(LawBase):
             raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_images to the Controller")
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
-            pixels = LevelPixels.of(goal.camera, number, self.margin_px, self.stride)
-            made.append(GoalLevel(pixels, grey, self._inverse_depth(pixels, goal, number), self.light if number == 0 else "same"))
+            light = self.light if number == 0 else "same"
+            level = GoalLevel.of(goal.camera, grey, number, self.margin_px, self.stride, light)
+            made.append(replace(level, inverse_depth=self._inverse_depth(level, goal, number)))
             grey = coarser(grey)
         return tuple(made)
 
-    def _inverse_depth(self, pixels: LevelPixels, goal: Goal, level: int) -> Grey:
-        """1/Z of pixels in the goal view [1/m], 0 where it is not known."""
+    def _inverse_depth(self, level: GoalLevel, goal: Goal, number: int) -> Grey:
+        """1/Z of the pixels of a level in the goal view [1/m], 0 where it is not known."""
         depth: Any = self.depth
         if isinstance(depth, Constant):
-            return np.full(pixels.x.shape, 1 / depth.depth_m, np.float32)
+            return np.full(level.x.shape, 1 / depth.depth_m, np.float32)
         if isinstance(depth, AtGoal):
             nx, ny, nz = goal.normal / float(goal.normal @ goal.middle)  # 1/Z = n . (x, y, 1) / (n . p) of a plane through p
-            return np.maximum(nx * pixels.x + ny * pixels.y + nz, 0).astype(np.float32)
-        return _inverse(goal.image, pixels, level)
+            return np.maximum(nx * level.x + ny * level.y + nz, 0).astype(np.float32)
+        return _inverse(goal.image, level, number)
 
-    def _measured(self, sight: Sight, memory: PhotometricMemory) -> Grey | None:
+    def _measured(self, sight: Sight, state: PhotometricState) -> Grey | None:
         """1/Z of the current picture's pixels by the depth camera; None with another source of depth."""
-        if not self.depth.measured or self.interaction == "desired" or memory.pyramid is None:
+        if not self.depth.measured or self.interaction == "desired" or state.pyramid is None:
             return None
-        return _inverse(sight, memory.pyramid[memory.level].pixels, memory.level)
+        return _inverse(sight, state.pyramid[state.level], state.level)
 
 
-def _inverse(sight: Sight | None, pixels: LevelPixels, level: int) -> Grey:
+def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:
     """1/Z of the pixels of a level by a depth picture [1/m], 0 in its holes."""
     if sight is None or sight.depth is None:
         raise ParameterError("law.depth", "may be sensor only with a depth camera, camera.depth_sensor; else use goal or constant")
-    depth = sight.depth[:: 2**level, :: 2**level][pixels.at]
+    depth = sight.depth[:: 2**number, :: 2**number][level.at]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(depth > 0, 1 / depth, 0).astype(np.float32)

@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, all_finite, exp, lengths, skew, trans
 from vstestbed.core.quantity import Pixels, PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature
-from vstestbed.features.observation import Goal, Observation, Relative
+from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.solve import least_squares
 
 Rows = slice | NDArray[np.bool_]
@@ -61,7 +61,7 @@ def check_goal(feature: Feature, goal: Goal) -> None:
         check(*inputs)
 
 
-# What a frame does not show, carried over from the last one by the motion of the camera relative to the target.
+# What a frame does not show, dead-reckoned from the last one by the motion of the camera relative to the target.
 TRUST_S = 0.04
 """Time constant with which a marker that is not seen loses its weight against those that are seen [s]."""
 
@@ -86,21 +86,21 @@ def moved_markers(observation: Observation, p: Array, which: NDArray[np.bool_]) 
     return replace(observation, **new)
 
 
-def carried_markers(
-    seen: Observation, last: Observation, way: Array, unseen_s: Array, longest_s: float, basis: Array | None
+def reckoned_markers(
+    seen: Observation, last: Observation, motion: Array, unseen_s: Array, longest_s: float, basis: Array | None
 ) -> Observation:
-    """`seen` with the markers that it lacks where those of `last` are after a motion `way` (4, 4) of the target in the camera frame.
+    """`seen` with the markers that it lacks where those of `last` are after a `motion` (4, 4) of the target in the camera frame.
 
     The markers are one rigid body, and four of them tell lateral motion from tilt by little: one that is off by the thousandth part of
     its distance against the others may cost a law a twentieth of it. So, with a basis, all that are not seen are moved further by
     exp(-B c), where c minimises sum of w_i^2 |r_i - r_i(c)|^2: r_i are the unit rays, as measured where the marker is seen (w = 1), as
-    carried over where it is not, with w = exp(-unseen_s / TRUST_S).
-    Without a basis, all markers are carried over, also those that are seen, as the rest would not fit to them.
+    dead-reckoned where it is not, with w = exp(-unseen_s / TRUST_S).
+    Without a basis, all markers are dead-reckoned, also those that are seen, as the rest would not fit to them.
 
     unseen_s: for how long each marker has not been seen (N,) [s]. longest_s: those that were unseen for longer are left out. basis: the
     robot's motions (6, n), or None where too few markers are seen to correct the others by.
     """
-    p = transform(way, points(last))
+    p = transform(motion, points(last))
     known = np.isfinite(p[:, 0]) & seen.same(last)
     kept = known & (unseen_s <= longest_s)
     if basis is None:
@@ -129,17 +129,17 @@ def _rays(observation: Observation) -> Array:
     return ahead / lengths(ahead)
 
 
-def carried_pose(seen: Observation, last: Observation, way: Array, goal: Goal) -> Observation:
-    """`seen` with the pose T <- way T of `last` and its homography, where it has none.
+def reckoned_pose(seen: Observation, last: Observation, motion: Array, goal: Goal) -> Observation:
+    """`seen` with the pose T <- motion T of `last` and its homography, where it has none.
 
-    The homography H = R + t n^T/d* from the goal's view goes on by R <- dR R, t <- dR t + dt, with way = (dR, dt).
+    The homography H = R + t n^T/d* from the goal's view goes on by R <- dR R, t <- dR t + dt, with motion = (dR, dt).
     """
     T, relative = seen.T_camera_target, seen.relative
     if T is None and last.T_camera_target is not None:
-        T = way @ last.T_camera_target
+        T = motion @ last.T_camera_target
     if relative is None and last.relative is not None:
-        R, n = way[:3, :3], goal.normal
-        relative = Relative(R @ last.relative.H + np.outer(way[:3, 3], n / (n @ goal.middle)), R @ last.relative.R_camera_goal)
+        (H, R_camera_goal), R, n = last.relative, motion[:3, :3], goal.normal
+        relative = R @ H + np.outer(motion[:3, 3], n / (n @ goal.middle)), R @ R_camera_goal
     return replace(seen, T_camera_target=T, relative=relative)
 
 

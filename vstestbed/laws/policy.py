@@ -6,7 +6,6 @@ import copy
 import inspect
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +18,7 @@ from vstestbed.core.named_files import absolute_file, is_there, line_of, load_fi
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.base import Command, Law, TwistLimits
 
 SPEED_MPS, RATE_RADPS = 1.0, 1.0
 """Velocities of an action of 1 where the law of the scenario has no limits."""
@@ -45,30 +44,14 @@ def _pixels(uv: Array) -> Array:
     return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX)
 
 
-@dataclass(frozen=True)
-class ActionScale:
-    """An action in [-1, 1]^n as velocities u along the robot's motions: u = per_unit * action.
+def action_unit(limits: TwistLimits, basis: Array) -> Array:
+    """Velocities (n,) of an action of 1 along the robot's motions, basis (6, n) [m/s, rad/s], so that u = unit * action.
 
-    Attributes:
-        per_unit: velocities (n,) of an action of 1 [m/s, rad/s].
+    They are a law's limits: a motion that turns the camera has the limit of rate.
     """
-
-    per_unit: Array
-
-    @classmethod
-    def of(cls, limits: TwistLimits, basis: Array) -> ActionScale:
-        """The scale for a law's limits and the robot's motions, basis (6, n): a motion that turns the camera has the limit of rate."""
-        speed, rate = limits.speed_mps or SPEED_MPS, limits.rate_radps or RATE_RADPS
-        turns = np.abs(basis[3:]).max(axis=0) > 1e-9  # a turn of the base also moves the camera; a translation never turns it
-        return cls(np.where(turns, rate, speed))
-
-    def velocities(self, action: Array) -> Array:
-        """The velocities u (n,) [m/s, rad/s] of an action (n,), which is clipped to [-1, 1]."""
-        return self.per_unit * np.clip(action, -1.0, 1.0)
-
-    def action(self, u: Array) -> Array:
-        """The action (n,) of velocities u (n,), clipped to [-1, 1]."""
-        return np.clip(u / self.per_unit, -1.0, 1.0)
+    speed, rate = limits.speed_mps or SPEED_MPS, limits.rate_radps or RATE_RADPS
+    turns = np.abs(basis[3:]).max(axis=0) > 1e-9  # a turn of the base also moves the camera; a translation never turns it
+    return np.where(turns, rate, speed)
 
 
 Act = Callable[[Mapping[str, Array]], Any]
@@ -79,7 +62,7 @@ ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 @spec
-class Policy(LawBase):
+class Policy(Law[Act]):
     """u = scale * action of a learned policy, action = act(observation) in [-1, 1]^n, beyond which it is clipped.
 
     `file` is `FILE.py:NAME` or `FILE.onnx`, absolute, or relative to the scenario's file. NAME is one of
@@ -90,7 +73,7 @@ class Policy(LawBase):
     (`observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
     (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
 
-    An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`ActionScale`).
+    An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`action_unit`).
 
     Args:
         file: the policy. To load a scenario runs the code of it.
@@ -143,15 +126,15 @@ class Policy(LawBase):
             raise ParameterError("law.file", f"{Path(self.file).name}: {type(made).__name__} has no method act(observation)")
         return act
 
-    def step(self, memory: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
+    def step(self, state: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
         """One frame: ask the policy. Raises ParameterError: the action is not n numbers."""
-        given = memory(observed(observation, goal))
+        given = state(observed(observation, goal))
         if given is None:
-            return memory, Command.rest(basis, NO_ACTION)
+            return state, Command.rest(basis, NO_ACTION)
         action = self._checked(given, basis.shape[1])
         if not action.any() and not observation.seen.all():
-            return memory, Command.rest(basis, "the policy rests while a marker is out of sight")
-        return memory, self.limits.command(ActionScale.of(self.limits, basis).velocities(action), basis)
+            return state, Command.rest(basis, "the policy rests while a marker is out of sight")
+        return state, self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
 
     def _checked(self, given: Any, n: int) -> Array:
         try:

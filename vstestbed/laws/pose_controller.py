@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from vstestbed.core.quantity import Distance, PositiveLength, PositiveSpeed, Sig
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.base import Command, Law, TwistLimits
 
 # Driving to a pose in polar coordinates about the goal: the mathematics of the pose controller.
 #
@@ -37,12 +36,8 @@ from vstestbed.laws.base import Command, LawBase, TwistLimits
 # doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential Geometric Control Theory, pp. 181-191.
 
 
-class PolarGains(NamedTuple):
-    """Gains of the polar law of distance, bearing and heading at the goal [1/s]; the textbook's by default."""
-
-    rho: float = 1.0
-    alpha: float = 5.0
-    beta: float = -2.0
+Gains = tuple[float, float, float]
+"""Gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]."""
 
 
 def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Array]:
@@ -62,9 +57,7 @@ def direction_to(place: Array, goal: Array) -> Array:
     return np.where(np.abs(polar(place, goal, np.array(1))[1]) <= np.pi / 2, 1, -1)
 
 
-def polar_law(
-    place: Array, goal: Array, direction: Array, gains: PolarGains, speed_limit: float, rest_m: float = 0.02
-) -> tuple[Array, Array]:
+def polar_law(place: Array, goal: Array, direction: Array, gains: Gains, speed_limit: float, rest_m: float = 0.02) -> tuple[Array, Array]:
     """Speed and yaw rate towards the goal, scaled together to the speed limit.
 
     v = direction k_rho rho,  w = k_alpha alpha + k_beta beta,  both times min(1, speed_limit / |v|); rest where rho < rest_m.
@@ -75,26 +68,22 @@ def polar_law(
     rest_m: distance from the goal under which both are 0 [m]. Returns v [m/s], w [rad/s], (...) each; the vehicle limits arcs that are
     tighter than its own.
     """
-    rho, alpha, beta = polar(place, goal, direction)
-    v = gains.rho * rho
+    (k_rho, k_alpha, k_beta), (rho, alpha, beta) = gains, polar(place, goal, direction)
+    v = k_rho * rho
     # v is proportional to rho, so that 1e-12 only avoids 0/0 at the goal.
     scale = np.where(rho < rest_m, 0.0, np.minimum(1.0, speed_limit / np.maximum(v, 1e-12)))
-    return direction * v * scale, (gains.alpha * alpha + gains.beta * beta) * scale
+    return direction * v * scale, (k_alpha * alpha + k_beta * beta) * scale
 
 
 NO_PLACE = "the vehicle's place cannot be estimated"
 
 
-@dataclass(frozen=True, slots=True)
-class PoseMemory:
-    """Forward (1) or reverse (-1), chosen at the first known place (0 before), and whether the goal has been reached."""
-
-    direction: int = 0
-    arrived: bool = False
+PoseState = tuple[int, bool]
+"""Forward (1) or reverse (-1), chosen at the first known place (0 before), and whether the goal has been reached."""
 
 
 @spec
-class PoseController(LawBase):
+class PoseController(Law[PoseState]):
     """v = k_rho rho,  w = k_alpha alpha + k_beta beta, about the goal, both scaled together into the speed limit.
 
     The equations and their stability are at the head of `laws.pose_controller`. With `direction: auto` the vehicle drives forward or in
@@ -135,32 +124,27 @@ class PoseController(LawBase):
         if not self.k_alpha > self.k_rho:
             raise ParameterError("k_alpha", f"must be > rho = {self.k_rho:g} [1/s]: otherwise it circles the goal", self.k_alpha)
 
-    @property
-    def gains(self) -> PolarGains:
-        """The gains of the polar law."""
-        return PolarGains(self.k_rho, self.k_alpha, self.k_beta)
-
     def markers_needed(self, basis: Array) -> int:
         """Three landmarks for a pose; on a known floor two determine the place."""
         return 3 if isinstance(self.depth, PnP) else 2
 
-    def init(self, goal: Goal) -> PoseMemory:
+    def init(self, goal: Goal) -> PoseState:
         """No direction chosen so far."""
-        return PoseMemory()
+        return 0, False
 
-    def step(self, memory: PoseMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseMemory, Command]:
+    def step(self, state: PoseState, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseState, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         place, there = observation.place, goal.place
         if place is None or there is None:
-            return memory, Command.rest(basis, NO_PLACE)
+            return state, Command.rest(basis, NO_PLACE)
         directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
-        direction = memory.direction or directions[self.direction]  # kept: a new choice near the goal could alternate
-        arrived = memory.arrived or self._there(place, there, direction)
-        memory = PoseMemory(direction, arrived)
+        direction = state[0] or directions[self.direction]  # kept: a new choice near the goal could alternate
+        arrived = state[1] or self._there(place, there, direction)
         u = np.zeros(basis.shape[1])
         if not arrived:
-            u[0], u[-1] = polar_law(place, there, np.array(direction), self.gains, self.speed_mps, self.rest_m)
-        return memory, self.limits.command(u, basis)
+            gains = (self.k_rho, self.k_alpha, self.k_beta)
+            u[0], u[-1] = polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m)
+        return (direction, arrived), self.limits.command(u, basis)
 
     def _there(self, place: Array, there: Array, direction: int) -> bool:
         rho, alpha, _ = polar(place, there, np.array(direction))

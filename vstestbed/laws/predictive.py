@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
+from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, adjoint, exp, skew, transform
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
@@ -18,13 +19,22 @@ from vstestbed.features import FEATURES, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
-from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, shared_limits, twist_limits, velocity_bounds
+from vstestbed.laws.base import Command, Law, TwistLimits
+from vstestbed.laws.constraints import (
+    Group,
+    Solution,
+    load_solver,
+    minimise,
+    program_modes,
+    shared_limits,
+    twist_limits,
+    unsolved,
+    velocity_bounds,
+)
 from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.points import Rows, check_margin, pixel_interaction, points, usable_rows
-from vstestbed.laws.solve import least_squares
 from vstestbed.robots.own_model import OwnModel
 
 STILL = np.zeros(6)
@@ -48,76 +58,62 @@ class Predicted:
     J: Array
 
 
-@dataclass(frozen=True, slots=True)
-class PlanBlocks:
-    """A plan's blocks: velocities are constant over each, of `lengths` periods, which the horizon consists of.
+def blocks_of(horizon: int, blocks: int) -> NDArray[np.intp]:
+    """The block of each period (K,): a plan's velocities are constant over each block, and blocks grow, as the first periods matter most.
 
     Reference: Cagienard, Grieder, Kerrigan & Morari 2007, doi:10.1016/j.jprocont.2007.01.001 (move blocking).
     """
-
-    lengths: tuple[int, ...]
-
-    @classmethod
-    def of(cls, horizon: int, blocks: int) -> PlanBlocks:
-        """Blocks that grow: the first periods matter most."""
-        left, lengths = horizon, []
-        for i in range(min(blocks, horizon)):
-            after = min(blocks, horizon) - i - 1
-            length = max(1, left // 2**after) if after else left
-            lengths.append(min(length, left - after))
-            left -= lengths[-1]
-        return cls(tuple(lengths))
-
-    @property
-    def horizon(self) -> int:
-        """Number of periods."""
-        return sum(self.lengths)
-
-    @property
-    def of_period(self) -> list[int]:
-        """The block of each period."""
-        return [b for b, length in enumerate(self.lengths) for _ in range(length)]
-
-    def shifted(self, plan: Array) -> Array:
-        """A plan (B, n) a period later; the last velocities stay."""
-        each = plan[self.of_period]
-        later = np.vstack([each[1:], each[-1:]])
-        starts = np.cumsum((0, *self.lengths[:-1]))
-        return later[starts]
+    left, lengths, blocks = horizon, [], min(blocks, horizon)
+    for after in reversed(range(blocks)):
+        length = max(1, left // 2**after) if after else left
+        lengths.append(min(length, left - after))
+        left -= lengths[-1]
+    return np.repeat(np.arange(blocks), lengths)
 
 
-def lagged(blocks: PlanBlocks, plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
+def beginnings(block: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The first period of each block (B,)."""
+    return np.flatnonzero(np.diff(block, prepend=-1))
+
+
+def shifted(plan: Array, block: NDArray[np.intp]) -> Array:
+    """A plan (B, n) a period later; the last velocities stay."""
+    each = plan[block]
+    return np.vstack([each[1:], each[-1:]])[beginnings(block)]
+
+
+def lagged(block: NDArray[np.intp], plan: Array, before: Array, lag: float) -> tuple[Array, Array]:
     """Mean velocities (K, n) in each period of first-order servos, and their change with the blocks' orders, (K, B), alike for each n.
 
     With a = exp(-1/lag) and g = lag (1 - a): mean = (1 - g) u + g r, and r' = (1 - a) u + a r at the end of the period.
 
-    plan: (B, n). before: the velocity r at the beginning (n,). lag: time constant in periods.
+    block: of each period (K,). plan: (B, n). before: the velocity r at the beginning (n,). lag: time constant in periods.
     """
     decay = math.exp(-1 / lag) if lag > 0 else 0.0
-    carried = lag * (1 - decay)
+    kept = lag * (1 - decay)
     r, R = before, np.zeros(len(plan))
     means, changes = [], []
-    for b in blocks.of_period:
-        means.append((1 - carried) * plan[b] + carried * r)
-        changes.append(carried * R)
-        changes[-1][b] += 1 - carried
+    for b in block:
+        means.append((1 - kept) * plan[b] + kept * r)
+        changes.append(kept * R)
+        changes[-1][b] += 1 - kept
         r, R = (1 - decay) * plan[b] + decay * r, decay * R
         R[b] += 1 - decay
     return np.array(means), np.array(changes)
 
 
-def predict(p: Array, robot: OwnModel, blocks: PlanBlocks, plan: Array, relinearise: bool, target: Array = STILL) -> Predicted:
+def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, relinearise: bool, target: Array = STILL) -> Predicted:
     """What a plan (B, n) does, from markers p (N, 3) [m] in the camera frame at the exposure.
 
     The camera's pose follows T <- T exp(period J mean) exactly; a small change d of the pose before a period has become
     Ad(exp(-period J mean)) d at its end, to which period J times the change of the velocity is added, less half of its bracket with the
     twist: the derivative of the exponential to second order.
 
-    relinearise: J at the predicted positions; else that of now throughout. target: camera twist (6,) that would move the markers as the
-        target's own motion does.
+    block: of each period (K,). relinearise: J at the predicted positions; else that of now throughout. target: camera twist (6,) that would
+    move the markers as the target's own motion does.
     """
     n, period = len(robot.names), robot.period_s
-    mean, change = lagged(blocks, plan, robot.ordered, robot.lag_s / period)
+    mean, change = lagged(block, plan, robot.ordered, robot.lag_s / period)
     steps, size = len(mean), plan.size
     p, q = transform(exp(-(robot.way + target * robot.underway_s)), p), robot.q_then
     D, Q = np.zeros((6, size)), np.zeros((n, size))
@@ -156,19 +152,14 @@ TRUST = 0.1
 """Most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad."""
 LEAST_DEPTH_M = 1e-3
 """Depth under which no feature is computed [m]."""
-FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The velocities planned in the last frame (B, n), None before the first, and the state of the target's estimated motion."""
-
-    rates: Array | None = None
-    tracked: ErrorState | None = None
+PlanState = tuple[Array | None, ErrorState | None]
+"""The velocities planned in the last frame (B, n), and the state of the target's estimated motion; None before the first frame."""
 
 
 @spec
-class Predictive(LawBase):
+class Predictive(Law[PlanState]):
     """min over u_1 ... u_B of  sum over k = 1 ... K of |e_k - exp(-gain k T) e_0|^2 + effort |u|^2,   of which u_1 is ordered.
 
     e_k = s(p_k) - s* is the error at the end of the k-th camera period T, predicted with the robot's model: servos of first order
@@ -221,7 +212,7 @@ class Predictive(LawBase):
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
     feedforward: Feedforward = NoFeedforward()
-    modes = ("free", "constrained", *(f"{word} gave way" for word in GIVE_WAY), "not solved")
+    modes = program_modes(GIVE_WAY)
 
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -251,64 +242,60 @@ class Predictive(LawBase):
         """The law with this feature, source of depth and feedforward, whose estimate of the target's motion it takes."""
         return IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward)
 
-    def init(self, goal: Goal) -> Plan:
+    def init(self, goal: Goal) -> PlanState:
         """No plan so far."""
-        return Plan()
+        return None, None
 
     def prepare(self) -> None:
         """The solvers of the program, and of `least_squares`."""
         super().prepare()
         load_solver()
 
-    def step(self, memory: Plan, observation: Observation, goal: Goal, basis: Array) -> tuple[Plan, Command]:
+    def step(self, state: PlanState, observation: Observation, goal: Goal, basis: Array) -> tuple[PlanState, Command]:
         """One frame with the visible markers; rest when they are too few, or where the program was not solved."""
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
-            return Plan(), Command.rest(basis, rows)
-        robot = observation.robot
+            return (None, None), Command.rest(basis, rows)
+        robot, before = observation.robot, state[0]
         assert robot is not None
-        tracked, target = self._target(memory.tracked, observation, goal, basis)
-        blocks = PlanBlocks.of(self.horizon, self.blocks)
-        plan = np.tile(robot.ordered, (len(blocks.lengths), 1)) if memory.rates is None else blocks.shifted(memory.rates)
-        solution, gave_way = self._solved(rows, observation, goal, robot, blocks, plan, target)
+        tracked, target = self._target(state[1], observation, goal, basis)
+        plan = np.tile(robot.ordered, (self._block[-1] + 1, 1)) if before is None else shifted(before, self._block)
+        solution = self._solved(rows, observation, goal, robot, plan, target)
         if solution.x is None:
-            return Plan(), replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
+            return (None, None), unsolved(solution, basis, GIVE_WAY)
         plan = solution.x.reshape(plan.shape)
-        mode = 2 + GIVE_WAY.index(gave_way[-1]) if gave_way else BOUND if solution.bound else FREE
-        twist = robot.J @ plan[0]
-        scale = self.limits.scale(twist)
-        rates, twist = plan[0] * scale, twist * scale
-        u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
-        return Plan(plan, tracked), Command(u, twist, scale=scale, rates=rates, mode=mode)
+        return (plan, tracked), solution.command(plan[0], robot, basis, self.limits, GIVE_WAY)
 
-    def _target(self, memory: ErrorState | None, seen: Observation, goal: Goal, basis: Array) -> tuple[ErrorState | None, Array]:
+    @cached_property
+    def _block(self) -> NDArray[np.intp]:
+        """The block of each period (K,)."""
+        return blocks_of(self.horizon, self.blocks)
+
+    def _target(self, state: ErrorState | None, seen: Observation, goal: Goal, basis: Array) -> tuple[ErrorState | None, Array]:
         """The next state of the estimate, and the camera twist (6,) that would move the markers as the target's own motion does."""
         if not isinstance(self.feedforward, Estimator):
-            return memory, STILL
-        memory, _ = self._ibvs.step(memory or self._ibvs.init(goal), seen, goal, basis)
-        trend = memory.followed.trend
-        return memory, STILL if trend is None else basis @ trend.rate
+            return state, STILL
+        state, _ = self._ibvs.step(state or self._ibvs.init(goal), seen, goal, basis)
+        return state, STILL if state.target is None else basis @ state.target.rate
 
-    def _solved(
-        self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, blocks: PlanBlocks, plan: Array, target: Array
-    ) -> tuple[Solution, tuple[str, ...]]:
-        """The plan as one vector, and the words of what gave way, in the order of GIVE_WAY."""
-        p = points(seen)[rows]
-        ahead = predict(p, robot, blocks, plan, self.model == "global", target)
+    def _solved(self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, plan: Array, target: Array) -> Solution:
+        """The plan as one vector."""
+        p, relinearise = points(seen)[rows], self.model == "global"
+        ahead = predict(p, robot, self._block, plan, relinearise, target)
         if not _in_front(ahead.p, self.feature):  # of a plan that flies through the target nothing can be predicted
             plan = np.zeros_like(plan)
-            ahead = predict(p, robot, blocks, plan, self.model == "global", target)
+            ahead = predict(p, robot, self._block, plan, relinearise, target)
             if not _in_front(ahead.p, self.feature):
-                return Solution(None, failure="a marker is predicted behind the camera"), ()
+                return Solution(None, failure="a marker is predicted behind the camera")
         u = plan.ravel()
         A, b = self._objective(ahead, goal, rows, robot, u)
         low, high, too_quick = self._bounds(robot, plan)
-        groups = [self._positions(ahead, robot, u), twist_limits_of(*self._trusted(p, robot.period_s), ahead, blocks)]
-        groups += [_repeated(shared_limits(robot, float(plan[0, 0])), len(plan)), self._slopes(robot, blocks)]
+        groups = [self._positions(ahead, robot, u), twist_limits_of(*self._trusted(p, robot.period_s), ahead, self._block)]
+        shared = shared_limits(robot, float(plan[0, 0]))
+        groups += [Group("shared", np.asarray(np.kron(np.eye(len(plan)), shared.A), float), np.tile(shared.low, len(plan))), self._slopes(robot)]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
-        solution = minimise(A, b, low, high, tuple(groups))
-        return solution, solution.gave_way + (("acceleration",) if too_quick and "acceleration" not in solution.gave_way else ())
+        return minimise(A, b, low, high, tuple(groups)).and_accelerations(too_quick)
 
     def _trusted(self, p: Array, period_s: float) -> tuple[float, float]:
         """Largest speed [m/s] and rate [rad/s] within the law's limits and those within which the linearisation holds (TRUST)."""
@@ -350,22 +337,22 @@ class Predictive(LawBase):
         low = np.concatenate([below, above]).ravel()
         return Group("positions", A[known := np.isfinite(low)], low[known])
 
-    def _slopes(self, robot: OwnModel, blocks: PlanBlocks) -> Group:
+    def _slopes(self, robot: OwnModel) -> Group:
         """Accelerations from block to block."""
-        n, B = len(robot.names), len(blocks.lengths)
+        lengths = np.bincount(self._block)
+        n, B = len(robot.names), len(lengths)
         quick = np.isfinite(robot.acceleration)
         if not self.accelerations or B == 1 or not quick.any():
-            return Group("acceleration", np.zeros((0, B * n)), np.zeros(0))
+            return Group.none("acceleration", B * n)
         rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
-        most = np.concatenate([robot.acceleration[quick] * robot.period_s * length for length in blocks.lengths[:-1]])
+        most = np.concatenate([robot.acceleration[quick] * robot.period_s * length for length in lengths[:-1]])
         return Group("acceleration", np.asarray(np.vstack([rows, -rows]), dtype=float), np.concatenate([-most, -most]))
 
     def _border(self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, u: Array) -> Group:
         """Markers' edges inside the picture, less the margin, at the end of each period."""
         camera, K = goal.camera, len(ahead.p)
-        nothing = Group("border", np.zeros((0, len(u))), np.zeros(0))
         if len(camera.panels) > 1:
-            return nothing
+            return Group.none("border", len(u))
         flat = ahead.p.reshape(-1, 3)
         L = pixel_interaction(camera, flat)
         distance, inwards = camera.borders(camera.project(flat))
@@ -377,21 +364,13 @@ class Predictive(LawBase):
         return Group("border", A[known], low[known])
 
 
-def twist_limits_of(speed_mps: float, rate_radps: float, ahead: Predicted, blocks: PlanBlocks) -> Group:
+def twist_limits_of(speed_mps: float, rate_radps: float, ahead: Predicted, block: NDArray[np.intp]) -> Group:
     """The limits of the camera's twist in each block, at the Jacobian with which it begins."""
-    n, starts = ahead.J.shape[2], np.cumsum((0, *blocks.lengths[:-1]))
-    parts = [twist_limits(speed_mps, rate_radps, ahead.J[start]) for start in starts]
-    A = np.zeros((sum(len(part.A) for part in parts), n * len(parts)))
-    at = 0
+    parts = [twist_limits(speed_mps, rate_radps, J) for J in ahead.J[beginnings(block)]]
+    A = np.zeros((len(parts), *parts[0].A.shape[:1], len(parts), ahead.J.shape[2]))
     for i, part in enumerate(parts):
-        A[at : at + len(part.A), i * n : (i + 1) * n] = part.A
-        at += len(part.A)
-    return Group("twist", A, np.concatenate([part.low for part in parts]))
-
-
-def _repeated(group: Group, times: int) -> Group:
-    """The same inequalities for each block of a plan."""
-    return Group(group.word, np.asarray(np.kron(np.eye(times), group.A), dtype=float), np.tile(group.low, times))
+        A[i, :, i] = part.A
+    return Group("twist", A.reshape(-1, len(parts) * ahead.J.shape[2]), np.concatenate([part.low for part in parts]))
 
 
 def _in_front(p: Array, feature: Feature) -> bool:

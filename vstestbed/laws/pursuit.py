@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,12 +14,12 @@ from vstestbed.core.quantity import PositiveGain, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import Depth, OnFloor, PnP
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits
+from vstestbed.laws.base import Command, Law, TwistLimits, held
 from vstestbed.laws.points import NO_POSE, TOO_FEW
 
 
 @dataclass(frozen=True, slots=True)
-class PursuitMemory:
+class PursuitState:
     """State at the last frame in which the target was visible.
 
     Attributes:
@@ -35,7 +35,7 @@ class PursuitMemory:
 
 
 @spec
-class Pursuit(LawBase):
+class Pursuit(Law[PursuitState]):
     """v = v_target + lambda (d - d*),  w = v kappa,  kappa = 2 y / d^2,  with (x, y) the target on the floor and d its distance.
 
     kappa is the curvature of the arc from the vehicle, tangential to its heading, to the target. The target's speed along the line
@@ -68,32 +68,30 @@ class Pursuit(LawBase):
         """On a known floor one marker determines its own place; a pose without the floor needs three."""
         return 3 if isinstance(self.depth, PnP) else 1
 
-    def init(self, goal: Goal) -> PursuitMemory:
+    def init(self, goal: Goal) -> PursuitState:
         """Nothing observed so far."""
-        return PursuitMemory()
+        return PursuitState()
 
-    def step(self, memory: PursuitMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitMemory, Command]:
+    def step(self, state: PursuitState, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitState, Command]:
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         T, way = observation.T_camera_target, observation.odometry
         if T is None or way is None or goal.gap_m is None or not observation.seen.any():
-            why = NO_POSE if observation.seen.any() else TOO_FEW
-            if memory.u is not None and observation.t - memory.t <= self.coast_s:
-                return memory, replace(self.limits.command(memory.u, basis), rest_reason=why)
-            return memory, Command.rest(basis, why)
+            u = state.u if observation.t - state.t <= self.coast_s else None
+            return state, held(self.limits, u, basis, NO_POSE if observation.seen.any() else TOO_FEW)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
-        speed = self._target_speed(memory, observation.t, gap, way, math.atan2(y, x))
+        speed = self._target_speed(state, observation.t, gap, way, math.atan2(y, x))
         v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
         u = np.zeros(basis.shape[1])
         u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2  # the bound: at the target itself the curvature is infinite
-        return PursuitMemory(observation.t, gap, way, u, speed), self.limits.command(u, basis)
+        return PursuitState(observation.t, gap, way, u, speed), self.limits.command(u, basis)
 
-    def _target_speed(self, memory: PursuitMemory, t: float, gap: float, way: Array, bearing: float) -> float:
+    def _target_speed(self, state: PursuitState, t: float, gap: float, way: Array, bearing: float) -> float:
         """The filtered speed of the target along the line of sight [m/s]: v_target = d_dot + v cos(alpha)."""
-        if memory.odometry is None or t <= memory.t:
+        if state.odometry is None or t <= state.t:
             return 0.0  # the first frame has no difference: the leader is taken to stand, which is the safe side
-        dt = t - memory.t
-        own = float(relative(memory.odometry, way)[0]) / dt
-        measured = (gap - memory.gap) / dt + own * math.cos(bearing)
+        dt = t - state.t
+        forward = float(relative(state.odometry, way)[0]) / dt
+        measured = (gap - state.gap) / dt + forward * math.cos(bearing)
         # First-order low-pass, discretised exactly, so that a frame that comes late weighs more.
-        return memory.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - memory.speed)
+        return state.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - state.speed)

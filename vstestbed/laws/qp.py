@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from operator import attrgetter
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -14,10 +15,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.quantity import Angle, Distance, Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import OneOf, spec
-from vstestbed.features.base import Feature
-from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, LawBase, TwistLimits, inputs_of
+from vstestbed.laws.base import Command, Law, TwistLimits, inputs_of
 from vstestbed.laws.constraints import (
     Group,
     Solution,
@@ -27,17 +26,19 @@ from vstestbed.laws.constraints import (
     load_solver,
     minimise,
     off_singularities,
+    program_modes,
     shared_limits,
     twist_limits,
+    unsolved,
     velocity_bounds,
 )
-from vstestbed.laws.feedforward import Feedforward
+from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.points import check_margin, pixel_interaction, usable_rows
-from vstestbed.laws.solve import PINV_RCOND, least_squares
+from vstestbed.laws.solve import PINV_RCOND
 from vstestbed.laws.views import Views
 from vstestbed.robots.own_model import OwnModel
 
@@ -186,11 +187,15 @@ SERVO = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
 """Laws whose motion a quadratic program may take."""
 GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; those of joint position and joint speed never do."""
-FREE, BOUND, UNSOLVED = 0, 1, 2 + len(GIVE_WAY)
+
+
+def _of_law(name: str) -> Any:
+    """A property of a program: that of the law within."""
+    return property(attrgetter(f"law.{name}"))
 
 
 @spec
-class QP(LawBase):
+class QP(Law[ErrorState]):
     """The velocities x of the robot's joints that come nearest to a law's motion u, subject to constraints.
 
     min |W (J x - B u)|^2 + secondary tasks    subject to
@@ -244,39 +249,21 @@ class QP(LawBase):
     accelerations: bool = True
     secondary: tuple[Secondary, ...] = ()
     limits: TwistLimits = TwistLimits()
-    modes = ("free", "constrained", *(f"{word} gave way" for word in GIVE_WAY), "not solved")
+    modes = program_modes(GIVE_WAY)
+
+    tasks = _of_law("tasks")
+    depth = _of_law("depth")
+    feature = _of_law("feature")
+    feedforward = _of_law("feedforward")
+    needs_same_markers = _of_law("needs_same_markers")
+    state_size = _of_law("state_size")
 
     @property
-    def tasks(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """Those of the law within."""
-        return self.law.tasks
-
-    @property
-    def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
+    def inputs(self) -> tuple[str, ...]:
         """Those of the law within, the robot, and what the constraints need."""
         seen = ("xy", "depth", "radius_px") if self.margin_px is not None or self.plane_m is not None else ()
         named = (*inputs_of(self.law), "robot", *seen, *(name for task in self.secondary for name in task.inputs))
         return tuple(dict.fromkeys(named))
-
-    @property
-    def depth(self) -> Depth:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """That of the law within."""
-        return self.law.depth
-
-    @property
-    def feature(self) -> Feature | None:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """That of the law within."""
-        return self.law.feature
-
-    @property
-    def feedforward(self) -> Feedforward:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """That of the law within."""
-        return self.law.feedforward
-
-    @property
-    def needs_same_markers(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
-        """Those of the law within."""
-        return self.law.needs_same_markers
 
     def markers_needed(self, basis: Array) -> int:
         """As many as the law within."""
@@ -295,8 +282,8 @@ class QP(LawBase):
             words = f"must be under {distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
             raise ParameterError("law.plane_m", words, self.plane_m)
 
-    def init(self, goal: Goal) -> Any:
-        """The memory of the law within."""
+    def init(self, goal: Goal) -> ErrorState:
+        """The state of the law within."""
         return self.law.init(goal)
 
     def prepare(self) -> None:
@@ -304,40 +291,31 @@ class QP(LawBase):
         super().prepare()
         load_solver()
 
-    def step(self, memory: Any, observation: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
+    def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
         """One frame; rest where the law within rests, or where the program was not solved."""
         robot = observation.robot
         assert robot is not None
-        kept, wanted = self.law.step(memory, observation, goal, basis)
+        state, wanted = self.law.step(state, observation, goal, basis)
         if wanted.rest_reason and not wanted.twist.any():
-            return kept, replace(wanted, free=())
-        solution, gave_way = self._solved(wanted, observation, goal, robot)
+            return state, replace(wanted, free=())
+        solution = self._solved(wanted.twist, observation, goal, robot)
         if solution.x is None:
-            return kept, replace(Command.rest(basis, solution.failure), mode=UNSOLVED)
-        mode = 2 + GIVE_WAY.index(gave_way[-1]) if gave_way else BOUND if solution.bound else FREE
-        twist = robot.J @ solution.x
-        scale = self.limits.scale(twist)
-        rates, twist = solution.x * scale, twist * scale
-        u = twist if basis.shape == (6, 6) else least_squares(basis, twist)
-        return kept, Command(u, twist, wanted.rest_reason, scale * wanted.scale, rates=rates, mode=mode)
+            return state, unsolved(solution, basis, GIVE_WAY)
+        command = solution.command(solution.x, robot, basis, self.limits, GIVE_WAY)
+        return state, replace(command, rest_reason=wanted.rest_reason, scale=command.scale * wanted.scale)
 
-    @property
-    def state_size(self) -> int:
-        """As that of the law within."""
-        return self.law.state_size
-
-    def step_batch(self, memory: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
+    def step_batch(self, state: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
         """One frame of many runs (see `ErrorLaw.step_batch`): where the motion of the law within breaks no constraint, it is the solution.
 
         Only the programs of the others are solved, one by one; the ideal cameras of a batch have no joints.
         """
-        memory, twist = self.law.step_batch(memory, views, goal)
+        state, twist = self.law.step_batch(state, views, goal)
         for i in np.flatnonzero(self._binds(views, twist, goal) & np.isfinite(twist[:, 0])):
             seen = views.of_run(int(i), self.inputs)
             assert seen.robot is not None
-            x = self._solved(Command(twist[i], twist[i]), seen, goal, seen.robot)[0].x
+            x = self._solved(twist[i], seen, goal, seen.robot).x
             twist[i] = np.nan if x is None else x
-        return memory, self.limits.within(twist)
+        return state, self.limits.within(twist)
 
     def _binds(self, views: Views, twist: Array, goal: Goal) -> NDArray[np.bool_]:
         """Which runs' twists (M, 6) break a constraint, (M,)."""
@@ -354,20 +332,20 @@ class QP(LawBase):
         h_dot = np.einsum("nbk,nk->nb", inwards, uv_dot).reshape(M, -1)
         return (h_dot < -self.barrier_gain * h).any(axis=1) | binds.any(axis=1)
 
-    def _solved(self, wanted: Command, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Solution, tuple[str, ...]]:
-        """The velocities, and the words of what gave way, in the order of GIVE_WAY."""
+    def _solved(self, wanted: Array, seen: Observation, goal: Goal, robot: OwnModel) -> Solution:
+        """The velocities that come nearest to the camera twist `wanted` (6,)."""
         low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
         groups = self._groups(wanted, seen, goal, robot)
         W = self._metric(seen)
-        main = W @ robot.J, W @ wanted.twist
+        main = W @ robot.J
         calm = damped(robot, float(np.einsum("ij,ij->", W, W)) / 6)
-        A, b = added(*main, self.secondary, seen, goal, robot)
+        A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
         solution = minimise(np.vstack([A, calm]), np.concatenate([b, np.zeros(len(calm))]), low, high, groups)
         if solution.x is not None:
-            solution = among_solutions(solution, main[0], self.secondary, seen, goal, robot, low, high, groups)
-        return solution, solution.gave_way + (("acceleration",) if too_quick else ())
+            solution = among_solutions(solution, main, self.secondary, seen, goal, robot, low, high, groups)
+        return solution.and_accelerations(too_quick)
 
-    def _groups(self, wanted: Command, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Group, ...]:
+    def _groups(self, wanted: Array, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Group, ...]:
         """The inequalities, the softest first."""
         groups = []
         if self.least_singular_value > 0:
@@ -376,11 +354,8 @@ class QP(LawBase):
             groups.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
         if self.plane_m is not None:
             groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
-        return (
-            *groups,
-            twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J),
-            shared_limits(robot, float(robot.J[:, 0] @ wanted.twist)),
-        )
+        twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
+        return *groups, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted))
 
     def _metric(self, seen: Observation) -> Array:
         """W: the interaction matrix (m, 6) of the law's feature now, or I."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -19,7 +18,7 @@ from vstestbed.core.spec import OneOf, Shorthand, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import LAW_CONTRACT, Command, Law, LawBase, TwistLimits, inputs_of
+from vstestbed.laws.base import LAW_CONTRACT, Command, Law, TwistLimits, inputs_of
 from vstestbed.laws.feedforward import Feedforward
 from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
@@ -35,18 +34,9 @@ from vstestbed.laws.pursuit import Pursuit
 from vstestbed.laws.qp import QP
 from vstestbed.laws.uncalibrated import Uncalibrated
 
-INPUTS = {
-    "position": ("T_camera_target",),
-    "rotation": ("T_camera_target",),
-    "retreat": ("T_camera_target",),
-    "border": ("radius_px",),
-    "joint_margin": ("robot",),
-}
-"""The fields of an Observation that a quantity needs besides the pixels."""
-
 
 @spec
-class Until:
+class SwitchCondition:
     """A law is left when one of these holds; none: it is never left.
 
     Args:
@@ -72,8 +62,12 @@ class Until:
     @cached_property
     def limits(self) -> tuple[tuple[str, int, float], ...]:
         """Of each condition the quantity, 1 for `over` or -1 for `under`, and the limit."""
-        given = ((f.name, getattr(self, f.name)) for f in fields(self))
-        return tuple((*_split(name), limit) for name, limit in given if limit is not None)
+        found = []
+        for name, limit in ((f.name, getattr(self, f.name)) for f in fields(self)):
+            quantity, side, _ = name.rsplit("_", 2)  # as in `joint_margin_under_deg`
+            if limit is not None:
+                found.append((quantity, 1 if side == "over" else -1, limit))
+        return tuple(found)
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -89,26 +83,13 @@ class Until:
         return all(side * values[name] <= side * limit * (1 - side * hysteresis) for name, side, limit in self.limits)
 
 
-def _split(field: str) -> tuple[str, int]:
-    """Quantity and side of a field: `border_under_px` is ("border", -1)."""
-    quantity, _, _ = field.partition("_over_" if "_over_" in field else "_under_")
-    return quantity, 1 if "_over_" in field else -1
-
-
 def target_distance(observation: Observation) -> float:
     """Distance of the camera from the target's origin by the estimated pose [m]; NaN where it is unknown."""
     T = observation.T_camera_target
     return math.nan if T is None else float(np.linalg.norm(T[:3, 3]))
 
 
-def quantity(name: str, observation: Observation, goal: Goal, start_m: float) -> float:
-    """A quantity in the unit of its fields, NaN where it is unknown; start_m: distance of the camera from the target at the start."""
-    if name == "retreat":
-        return target_distance(observation) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
-    return _MEASURES[name](observation, goal)
-
-
-def _error_px(observation: Observation, goal: Goal) -> float:
+def _error_px(observation: Observation, goal: Goal, start_m: float) -> float:
     error = (observation.uv - goal.uv)[observation.seen]
     return math.sqrt(float(np.mean(error**2))) if error.size else math.nan
 
@@ -118,15 +99,19 @@ def _T_goal_camera(observation: Observation, goal: Goal) -> Array:
     return np.full((4, 4), np.nan) if T is None else goal.T_camera_target @ inverse(T)
 
 
-def _position_m(observation: Observation, goal: Goal) -> float:
+def _position_m(observation: Observation, goal: Goal, start_m: float) -> float:
     return float(np.linalg.norm(_T_goal_camera(observation, goal)[:3, 3]))
 
 
-def _rotation_deg(observation: Observation, goal: Goal) -> float:
+def _rotation_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     return math.degrees(float(rotation_angle(_T_goal_camera(observation, goal)[:3, :3])))
 
 
-def _border_px(observation: Observation, goal: Goal) -> float:
+def _retreat_m(observation: Observation, goal: Goal, start_m: float) -> float:
+    return target_distance(observation) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
+
+
+def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
     seen = observation.seen
     if not (seen if goal.counted is None else seen[goal.counted]).all():
         return 0.0
@@ -135,20 +120,23 @@ def _border_px(observation: Observation, goal: Goal) -> float:
     return float(np.min(distance - radius, initial=np.inf))
 
 
-def _joint_margin_deg(observation: Observation, goal: Goal) -> float:
+def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     robot = observation.robot
     if robot is None:
         return math.nan
     return math.degrees(float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf)))
 
 
-_MEASURES: dict[str, Callable[[Observation, Goal], float]] = {
-    "error": _error_px,
-    "position": _position_m,
-    "rotation": _rotation_deg,
-    "border": _border_px,
-    "joint_margin": _joint_margin_deg,
+QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
+    "error": (_error_px, ()),
+    "position": (_position_m, ("T_camera_target",)),
+    "rotation": (_rotation_deg, ("T_camera_target",)),
+    "retreat": (_retreat_m, ("T_camera_target",)),
+    "border": (_border_px, ("radius_px",)),
+    "joint_margin": (_joint_margin_deg, ("robot",)),
 }
+"""By name a quantity in the unit of its fields, NaN where it is unknown, as a function of the observation, the goal and the distance of the
+camera from the target at the start [m]; and the fields of an Observation that it needs besides the pixels."""
 
 
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
@@ -175,7 +163,7 @@ SLACK_S = 1e-9
 
 
 @spec
-class Turn:
+class Stage:
     """One of the laws, and when it is left.
 
     Args:
@@ -184,15 +172,15 @@ class Turn:
     """
 
     law: Annotated[Law[Any], LAWS.without("switched")]
-    until: Until = Until()
+    until: SwitchCondition = SwitchCondition()
 
 
 @dataclass(frozen=True, slots=True)
-class SwitchedMemory:
+class SwitchedState:
     """What `switched` keeps from one frame to the next.
 
     Attributes:
-        inner: memory of the active law. active: its number. since: when it took over [s]; NaN before the first frame.
+        inner: state of the active law. active: its number. since: when it took over [s]; NaN before the first frame.
         barred: of each law, whether its conditions keep it from working.
         start_m: distance of the camera from the target at the start [m]; NaN where it is unknown, or not needed.
         last: time [s] and command of the last frame. left: the same of the last frame before the switch.
@@ -208,7 +196,7 @@ class SwitchedMemory:
 
 
 @spec
-class Switched(LawBase):
+class Switched(Law[SwitchedState]):
     """Several laws of which one works at a time: u = u_i, with i the active law.
 
     A law is barred as soon as a quantity is beyond one of its limits (`until`). It is free again when all its quantities are back by the
@@ -218,7 +206,7 @@ class Switched(LawBase):
     When the active law is barred, the first law of the list that is free takes over. While none is free, the active one goes on. With
     `prefer: first` a law that stands earlier in the list also takes over as soon as it is free. The first free law of the list begins.
 
-    A law takes over with the memory of its first frame (`init`). What it remembered of an earlier turn, such as the start of its
+    A law takes over with the state of its first frame (`init`). What it knew in an earlier stage, such as the start of its
     smooth start or the views from which its feedforward estimates a velocity, is of another time. For `blend_s` the command
     crosses over from the last one of the law before:  u = a u_i + (1 - a) u_before,  a = (t - t_before) / blend_s.  It is then ordered
     as a camera twist, also where the law orders joint velocities. A law that orders rest rests at once.
@@ -244,7 +232,7 @@ class Switched(LawBase):
     """
 
     kind: Literal["switched"] = "switched"
-    laws: Annotated[tuple[Annotated[Turn, Shorthand("law")], ...], Len(2, 16)]
+    laws: Annotated[tuple[Annotated[Stage, Shorthand("law")], ...], Len(2, 16)]
     prefer: Literal["active", "first"] = "active"
     hysteresis: Annotated[float, Within(0.0, 0.99, "", "a share of the limit"), Narrower(ge=0)] = 0.2
     dwell_s: Time = 0.2
@@ -274,7 +262,7 @@ class Switched(LawBase):
     def inputs(self) -> tuple[str, ...]:
         """What any of the laws and of the conditions reads."""
         read = [name for part in self.laws for name in inputs_of(part.law)]
-        compared = [name for quantity in self._quantities for name in INPUTS.get(quantity, ())]
+        compared = [name for quantity in self._quantities for name in QUANTITIES[quantity][1]]
         return tuple(dict.fromkeys((*read, *compared)))
 
     @property
@@ -291,8 +279,10 @@ class Switched(LawBase):
     @cached_property
     def limits(self) -> TwistLimits:
         """The loosest of the laws' limits; each law keeps its own."""
-        speeds, rates = zip(*((part.law.limits.speed_mps, part.law.limits.rate_radps) for part in self.laws), strict=True)
-        return TwistLimits(speed_mps=_loosest(speeds), rate_radps=_loosest(rates))
+        limits = [part.law.limits for part in self.laws]
+        speed = max(each.speed_mps or math.inf for each in limits)
+        rate = max(each.rate_radps or math.inf for each in limits)
+        return TwistLimits(speed_mps=speed if speed < math.inf else None, rate_radps=rate if rate < math.inf else None)
 
     @property
     def visibility(self) -> Visibility:
@@ -308,12 +298,9 @@ class Switched(LawBase):
     @cached_property
     def modes(self) -> tuple[str, ...]:
         """The laws' words, numbered where a word is there twice; of a law with modes of its own each of them behind its word."""
-        kinds = [part.law.kind for part in self.laws]
-        count: Counter[str] = Counter()
-        words: list[str] = []
-        for kind, part in zip(kinds, self.laws, strict=True):
-            count[kind] += 1
-            word = f"{kind} {count[kind]}" if kinds.count(kind) > 1 else kind
+        kinds, words = [part.law.kind for part in self.laws], list[str]()
+        for i, (kind, part) in enumerate(zip(kinds, self.laws, strict=True)):
+            word = f"{kind} {kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
             words += [f"{word} {mode}" for mode in part.law.modes] or [word]
         return tuple(words)
 
@@ -334,22 +321,22 @@ class Switched(LawBase):
                 words = "must be left out with a camera that sees all round: its image has no border"
                 raise ParameterError(f"law.laws.{i}.until.border_under_px", words, part.until.border_under_px)
 
-    def init(self, goal: Goal) -> SwitchedMemory:
+    def init(self, goal: Goal) -> SwitchedState:
         """The first law is to begin."""
-        return SwitchedMemory(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
+        return SwitchedState(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
 
     def prepare(self) -> None:
         """All laws."""
         for part in self.laws:
             part.law.prepare()
 
-    def step(self, memory: SwitchedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedMemory, Command]:
+    def step(self, state: SwitchedState, observation: Observation, goal: Goal, basis: Array) -> tuple[SwitchedState, Command]:
         """One frame of the active law, which the conditions choose first."""
-        memory = self._chosen(memory, observation, goal)
-        inner, command = self.laws[memory.active].law.step(memory.inner, observation, goal, basis)
-        command = self._crossed_over(memory, observation.t, command, basis)
-        command = replace(command, mode=self._first_modes[memory.active] + command.mode)
-        return replace(memory, inner=inner, last=(observation.t, command)), command
+        state = self._chosen(state, observation, goal)
+        inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
+        command = self._crossed_over(state, observation.t, command, basis)
+        command = replace(command, mode=self._first_modes[state.active] + command.mode)
+        return replace(state, inner=inner, last=(observation.t, command)), command
 
     @cached_property
     def _quantities(self) -> tuple[str, ...]:
@@ -360,34 +347,28 @@ class Switched(LawBase):
         counts = [len(part.law.modes) or 1 for part in self.laws]
         return tuple(sum(counts[:i]) for i in range(len(counts)))
 
-    def _chosen(self, memory: SwitchedMemory, observation: Observation, goal: Goal) -> SwitchedMemory:
-        """The memory with the law that is to work in this frame."""
-        t, first = observation.t, math.isnan(memory.since)
-        start_m = target_distance(observation) if math.isnan(memory.start_m) and "retreat" in self._quantities else memory.start_m
-        values = {name: quantity(name, observation, goal, start_m) for name in self._quantities}
-        barred = self._barred(memory.barred, values)
-        memory = replace(memory, since=t if first else memory.since, barred=barred, start_m=start_m)
-        wanted = self._wanted(memory.active, barred)
-        if wanted == memory.active or not (first or t - memory.since >= self.dwell_s - SLACK_S):
-            return memory
-        return replace(memory, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=memory.last)
-
-    def _barred(self, before: tuple[bool, ...], values: Mapping[str, float]) -> tuple[bool, ...]:
-        return tuple(
+    def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
+        """The state with the law that is to work in this frame."""
+        t, first = observation.t, math.isnan(state.since)
+        start_m = target_distance(observation) if math.isnan(state.start_m) and "retreat" in self._quantities else state.start_m
+        values = {name: QUANTITIES[name][0](observation, goal, start_m) for name in self._quantities}
+        barred = tuple(
             part.until.holds(values) or (was and not part.until.receded(values, self.hysteresis))
-            for part, was in zip(self.laws, before, strict=True)
+            for part, was in zip(self.laws, state.barred, strict=True)
         )
+        state = replace(state, since=t if first else state.since, barred=barred, start_m=start_m)
+        wanted = state.active
+        if self.prefer == "first" or barred[wanted]:
+            wanted = next((i for i, out in enumerate(barred) if not out), wanted)
+        if wanted == state.active or not (first or t - state.since >= self.dwell_s - SLACK_S):
+            return state
+        return replace(state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last)
 
-    def _wanted(self, active: int, barred: tuple[bool, ...]) -> int:
-        if self.prefer == "active" and not barred[active]:
-            return active
-        return next((i for i, out in enumerate(barred) if not out), active)
-
-    def _crossed_over(self, memory: SwitchedMemory, t: float, command: Command, basis: Array) -> Command:
+    def _crossed_over(self, state: SwitchedState, t: float, command: Command, basis: Array) -> Command:
         """The command, for `blend_s` after a switch mixed with the last one before it."""
-        if memory.left is None or command.rest_reason or t - memory.left[0] >= self.blend_s:
+        if state.left is None or command.rest_reason or t - state.left[0] >= self.blend_s:
             return command
-        a, before = (t - memory.left[0]) / self.blend_s, memory.left[1]
+        a, before = (t - state.left[0]) / self.blend_s, state.left[1]
         u = a * command.u + (1 - a) * before.u
         return replace(command, u=u, twist=basis @ u, rates=None)
 
@@ -395,9 +376,3 @@ class Switched(LawBase):
 def _reads_depth(law: Law[Any]) -> bool:
     """Whether a law uses the markers' depths or ranges."""
     return bool({"depth", "range"} & set(law.inputs)) or law.visibility.margin_px > 0
-
-
-def _loosest(limits: tuple[float | None, ...]) -> float | None:
-    """The largest limit; None where one is missing."""
-    given = [limit for limit in limits if limit is not None]
-    return max(given) if len(given) == len(limits) else None

@@ -8,14 +8,13 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels, PositiveTime, Time
 from vstestbed.core.spec import OneOf, spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws.base import Command, ConstantGain, Gain, LawBase
+from vstestbed.laws.base import Command, ConstantGain, Gain, Law
 from vstestbed.laws.points import TOO_FEW
 from vstestbed.laws.solve import Solve
 from vstestbed.robots.own_model import OwnModel
@@ -38,7 +37,7 @@ class Broyden:
         """The next J and P of markers whose motion was measured. J: image Jacobian of each marker (N, 2, m). P: unused, (N, m, m). x:
         displacement (m,), not 0. y: its motion in the picture (N, 2). most: unused.
         """
-        return J + self.rate * _surprise(J, x, y)[..., None] * (x / (x @ x)), P
+        return J + self.rate * (y - J @ x)[..., None] * (x / (x @ x)), P
 
 
 @spec
@@ -64,14 +63,9 @@ class RecursiveLeastSquares:
         """As `Broyden.corrected`; P: inverse of the weighted sum of x x^T, (N, m, m). most: bound of the eigenvalues of P."""
         Px = P @ x
         gain = Px / (self.forgetting + Px @ x)[:, None]
-        J = J + _surprise(J, x, y)[..., None] * gain[:, None, :]
+        J = J + (y - J @ x)[..., None] * gain[:, None, :]
         P = (P - gain[..., None] * Px[:, None, :]) / self.forgetting
         return J, P if np.einsum("nii->n", P).max() <= most else _bounded(P, most)
-
-
-def _surprise(J: Array, x: Array, y: Array) -> Array:
-    """Measured less expected motion (N, 2)."""
-    return y - J @ x
 
 
 def _bounded(P: Array, most: float) -> Array:
@@ -115,12 +109,9 @@ class MotionSums(NamedTuple):
         unit = np.where(moved > 0, moved, 1.0)  # so that columns of other units weigh the same
         inverse = np.linalg.pinv(self.xx / np.outer(unit, unit), rcond=1e-9, hermitian=True)
         J = (self.yx / unit) @ inverse / unit
-        J[~self.known(least_share)] = np.nan
+        seen = np.diagonal(self.xx, axis1=1, axis2=2) >= least_share * np.diagonal(self.taken)
+        J[~seen.all(axis=1)] = np.nan
         return J
-
-    def known(self, least_share: float) -> NDArray[np.bool_]:
-        """Which markers were seen in at least this share of each velocity's displacements, (N,)."""
-        return np.asarray((np.diagonal(self.xx, axis1=1, axis2=2) >= least_share * np.diagonal(self.taken)).all(axis=1))
 
 
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
@@ -190,12 +181,6 @@ class Excitation:
     amplitude_px: PositivePixels = 20.0
     time_s: PositiveTime = 0.4
     speed_share: Annotated[float, Gt(0), Le(1)] = 0.2
-
-    def begin(self, uv: Array, columns: int, known: Array) -> Excited:
-        """Before its first motion, for markers uv (N, 2) [px]; known: their motion per unit of each column (m,) [px], 0: unknown."""
-        return Excited(
-            uv, np.zeros(columns), MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2), known, uv, pixels=float(known[0])
-        )
 
     def step(self, state: Excited, uv: Array, moved: Array, robot: OwnModel) -> tuple[Excited, Array | None]:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
@@ -334,7 +319,7 @@ class ImageJacobian:
 
 
 @dataclass(frozen=True, slots=True)
-class UncalibratedMemory:
+class UncalibratedState:
     """The excitation while it lasts, the estimate from then on.
 
     Attributes:
@@ -352,7 +337,7 @@ class UncalibratedMemory:
 
 
 @spec
-class Uncalibrated(LawBase):
+class Uncalibrated(Law[UncalibratedState]):
     """u = -gain pinv(J) e with e = uv - uv* in pixels, and the image Jacobian J (2N, n) estimated from motion.
 
     J maps the robot's own velocities (joints of an arm, motions of a vehicle) to the motion of the markers in the picture. The law reads
@@ -413,43 +398,45 @@ class Uncalibrated(LawBase):
     patience_s: Time = 3.0
     settled_px: PositivePixels = 0.2
 
-    def init(self, goal: Goal) -> UncalibratedMemory:
+    def init(self, goal: Goal) -> UncalibratedState:
         """Nothing is known."""
-        return UncalibratedMemory(patience_s=self.patience_s)
+        return UncalibratedState(patience_s=self.patience_s)
 
-    def step(self, memory: UncalibratedMemory, observation: Observation, goal: Goal, basis: Array) -> tuple[UncalibratedMemory, Command]:
+    def step(self, state: UncalibratedState, observation: Observation, goal: Goal, basis: Array) -> tuple[UncalibratedState, Command]:
         """One frame; rest where too few markers are seen, or too few of them are known. An excitation that loses them goes back first."""
         robot, uv = observation.robot, observation.uv
-        if robot is None:
-            raise RuntimeError("the law needs observation.robot, which its inputs name")
-        if why := _refused(robot):
-            return memory, Command.rest(basis, why)
+        assert robot is not None
+        if robot.turning_radius_m or robot.tilt is not None:
+            return state, Command.rest(basis, NO_CIRCLE if robot.turning_radius_m else TILTS)
         moved = np.append(robot.moved, robot.since_s * np.ones(int(self.dynamic)))
         if np.count_nonzero(observation.seen) < self.markers_needed(basis):
-            return self._blind(memory, moved, robot, basis)
-        if memory.excited is None and memory.estimate is None:
-            memory = self._begun(memory, uv, len(moved))
-        if memory.excited is not None:
-            excited, rates = self.excitation.step(memory.excited, uv, moved, robot)
+            return self._blind(state, moved, robot, basis)
+        if state.excited is None and state.estimate is None:
+            state = self._begun(state, uv, len(moved))
+        if state.excited is not None:
+            excited, rates = self.excitation.step(state.excited, uv, moved, robot)
             if rates is not None:
-                return replace(memory, excited=excited), _command(rates, robot, basis, EXCITES)
-            memory = replace(memory, excited=None, estimate=self._measured(excited, uv), least_px=math.inf, t=observation.t)
+                return replace(state, excited=excited), _command(rates, robot, basis, EXCITES)
+            state = replace(state, excited=None, estimate=self._measured(excited, uv), least_px=math.inf, t=observation.t)
             moved = np.zeros(len(moved))
-        return self._servo(memory, observation, goal, basis, robot, moved)
+        return self._servo(state, observation, goal, basis, robot, moved)
 
-    def _blind(self, memory: UncalibratedMemory, moved: Array, robot: OwnModel, basis: Array) -> tuple[UncalibratedMemory, Command]:
+    def _blind(self, state: UncalibratedState, moved: Array, robot: OwnModel, basis: Array) -> tuple[UncalibratedState, Command]:
         """A frame that shows too few markers: an excitation goes back by the robot's sensors; else rest, and the displacement is kept."""
-        if memory.excited is not None:
-            excited, rates = self.excitation.retreat(memory.excited, moved, robot)
-            return replace(memory, excited=excited), replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
-        if memory.estimate is not None:
-            known = memory.estimate
-            memory = replace(memory, estimate=replace(known, x=known.x + known.scale * moved))
-        return memory, Command.rest(basis, TOO_FEW)
+        if state.excited is not None:
+            excited, rates = self.excitation.retreat(state.excited, moved, robot)
+            return replace(state, excited=excited), replace(_command(rates, robot, basis, EXCITES), rest_reason=TOO_FEW)
+        if state.estimate is not None:
+            known = state.estimate
+            state = replace(state, estimate=replace(known, x=known.x + known.scale * moved))
+        return state, Command.rest(basis, TOO_FEW)
 
-    def _begun(self, memory: UncalibratedMemory, uv: Array, columns: int) -> UncalibratedMemory:
-        known = np.zeros(columns) if memory.estimate is None else memory.estimate.scale
-        return replace(memory, excited=self.excitation.begin(uv, columns, known), excitations=memory.excitations + 1)
+    def _begun(self, state: UncalibratedState, uv: Array, columns: int) -> UncalibratedState:
+        """The state with an excitation before its first motion, for markers uv (N, 2) [px]."""
+        known = np.zeros(columns) if state.estimate is None else state.estimate.scale
+        samples, turn = MotionSums.none(len(uv), columns), MotionSums.none(len(uv), 2)
+        excited = Excited(uv, np.zeros(columns), samples, turn, known, uv, pixels=float(known[0]))
+        return replace(state, excited=excited, excitations=state.excitations + 1)
 
     def _measured(self, excited: Excited, uv: Array) -> ImageJacobian:
         J = excited.samples.jacobian()
@@ -462,18 +449,18 @@ class Uncalibrated(LawBase):
         return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 
     def _servo(
-        self, memory: UncalibratedMemory, seen: Observation, goal: Goal, basis: Array, robot: OwnModel, moved: Array
-    ) -> tuple[UncalibratedMemory, Command]:
+        self, state: UncalibratedState, seen: Observation, goal: Goal, basis: Array, robot: OwnModel, moved: Array
+    ) -> tuple[UncalibratedState, Command]:
         """A frame with an estimate: correct it, and drive the error to zero by it."""
-        assert memory.estimate is not None
-        known = self._corrected(memory.estimate, seen.uv, moved)
+        assert state.estimate is not None
+        known = self._corrected(state.estimate, seen.uv, moved)
         rows = np.isfinite(known.J[:, 0, 0]) & seen.seen
         if np.count_nonzero(rows) < self.markers_needed(basis):
-            return replace(memory, estimate=known), Command.rest(basis, NO_JACOBIAN)
+            return replace(state, estimate=known), Command.rest(basis, NO_JACOBIAN)
         e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(known.scale))
-        memory = self._judged(replace(memory, estimate=known), _mean(e), seen)
+        state = self._judged(replace(state, estimate=known), _mean(e), seen)
         u = self._wanted(e, J, known.scale, robot)
-        return memory, _command(u, robot, basis, SERVOES)
+        return state, _command(u, robot, basis, SERVOES)
 
     def _wanted(self, e: Array, J: Array, scale: Array, robot: OwnModel) -> Array:
         """The robot's velocities (n,) for an error e (2N,) [px] and a scaled J (2N, m)."""
@@ -499,19 +486,14 @@ class Uncalibrated(LawBase):
         J[both], P[both] = self.estimator.corrected(J[both], P[both], x, y[both], 1 / self.step_px**2)
         return ImageJacobian(J, P, known.scale, uv, np.zeros(len(x)))
 
-    def _judged(self, memory: UncalibratedMemory, error_px: float, seen: Observation) -> UncalibratedMemory:
-        """The memory with the progress noted, or with an excitation begun where there was none for too long."""
-        if error_px < PROGRESS * memory.least_px or error_px < self.settled_px:
-            return replace(memory, least_px=error_px, t=seen.t)
-        if not memory.patience_s or seen.t - memory.t <= memory.patience_s:
-            return memory
-        begun = self._begun(memory, seen.uv, len(memory.estimate.scale) if memory.estimate else 0)
-        return replace(begun, patience_s=2 * memory.patience_s)
-
-
-def _refused(robot: OwnModel) -> str:
-    """Why a robot's velocities cannot be excited one by one; "" where they can."""
-    return NO_CIRCLE if robot.turning_radius_m else TILTS if robot.tilt is not None else ""
+    def _judged(self, state: UncalibratedState, error_px: float, seen: Observation) -> UncalibratedState:
+        """The state with the progress noted, or with an excitation begun where there was none for too long."""
+        if error_px < PROGRESS * state.least_px or error_px < self.settled_px:
+            return replace(state, least_px=error_px, t=seen.t)
+        if not state.patience_s or seen.t - state.t <= state.patience_s:
+            return state
+        begun = self._begun(state, seen.uv, len(state.estimate.scale) if state.estimate else 0)
+        return replace(begun, patience_s=2 * state.patience_s)
 
 
 def _mean(values: Array) -> float:

@@ -20,7 +20,7 @@ from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.named_files import is_file_module
 from vstestbed.core.outcome import Outcome
-from vstestbed.features.observation import Goal, Observation, OwnMotion, Sight
+from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
@@ -69,12 +69,12 @@ class GuardedLaw:
             self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
 
     def _wrong(self, stepped: Any) -> str:
-        """What is wrong with what `step` returned; "" for a memory and a command of finite numbers."""
+        """What is wrong with what `step` returned; "" for a state and a command of finite numbers."""
         if not (isinstance(stepped, tuple) and len(stepped) == 2 and isinstance(stepped[1], Command)):
             got = type(stepped).__name__
             if isinstance(stepped, tuple):
                 got = f"({', '.join(type(part).__name__ for part in stepped)})"
-            return f"returned {got}; its step must return (memory, Command)"
+            return f"returned {got}; its step must return (state, Command)"
         twist, rates, free = stepped[1].twist, stepped[1].rates, stepped[1].free
         if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
             return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
@@ -302,7 +302,7 @@ class Controller:
         with self._alone():
             for name in ("kind", "feature", "depth", "inputs", "modes"):
                 if getattr(self.law, name) != getattr(law, name):
-                    raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's memory belongs to it")
+                    raise ParameterError(f"law.{name}", "cannot be changed during a run, since the law's state belongs to it")
             self.scenario = replace(self.scenario, law=law)
             failure = self.guarded.failure
             self.law, self.guarded = law, GuardedLaw(law)
@@ -395,7 +395,7 @@ class Controller:
         if measured:
             twist = s.robot.measured_twist(last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q))
         if self._needs_motion:
-            own = OwnMotion(twist, period, self._since_exposure(shot, t, reading, mount), t - shot.t, self.last_twist)
+            own = EgoMotion(twist, period, self._since_exposure(shot, t, reading, mount), t - shot.t, self.last_twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
         depth = picture.depth if picture else None
         observed = observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
@@ -440,7 +440,7 @@ class Controller:
             words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
             self.guarded.failure = self.guarded.failure or words
             allocation = Allocation(np.zeros_like(allocation.setpoint), np.zeros(6), 0.0)
-        # The command within limits, before the supervisor: a law with feedforward predicts by it (`OwnMotion.commanded`).
+        # The command within limits, before the supervisor: a law with feedforward predicts by it (`EgoMotion.commanded`).
         self.last_twist = allocation.twist
         return allocation
 

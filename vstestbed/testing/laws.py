@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array, exp, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.features import FEATURES, Feature
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.laws import Command, Law, Policy
+from vstestbed.laws import Command, ErrorLaw, Law, Policy
 from vstestbed.laws.base import LAW_CONTRACT, OBSERVATION_FIELDS, inputs_of
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Mount
@@ -115,7 +115,7 @@ class _Frames:
 
 
 def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
-    """A law reaches its goal in closed loop, is a function of its memory and its observation, and refuses what it cannot do.
+    """A law reaches its goal in closed loop, is a function of its state and its observation, and refuses what it cannot do.
 
     Of the observation it may read the time, the pixels, and the fields that its `inputs` name.
 
@@ -137,16 +137,16 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
 
 def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
     """Replayed by hand the law gives the same commands: it has no state of its own, and does not write into what it is given."""
-    memory, mount = law.init(loop.goal_views[0]), Mount.of(loop.believed_camera.mount.T)
+    state, mount = law.init(loop.goal_views[0]), Mount.of(loop.believed_camera.mount.T)
     for frame in frames:
         if frame.goal.view and not loop.goal.by_clock:
             return  # at a via point the loop initialises the law anew
         basis = loop.robot.motion_basis(mount, frame.truth.q)
         before = {name: value.copy() for name, value in _arrays(frame.observation).items()}
         where = f"{law.kind} in frame {frame.timing.number}"
-        given, (memory, command) = memory, law.step(memory, frame.observation, frame.goal, basis)
+        given, (state, command) = state, law.step(state, frame.observation, frame.goal, basis)
         same = np.array_equal(command.twist, frame.command.twist)
-        assert same, f"{where}: another command for the same memory and observation; state is passed, not stored"
+        assert same, f"{where}: another command for the same state and observation; state is passed, not stored"
         for name, value in _arrays(frame.observation).items():
             assert np.array_equal(value, before[name], equal_nan=True), f"{where}: it wrote into observation.{name}"
         assert np.isfinite(command.twist).all(), f"{where}: the twist must be finite, got {command.twist}"
@@ -156,22 +156,22 @@ def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
         _check_inputs(law, given, frame, basis, command)
 
 
-def _check_inputs(law: Law[Any], memory: Any, frame: Frame, basis: Array, command: Command) -> None:
+def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command) -> None:
     """What the law's `inputs` do not name is not read: without it the command is the same."""
     if isinstance(law, Policy):  # whose function may read all that there is without asking
         return
     unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *inputs_of(law)) and getattr(frame.observation, name) is not None]
-    if not _differs(law, memory, frame, basis, command, unnamed):
+    if not _differs(law, state, frame, basis, command, unnamed):
         return
-    read = [name for name in unnamed if _differs(law, memory, frame, basis, command, [name])]
+    read = [name for name in unnamed if _differs(law, state, frame, basis, command, [name])]
     words = f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)}, which its `inputs` do not name"
     raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
 
 
-def _differs(law: Law[Any], memory: Any, frame: Frame, basis: Array, command: Command, without: list[str]) -> bool:
+def _differs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command, without: list[str]) -> bool:
     """Whether the command is another one without these fields of the observation."""
     try:
-        _, again = law.step(memory, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis)
+        _, again = law.step(state, replace(frame.observation, **dict.fromkeys(without)), frame.goal, basis)
     except Exception:  # whatever a law raises that computes with a None
         return True
     return not np.array_equal(again.twist, command.twist)
@@ -179,9 +179,10 @@ def _differs(law: Law[Any], memory: Any, frame: Frame, basis: Array, command: Co
 
 def _unnamed_in_source(law: Law[Any]) -> str:
     """Which fields a law that failed reads without naming them in `inputs`, as far as its text tells; "" where it tells nothing."""
-    name = list(inspect.signature(type(law).step).parameters)[2]
+    observation = list(inspect.signature(type(law).step).parameters)[2]
+    view = list(inspect.signature(type(law).equations).parameters)[1] if isinstance(law, ErrorLaw) else observation
     try:
-        read = re.findall(rf"\b{name}\.(\w+)", inspect.getsource(type(law)))
+        read = re.findall(rf"\b(?:{observation}|{view})\.(\w+)", inspect.getsource(type(law)))
     except (OSError, TypeError):  # a class that was typed in has no file
         return ""
     unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *inputs_of(law))]

@@ -124,7 +124,8 @@ def goal_of_points(goal: Goal, uv: Array) -> Goal:
         return replace(goal, uv=uv, depth=p[:, 2], ray=ray, range=reach, counted=known if len(uv) else None)
     made = Goal.of_picture(goal.camera, uv[known], p[known], goal.T_camera_target)
     full = made.rows(np.where(known, np.cumsum(known) - 1, -1)) if not known.all() else made
-    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, plane=made.plane, counted=None if known.all() else known)
+    counted = None if known.all() else known
+    return replace(goal, uv=uv, depth=full.depth, ray=ray, range=full.range, middle=made.middle, normal=made.normal, counted=counted)
 
 
 def points_of(goal: Goal) -> Array:

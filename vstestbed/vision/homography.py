@@ -37,7 +37,7 @@ def relative_view(goal_xy: Array, xy: Array, goal_normal: Array) -> Relative | N
     if ratios.min() < 0 < ratios.max():  # points on both sides of the camera
         return None
     H = H if ratios.min() > 0 else -H
-    return Relative(H=H, R_camera_goal=_rotation(H, goal_xy, goal_normal))
+    return H, _rotation(H, goal_xy, goal_normal)
 
 
 def homography(a: Array, b: Array, least: float) -> Array | None:

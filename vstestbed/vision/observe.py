@@ -15,7 +15,7 @@ from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.core.planar import arc, composed
 from vstestbed.features.depth import Depth, DepthCues, Estimate
-from vstestbed.features.observation import Goal, Observation, OwnMotion
+from vstestbed.features.observation import EgoMotion, Goal, Observation
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, points_of
 from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
@@ -234,7 +234,7 @@ class Observer:
         rng: np.random.Generator,
         compass: float | None = None,
         tilt: Array | None = None,
-        own: OwnMotion | None = None,
+        own: EgoMotion | None = None,
         depth_image: NDArray[np.float32] | None = None,
     ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
@@ -279,7 +279,7 @@ class Observer:
         return ObserverState(t, T, flow, place, odometry, trim), self._observation(view, solved, odometry, place)
 
     def _view(
-        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: OwnMotion | None
+        self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: EgoMotion | None
     ) -> Observation:
         """What is measured in the camera's frame."""
         p = transform(T, self._points) if T is not None and self.depth.needs_pose else None

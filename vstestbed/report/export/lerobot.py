@@ -28,7 +28,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import make_folder, whole_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.provenance import vstestbed_version
-from vstestbed.laws.policy import MOST_PX, ActionScale
+from vstestbed.laws.policy import MOST_PX, action_unit
 from vstestbed.loop.columns import TWIST
 from vstestbed.loop.ego_motion import mount_at
 from vstestbed.report.export.source import RecordedRun, unit_of_joint
@@ -106,11 +106,11 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
 def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
     """The commands along the robot's motions (of an arm under six joints those at the exposure), in [-1, 1]: u = pinv(basis) twist."""
     robot, mount = scenario.robot, Mount.of(scenario.believed_camera.mount.T)
-    scale = ActionScale.of(scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
+    unit = action_unit(scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
     twists = np.stack([log[f"cmd_{name}"] for name in TWIST], axis=1)
     q = np.stack([log[f"q_{name}"] for name in robot.joints], axis=1) if robot.joints else np.zeros((len(twists), 0))
     bases = (robot.motion_basis(mount_at(scenario, mount, at), at) for at in q)
-    return np.array([scale.action(np.linalg.pinv(basis) @ twist) for basis, twist in zip(bases, twists, strict=True)])
+    return np.array([np.clip(np.linalg.pinv(basis) @ twist / unit, -1.0, 1.0) for basis, twist in zip(bases, twists, strict=True)])
 
 
 def _state(scenario: Scenario, log: dict[str, Array]) -> dict[str, Array]:
@@ -130,10 +130,10 @@ def _action_names(scenario: Scenario) -> list[str]:
     """Names of the motions, each with the velocity of an action of 1."""
     robot = scenario.robot
     basis = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
-    scale, turns = ActionScale.of(scenario.law.limits, basis), np.abs(basis[3:]).max(axis=0) > 1e-9
+    most, turns = action_unit(scenario.law.limits, basis), np.abs(basis[3:]).max(axis=0) > 1e-9
     names = TWIST if basis.shape[1] == 6 else [f"motion_{i}" for i in range(basis.shape[1])]
     units = ["rad/s" if turn else "m/s" for turn in turns]
-    return [f"{name} [{most:g} {unit}]" for name, most, unit in zip(names, scale.per_unit.tolist(), units, strict=True)]
+    return [f"{name} [{value:g} {unit}]" for name, value, unit in zip(names, most.tolist(), units, strict=True)]
 
 
 def _unit(name: str, scenario: Scenario) -> str:
