@@ -64,7 +64,7 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
         raise ParameterError(of, f"must have the shape (..., N) of {name} (..., N, {size}) = {x.shape}", distance.shape)
     if x.ndim < 2 or x.shape[-2] < least:
         raise ParameterError(name, f"must have the shape (..., N, {size}) with at least {least} markers", x.shape)
-    if not np.logical_and.reduce(distance > 0, axis=None):
+    if not np.minimum.reduce(distance, axis=None, initial=np.inf) > 0:  # also where one is NaN
         behind = ": a point at or behind the lens has no image" if of == "depth" else ""
         raise ParameterError(of, f"must be > 0 m for every point{behind}")
     return x, distance

@@ -33,11 +33,12 @@ class Point(Feature):
         """L (..., 2N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs)
         x, y, inv_z = xy[..., 0], xy[..., 1], 1.0 / depth
+        across, ones = x * y, 1 + xy * xy
         L = np.zeros((*xy.shape, 6))
         L[..., 0, 0] = L[..., 1, 1] = -inv_z
-        L[..., 0, 2], L[..., 1, 2] = x * inv_z, y * inv_z
-        L[..., 0, 3], L[..., 1, 3] = x * y, 1 + y * y
-        L[..., 0, 4], L[..., 1, 4] = -(1 + x * x), -x * y
+        L[..., 2] = xy * inv_z[..., None]
+        L[..., 0, 3], L[..., 1, 3] = across, ones[..., 1]
+        L[..., 0, 4], L[..., 1, 4] = -ones[..., 0], -across
         L[..., 0, 5], L[..., 1, 5] = y, -x
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 

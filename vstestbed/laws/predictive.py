@@ -290,9 +290,9 @@ class Predictive(Law[PlanState]):
         u = plan.ravel()
         A, b = self._objective(ahead, goal, rows, robot, u)
         low, high, too_quick = self._bounds(robot, plan)
-        groups = [self._positions(ahead, robot, u), twist_limits_of(*self._trusted(p, robot.period_s), ahead, self._block)]
-        shared = shared_limits(robot, float(plan[0, 0]))
-        groups += [Group("shared", np.asarray(np.kron(np.eye(len(plan)), shared.A), float), np.tile(shared.low, len(plan))), self._slopes(robot)]
+        twist, shared = twist_limits_of(*self._trusted(p, robot.period_s), ahead, self._block), shared_limits(robot, float(plan[0, 0]))
+        repeated = np.asarray(np.kron(np.eye(len(plan)), shared.A), dtype=float)
+        groups = [self._positions(ahead, robot, u), twist, Group("shared", repeated, np.tile(shared.low, len(plan))), self._slopes(robot)]
         if self.margin_px is not None:
             groups.insert(0, self._border(ahead, seen, goal, rows, u))
         return minimise(A, b, low, high, tuple(groups)).and_accelerations(too_quick)
