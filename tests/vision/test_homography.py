@@ -117,3 +117,22 @@ def test_the_homography_of_many_points_is_exact_and_averages_noise():
 def test_points_on_both_sides_of_the_camera_have_no_view():
     xy = np.array([[-0.2, -0.2], [0.2, 0.2], [0.2, -0.2], [-0.2, 0.2]])
     assert relative_view(project(GOAL), xy, GOAL[:3, 2]) is None
+
+
+def test_planes_aslant_and_far_off_the_axis():
+    """The normal, which points away from the camera, may have a negative z there; and the other solution may be the nearer one in front."""
+    rng, backwards = np.random.default_rng(0), 0
+    for _ in range(400):
+        goal, now = (exp(np.r_[0, 0, 0, rng.normal(0, 0.9, 2), rng.uniform(-3, 3)]) for _ in range(2))
+        for T in (goal, now):
+            T[:3, 3] = [*rng.uniform(-0.6, 0.6, 2), rng.uniform(0.3, 1)]
+        away = [float(T[:3, 2] @ T[:3, 3]) for T in (goal, now)]
+        if min(transform(T, POINTS)[:, 2].min() for T in (goal, now)) < 0.02 or away[0] * away[1] < 0:
+            continue  # not in view, or seen from the other side
+        normal = goal[:3, 2] * np.sign(away[0])
+        found = relative_view(project(goal), project(now), normal)
+        if found is None:  # seen edge-on
+            continue
+        backwards += normal[2] < 0
+        assert rotation_angle(found.R_camera_goal @ goal[:3, :3] @ now[:3, :3].T) < 1e-6
+    assert backwards > 10

@@ -87,8 +87,8 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     """R of H = R + t n^T/d: with v1, v2, v3 the right singular vectors of H and 1 the middle singular value,
 
     n = v2 x u,  R = [H v2, H u, H v2 x H u] [v2, u, v2 x u]^T,  u = (a v1 +- b v3)/sqrt(a^2 + b^2),  a^2 = 1 - s3^2, b^2 = s1^2 - 1.
-    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is taken which has the points in
-    front of the plane and its normal nearest to the goal's. A pure rotation has no normal, and any u gives R.
+    H preserves the lengths of v2 and u, which lie in the plane. Of the two solutions that one is taken which has all points before the
+    camera and its normal nearest to the goal's. A pure rotation has no normal, and any u gives R.
     """
     (s1, _, s3), Vt = np.linalg.svd(H)[1:]
     v1, v2, v3 = Vt
@@ -98,8 +98,10 @@ def _rotation(H: Array, goal_xy: Array, goal_normal: Array) -> Array:
     solutions = []
     for u in (a * v1 + b * v3, a * v1 - b * v3):
         n = np.cross(v2, u)
-        n = n if n[2] > 0 else -n
-        visible = (goal_xy @ n[:2] + n[2]).min() > 0
+        # n . m > 0 of a point m of the plane: n points away from the camera. Far off the axis its z may be negative.
+        sides = goal_xy @ n[:2] + n[2]
+        n = n if sides.sum() > 0 else -n
+        visible = sides.min() > 0 or sides.max() < 0
         # n . n* lies in -1..1, so a penalty of 2 ranks every invisible plane behind every visible one.
         solutions.append((float(n @ goal_normal) - (0.0 if visible else 2.0), u))
     u = max(solutions, key=lambda solution: solution[0])[1]
