@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.stability import closed_form, gain_limit, led_form, locus, loop_shares, polynomial, roots, swing_frames
+from vstestbed.loop.stability import closed_form, gain_limit, loop_shares, polynomial, roots, swing_frames
+from vstestbed.studies.delay import locus
 
 
 def iterated(g: float, d: int, shares: tuple[float, ...], steps: int = 4000) -> float:
@@ -28,6 +29,11 @@ def test_limits_of_pure_delay(d, limit):
     poles = roots(closed_form(d), d)
     assert abs(poles[0]) == pytest.approx(1, abs=1e-9)
     assert 2 * math.pi / abs(np.angle(poles[0])) == pytest.approx(swing_frames(d), rel=1e-9)
+
+
+def led_form(d: int) -> float:
+    """The limit of commands that are led to, b = (1/2, 1/2), in closed form."""
+    return 2 * math.tan(math.pi / (4 * (d + 1)))
 
 
 @pytest.mark.parametrize("d", [1, 2, 5, 20])

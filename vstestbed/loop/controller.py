@@ -121,7 +121,7 @@ def observer_of(scenario: Scenario) -> Observer:
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 GUESS = ": at the start they may be outside of it, hidden or too small"
-"""What a robot may think of markers that it has never found; a judge that sees the truth says which it was (`judge.LostMarkers`)."""
+"""What a robot may think of markers that it has never found; by the truth the reason says which it was (`termination.LostMarkers`)."""
 
 
 def unseen(seen: Observation, goal: Goal, error: ImageError, needed: int) -> str:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import io
 import time
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, ClassVar
+from typing import IO, TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -58,15 +58,8 @@ class Log:
         import polars as pl
 
         frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in self.by_name().items()})
-        return frame.with_columns(pl.col(name).cast(kind) for name, kind in types_of(self.columns).items())
-
-
-def types_of(columns: Container[str]) -> dict[str, polars.DataType]:
-    """The types of those columns that are no floating-point numbers."""
-    import polars as pl
-
-    types: dict[str, Any] = {"frame": pl.Int64, "lost": pl.Boolean}
-    return {name: kind for name, kind in types.items() if name in columns}
+        types = {"frame": pl.Int64, "lost": pl.Boolean}
+        return frame.with_columns(pl.col(name).cast(kind) for name, kind in types.items() if name in self.columns)
 
 
 class LogWriter:

@@ -54,7 +54,7 @@ def _converged_frames(scenario: Scenario, log: Log) -> NDArray[np.bool_]:
     whole = np.all([np.isfinite(log[f"u_{i}"]) | np.isnan(log[f"u_goal_{i}"]) for i in markers], axis=0)
     reached, none = scenario.stop.converged, np.full(len(log["t"]), np.nan)
     estimate = [log[name] if reached.by_estimate else none for name in ("est_position_m", "est_rotation_rad")]
-    error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error by which the judge decides
+    error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error that decides its task
     rows = zip(np.broadcast_to(whole, len(none)), error, *estimate, log.get("error_grey", none), strict=True)
     last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(none), dtype=bool)
     return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)

@@ -18,9 +18,7 @@ from vstestbed.sim.base import Plant, flange_for, posture_at
 from vstestbed.sim.build import build_plant
 from vstestbed.tasks.base import GoalPicture
 
-# Effects on pictures or measured points in a run that has none: they are told, since a comparison would take them for harmless.
-
-
+# Inactive effects, on pictures or measured points in a run that has none, are warned of: a comparison would take them for harmless.
 OF_CAMERAS = "optics", "exposure", "sensor", "stream"
 """Blocks of a camera that change the grey levels of a picture, and not where or when it is taken, as latency and readout do."""
 
@@ -31,13 +29,13 @@ def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     # With `blurs` the exposure is also a time, half of which each picture is older.
     yield from (f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None)
     noise, light = scenario.noise, scenario.world.light
-    told = {
+    by_field = {
         "noise.image_sigma": noise.image_sigma > 0,
         "noise.drift": noise.drift != Noise().drift,
         "noise.target": not noise.target.none,
         "world.light.flicker": light is not None and light.flicker.depth > 0,
     }
-    yield from (name for name, acts in told.items() if acts)
+    yield from (name for name, acts in by_field.items() if acts)
     yield from _perturbing(noise, "picture")
 
 

@@ -18,7 +18,6 @@ The limit of the gain and the period at it are those of `gain_limit` and `swing_
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -64,18 +63,11 @@ def closed_form(delay_frames: float) -> float:
     return 2 * math.sin(math.pi / (2 * (2 * delay_frames + 1)))
 
 
-def led_form(delay_frames: int) -> float:
-    """The same for commands that are led to, by a ramp or smoothly (`timing.interpolation`): 2 tan(pi / (4 (d + 1))).
-
-    A led command is executed half in its own frame and half in the next one, b = (1/2, 1/2), and the poles cross the unit circle at the
-    angle pi / (2 (d + 1)). For small angles both limits are (pi / 2) / delay, with a delay of d + 1/2 frames for commands that are held,
-    of which 1/2 is that of the hold itself, and of d + 1 here: to lead costs half a period.
-    """
-    return 2 * math.tan(math.pi / (4 * (delay_frames + 1)))
-
-
 def loop_shares(led: bool, late_frames: float) -> tuple[float, ...]:
-    """Impulse response of a loop without lag of the robot, whose commands are led to (see `led_form`) and whose pictures are old.
+    """Impulse response of a loop without lag of the robot, whose commands are led to, by a ramp or smoothly, and whose pictures are old.
+    A led command is executed half in its own frame and half in the next one: the poles cross the unit circle at the angle pi / (2 (d + 1)),
+    at g = 2 tan(pi / (4 (d + 1))). To lead costs half a period: for small angles the limit is (pi / 2) / delay with a delay of d + 1/2
+    frames for commands that are held, and of d + 1 here.
     late_frames: age of a picture when it is complete, beside the delay [frames]: half its exposure and half its readout, as its time stamp
     is their middle. A command for a picture e frames older acts as one in 1 - e of the frame, and e of the next.
     """
@@ -128,16 +120,6 @@ def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float
         middle = (low + high) / 2
         low, high = (low, middle) if unstable(middle) else (middle, high)
     return (low + high) / 2
-
-
-def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -> Poles:
-    """The poles for each g of `gains` (m,), complex, shape (m, n + 1), each branch continued from one gain to the next."""
-    out = np.array([roots(float(g), delay_frames, shares) for g in gains])
-    for before, now in itertools.pairwise(out):
-        left = list(now)  # greedy assignment to the nearest pole
-        for i, pole in enumerate(before):
-            now[i] = left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
-    return out
 
 
 FEWEST, MOST = 24, 2048
@@ -355,7 +337,7 @@ def window(scenario: Scenario) -> int:
 
 
 class Stability:
-    """The last half of a run under way, for the judge: it is asked where the run would end as `timed_out`."""
+    """The last half of a run under way: it is asked where the run would end as `timed_out`."""
 
     def __init__(self, scenario: Scenario):
         self._scenario, self._first, self._frames = scenario, math.nan, 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from vstestbed.laws import Law
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.points import Visibility
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.loop.stability import NO_LAG, closed_form, gain_limit, locus, loop_shares, roots, swing_frames
+from vstestbed.loop.stability import NO_LAG, Poles, closed_form, gain_limit, loop_shares, roots, swing_frames
 from vstestbed.report.studies import Branches, write_delay
 from vstestbed.robots import Robot
 from vstestbed.robots.arm import Arm
@@ -413,6 +414,16 @@ def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[L
 # Result files of a delay study: tables, figures, page, each complete or not at all.
 BEYOND = 1.3
 """The root locus is drawn up to this many times the gain limit."""
+
+
+def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -> Poles:
+    """The poles for each g of `gains` (m,), complex, shape (m, n + 1), each branch continued from one gain to the next."""
+    out = np.array([roots(float(g), delay_frames, shares) for g in gains])
+    for before, now in pairwise(out):
+        left = list(now)  # greedy assignment to the nearest pole
+        for i, pole in enumerate(before):
+            now[i] = left.pop(int(np.argmin(np.abs(np.array(left) - pole))))
+    return out
 
 
 def write(folder: Path, limits: Sequence[Limit], name: str, command: str = "") -> Path:

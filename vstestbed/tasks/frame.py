@@ -67,8 +67,8 @@ class Cycle:
 
     Attributes:
         timing: number and times. observation: the law's measurement. goal: its reference.
-        error: in the image. command: of the law. allocation: the command within the robot's limits, whatever the robot is told.
-        order: what the robot is told: that, or what its supervisor has put in its place.
+        error: in the image. command: of the law. allocation: the command within the robot's limits, whatever is ordered.
+        order: what the robot is ordered: that, or what its supervisor has put in its place.
         notes: what was unusual about the picture's time, in words (`Controller.step`).
     """
 

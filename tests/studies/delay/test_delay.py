@@ -15,7 +15,7 @@ from vstestbed import Timing
 from vstestbed.cli import app as cli
 from vstestbed.cli.studies import _summary_line
 from vstestbed.core.errors import ParameterError
-from vstestbed.loop.stability import closed_form, gain_limit, led_form
+from vstestbed.loop.stability import closed_form, gain_limit
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.delay import (
     OFF,
@@ -64,7 +64,7 @@ def test_the_ideal_camera_goes_unstable_where_theory_says(free, d):
 @pytest.mark.parametrize("d", [0, 2])
 def test_commands_that_are_led_to_cost_half_a_period_of_the_delay_margin(free, d, between):
     """At the limit of held commands the loop grows, and it is stable up to its own, 2 tan(pi / (4 (d + 1))): 0.536 instead of 0.618."""
-    start, g = displaced(free), led_form(d)
+    start, g = displaced(free), 2 * np.tan(np.pi / (4 * (d + 1)))
     led = replace(start, timing=Timing(interpolation=between, command_hz=100))
     assert growth(led, 0.97 * g / PERIOD, d) < 1 < growth(led, 1.03 * g / PERIOD, d)
     if d:
