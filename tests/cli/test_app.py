@@ -12,7 +12,7 @@ import pytest
 
 from vstestbed.cli.tools import Listed
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-from vstestbed.laws.switched import Turn
+from vstestbed.laws.switched import Stage
 from vstestbed.scenario import catalogue
 from vstestbed.scenario.validation import KINDS
 from vstestbed.sim import gl_probe as gl
@@ -361,7 +361,7 @@ class Timid(IBVS):
     assert shy["time_to_converge_s"] == pytest.approx(2 * bold["time_to_converge_s"], rel=0.25)
     assert "timid IBVS at a share of what it would order." in " ".join(command("list", "laws", *with_plugin).out.split())
     # Of a block that holds a law, in place of the whole scenario: a tenth of the work.
-    monkeypatch.setattr(catalogue, "schema_of", lambda _, schema_of=catalogue.schema_of: schema_of(Turn))
+    monkeypatch.setattr(catalogue, "schema_of", lambda _, schema_of=catalogue.schema_of: schema_of(Stage))
     assert "Timid" in json.loads(command("schema", *with_plugin).out)["$defs"]
     assert command("report", "runs/quick/002", *with_plugin).code == 0
     assert "share: 0.5" in Path("runs/quick/002/scenario.yaml").read_text(encoding="utf-8")

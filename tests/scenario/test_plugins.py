@@ -13,7 +13,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
-from vstestbed.laws.switched import Turn
+from vstestbed.laws.switched import Stage
 from vstestbed.scenario.catalogue import schema_of
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.validation import KINDS
@@ -188,7 +188,7 @@ def test_a_comparison_remembers_plugins_for_workers_resume_and_report(quick: Pat
 
 def test_schema_and_validators_know_what_a_plugin_adds(tmp_path: Path) -> None:
     load_plugins([str(plugin(tmp_path / "mine.py", "newest"))])
-    assert '"newest"' in json.dumps(schema_of(Turn))  # a block that holds a law
+    assert '"newest"' in json.dumps(schema_of(Stage))  # a block that holds a law
 
 
 @pytest.mark.parametrize("value", ["mine.py", "[1]", "{a: b}", "[[mine.py]]"])
