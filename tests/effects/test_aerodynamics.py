@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vstestbed.effects.aerodynamics import AIR, Downwash, GroundEffect, nearness
-from vstestbed.effects.airframe import Airframe, BodyState, FlightBlocks
+from vstestbed.effects.airframe import Airframe, FlightBlocks
 from vstestbed.robots.rotors import X4
 
 R = 0.165
@@ -34,8 +34,8 @@ def test_rotors_that_stand_still_lift_nothing():
 def test_the_returning_wake_has_its_size_and_its_correlation():
     z, s = 0.3, 0.05
     airframe = Airframe(X4, FlightBlocks(downwash=Downwash(turbulence=s, turbulence_s=0.02)), np.random.default_rng(1))
-    state = BodyState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (X4.hover,) * 4, (z,) * 16)
-    lift = np.array([airframe.act(state, (X4.hover,) * 4, 0.001).force[2] for _ in range(20_000)])
+    still, W = (0.0, 0.0, 0.0), (X4.hover,) * 4
+    lift = np.array([airframe.act(still, still, W, (z,) * 16, W, 0.001)[0][2] for _ in range(20_000)])
     one = X4.thrust_coefficient * X4.hover * s * (R / z) ** 2
     assert lift.std() == pytest.approx(2 * one, rel=0.1)  # four independent rotors
     lagged = np.corrcoef(lift[:-20], lift[20:])[0, 1]

@@ -159,6 +159,10 @@ def parts_of(thing: Any) -> Iterator[tuple[str, Any]]:
         yield "closure", cell.cell_contents
 
 
+OF_ROBOTS = "motion_basis", "allocate", "measured_twist", "secondary_task", "actuate", "reported"
+"""Methods of a robot that decide; some are of capabilities that not every robot has."""
+
+
 def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int = 1) -> list[str]:
     """Leaks into what the deciding parts are given and keep, filled while the scenario runs."""
     found: list[str] = []
@@ -169,7 +173,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, scenario: vs.Scenario, every: int =
         (Observer, ("observe",)),
         (type(scenario.goal), ("reference", "passed")),
         (supervisor, ("filter",)),
-        (type(scenario.robot), ("motion_basis", "allocate", "measured_twist", "secondary_task", "actuate", "reported")),
+        (type(scenario.robot), tuple(name for name in OF_ROBOTS if hasattr(type(scenario.robot), name))),
     )
 
     def spy(cls: type, name: str) -> None:

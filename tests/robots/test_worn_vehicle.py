@@ -10,7 +10,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
-from vstestbed.effects.body import Loosen, Set
+from vstestbed.effects.body import loosen, put
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.wheels import WHEELS, WheelSpread
@@ -105,16 +105,16 @@ class TestChanges:
     def test_rolling_resistance_is_a_share_of_the_weight(self) -> None:
         """The torques at the radius brake by c m g in all."""
         for robot, mass, radius in ((Car(rolling_resistance=0.02), 60.0, 0.15), (Omni(rolling_resistance=0.02), 8.0, 0.05)):
-            torques = [c.value for c in robot.body.changes if isinstance(c, Set) and c.field == "frictionloss"]
+            torques = [value for _, _, _, field, value in robot.body.changes if field == "frictionloss"]
             assert len(torques) == 4
             assert sum(torques) / radius == pytest.approx(0.02 * mass * 9.81)
 
     def test_play_is_in_radians(self) -> None:
         (change,) = Car(steering_play_deg=2.0).body.changes
-        assert change == Loosen("steering", math.radians(2.0))
+        assert change == (loosen, "steering", math.radians(2.0))
 
     def test_tyres_that_slip_take_the_friction_of_the_contacts(self) -> None:
-        assert Car(tyres=Tyres()).body.changes == tuple(Set("geom", f"{name}_contact", "condim", 1) for name in WHEELS)
+        assert Car(tyres=Tyres()).body.changes == tuple((put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS)
 
 
 @pytest.mark.parametrize("level", ["lab", "field"])

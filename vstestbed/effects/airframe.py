@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,31 +17,6 @@ from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
 from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, _four, inertia_torque
 from vstestbed.effects.vibration import Vibration
-
-
-class BodyState(NamedTuple):
-    """The truth of a robot's base at one instant.
-
-    air: velocity of its origin against the air, base axes (3,) [m/s]. rates: angular velocity, base axes (3,) [rad/s].
-    act: activations of its actuators (nu,). below: how far straight below each of `Airframe.probes` something is, inf over nothing [m].
-    """
-
-    air: Vector
-    rates: Vector
-    act: Sequence[float]
-    below: Sequence[float]
-
-
-class Effort(NamedTuple):
-    """What the imperfections do for one control period.
-
-    force, torque: on the base, about its origin, base axes (3,) [N, Nm]. orders: what reaches the actuators (nu,).
-    """
-
-    force: Vector
-    torque: Vector
-    orders: Sequence[float]
-
 
 ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
 """Where front, right, back and left are, along x and y, in arms."""
@@ -144,22 +118,28 @@ class Airframe:
         self._spin = given.rotor_inertia.of(craft) if given.rotor_inertia else 0.0
         self.probes: Sequence[Vector] = _probes(craft) if given.ground_effect or given.downwash else ()
 
-    def act(self, state: BodyState, orders: Sequence[float], dt: float) -> Effort:
-        """Force, torque and orders for the next control period."""
-        self._W = _four([x if x > 0 else 0.0 for x in state.act])
+    def act(
+        self, air: Vector, rates: Vector, W: Sequence[float], below: Sequence[float], orders: Sequence[float], dt: float
+    ) -> tuple[Vector, Vector, Four]:
+        """Force and torque on the base about its origin, base axes (3,) [N, Nm], and what reaches the actuators, for dt [s].
+
+        air: velocity of the base's origin against the air, rates: angular velocity, base axes (3,) [m/s, rad/s]. W, orders: squared speeds
+        of the rotors, and those ordered (4,) [(rad/s)^2]. below: how far below each of `probes` something is, inf over nothing [m].
+        """
+        self._W = _four([x if x > 0 else 0.0 for x in W])
         speeds = _four([math.sqrt(x) for x in self._W])
         reached = self._driven(orders, speeds, dt)
-        force, torque = self._lifted(state, dt)
+        force, torque = self._lifted(air, below, dt)
         if self._drag:
-            force, torque = _added((force, torque), self._dragged(state, speeds))
+            force, torque = _added((force, torque), self._dragged(air, rates, speeds))
         if self._spin:
             half = 0.5 / self._craft.rotor_lag_s
             turning = _four([half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in zip(reached, self._W, speeds, strict=True)])
-            x, y, z = inertia_torque(self._spin, state.rates, speeds, turning)
+            x, y, z = inertia_torque(self._spin, rates, speeds, turning)
             torque = torque[0] + x, torque[1] + y, torque[2] + z
         if self._given.vibration:
             self._angles = _four([(phi + w * dt) % (2 * math.pi) for phi, w in zip(self._angles, speeds, strict=True)])
-        return Effort(force, torque, reached)
+        return force, torque, reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
         """The IMU's readings with the vibration, and the battery's `voltage` [V]."""
@@ -181,7 +161,7 @@ class Airframe:
             share = battery.share(self._voltage, self._craft)
         return _four([min(most, share * min(u, most * f)) for u, f in zip(orders, self._limit, strict=True)])
 
-    def _lifted(self, state: BodyState, dt: float) -> tuple[Vector, Vector]:
+    def _lifted(self, air: Vector, below: Sequence[float], dt: float) -> tuple[Vector, Vector]:
         """Force and torque of what the thrusts are more than those of the model's file."""
         ground, wash, given = self._given.ground_effect, self._given.downwash, self._given
         if not (ground or wash or given.motors):
@@ -192,17 +172,18 @@ class Airframe:
             fresh = math.sqrt(1.0 - keep * keep)
             self._rough = [keep * x + fresh * n for x, n in zip(self._rough, next(self._gusts), strict=True)]
         up = x = y = 0.0
+        speed = math.hypot(air[0], air[1])
         for i in range(4):
             usual = b * self._W[i]
             thrust = usual * self._thrust[i]
             if self.probes:
-                thrust *= _near_ground(ground, wash, state, i, R, thrust, self._rough[i])
+                thrust *= _near_ground(ground, wash, below[4 * i : 4 * i + 4], R, thrust, speed, self._rough[i])
             more = thrust - usual
             up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
         return (0.0, 0.0, up), (x, y, 0.0)
 
-    def _dragged(self, state: BodyState, speeds: Four) -> tuple[Vector, Vector]:
-        (vx, vy, _), (wx, wy, wz), arm, h = state.air, state.rates, self._craft.arm_m, ROTOR_M
+    def _dragged(self, air: Vector, rates: Vector, speeds: Four) -> tuple[Vector, Vector]:
+        (vx, vy, _), (wx, wy, wz), arm, h = air, rates, self._craft.arm_m, ROTOR_M
         fx = fy = turn = 0.0
         for i in range(4):
             x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
@@ -212,13 +193,12 @@ class Airframe:
 
 
 def _near_ground(
-    ground: GroundEffect | None, wash: Downwash | None, state: BodyState, i: int, radius: float, thrust: float, rough: float
+    ground: GroundEffect | None, wash: Downwash | None, below: Sequence[float], radius: float, thrust: float, speed: float, rough: float
 ) -> float:
-    """By what the ground, and the wake from it, multiply the thrust [N] of rotor i, the mean over its probes."""
-    near = [nearness(z, radius) for z in state.below[4 * i : 4 * i + 4]]
+    """By what the ground, and the wake from it, multiply a rotor's thrust [N], the mean over its probes; speed: along the disc [m/s]."""
+    near = [nearness(z, radius) for z in below]
     gain = 1.0
     if ground:
-        speed = math.hypot(state.air[0], state.air[1])
         gain = 0.25 * sum([ground.gain(n, radius, thrust, speed) for n in near])
     return gain + (wash.turbulence * 0.25 * sum(near) * rough if wash else 0.0)
 
@@ -271,23 +251,20 @@ class OnBase(Actor):
         if self._probes:  # one ray a period: of 16 the oldest is as old as 16 ms, in which a craft that lands sinks 5 mm
             self._look(self._next, R)
             self._next = (self._next + 1) % len(self._probes)
-        (x, y, z), (p, q, r), reached = self._airframe.act(self._state(R), orders, dt)
-        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own.
+        vx, vy, vz, p, q, r = self._velocity.tolist()
+        wx, wy, wz = self._wind.tolist()
         a, b, c, d, e, f, g, h, i = R
+        x, y, z, activations = vx - wx, vy - wy, vz - wz, self._activations.tolist()
+        air = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+        W = [activations[k] for k in self._acting]
+        (x, y, z), (p, q, r), reached = self._airframe.act(air, (p, q, r), W, self._below, orders, dt)
+        # A free joint's generalised force: linear along world axes at the base's origin, angular in the base's own.
         self._applied[:] = a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z, p, q, r
         return reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
         """What the sensors meet."""
         return self._airframe.felt(sensors)
-
-    def _state(self, R: list[float]) -> BodyState:
-        vx, vy, vz, p, q, r = self._velocity.tolist()
-        wx, wy, wz = self._wind.tolist()
-        a, b, c, d, e, f, g, h, i = R
-        x, y, z, all_act = vx - wx, vy - wy, vz - wz, self._activations.tolist()
-        air = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
-        return BodyState(air, (p, q, r), [all_act[k] for k in self._acting], self._below)
 
     def _look(self, number: int, R: list[float]) -> None:
         """Cast the ray from a probe straight down, with the base's orientation R (9,)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Len
@@ -140,14 +140,6 @@ class Actor:
         return ()
 
 
-class Remedy(NamedTuple):
-    """What would work where a robot's motors cannot hold it at its start: the field, in words what to give there, its present value."""
-
-    field: str
-    words: str
-    value: float
-
-
 class Effect:
     """An imperfection of a robot's body or its drives; by default it does nothing.
 
@@ -183,8 +175,11 @@ class Effect:
         """Stiffness and damping (n,) between each motor and its joint, for small motions about a load (n,) [Nm]; None without springs."""
         return None
 
-    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy | None:
-        """What would work where the weight (n,) is more than each joint holds (n,) [Nm, N]; None where it does not add to the weight."""
+    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> tuple[str, str, float] | None:
+        """What would work where the weight (n,) is more than each joint holds (n,) [Nm, N]; None where it does not add to the weight.
+
+        Returns the field, in words what to give there, and its present value.
+        """
         return None
 
 

@@ -12,7 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Effect, Remedy, RobotBody, RobotModel
+from vstestbed.effects.base import Effect, RobotBody, RobotModel
 
 PAYLOAD = "payload"
 Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
@@ -129,7 +129,7 @@ class Payload(Effect):
         body.ipos = np.zeros(3)
         body.gravcomp = robot.carried if self.declared else 0.0
 
-    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> Remedy:
+    def remedy(self, body: RobotBody, weight: Array, holds: Array) -> tuple[str, str, float]:
         """The largest payload that the motors hold there."""
         import mujoco
 
@@ -139,7 +139,7 @@ class Payload(Effect):
         a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
         most = _most_kg(weight, weight - self.mass_kg * a_kilogram, holds, self.mass_kg)
         words = f"at most {_down(most):g} kg here" if most > 0 else "another start, for it falls without a payload, too"
-        return Remedy("robot.payload.mass_kg", words, self.mass_kg)
+        return "robot.payload.mass_kg", words, self.mass_kg
 
 
 def _most_kg(weight: Array, without: Array, holds: Array, mass_kg: float) -> float:

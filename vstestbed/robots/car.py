@@ -22,7 +22,7 @@ from vstestbed.core.planar import moved
 from vstestbed.core.quantity import GRAVITY, AngleWidth, Mass, Narrower, PositiveLength, PositiveRate, PositiveSpeed
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
-from vstestbed.effects.body import Change, Couple, Loosen, Scale, Set, Stretch
+from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.wheels import WHEELS, WheelSpread
@@ -216,7 +216,7 @@ class CarParameters:
         """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
         whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
         shares = ON_FRONT, ON_FRONT, ON_REAR, ON_REAR
-        return tuple(Set("joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
+        return tuple((put, "joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -226,31 +226,31 @@ class CarParameters:
         L, half, r = self.wheelbase_m, self.track_m / 2, self.wheel_radius_m
         heavier, larger, wide = self.mass_kg / 60.0, r / 0.15, self.track_m / 0.6
         raised = 2 * (r - 0.15)
-        found: list[Change] = [Scale("geom", "mass", heavier), Stretch("base", (L, wide, 1.0), (0.0, 0.0, raised))]
+        found: list[Change] = [(scale, "geom", "mass", heavier), (stretch, "base", (L, wide, 1.0), (0.0, 0.0, raised))]
         for name, x, y in (("column", 0.98, 0.0), ("crank_left", 0.94, 0.05), ("crank_right", 0.94, -0.05)):
-            found.append(Set("body", name, "pos", (x * L, y * wide, 0.30 + raised)))
+            found.append((put, "body", name, "pos", (x * L, y * wide, 0.30 + raised)))
         for end, part, x in (("front", "fork", L), ("rear", "carrier", 0.0)):
             for side, y in (("left", half), ("right", -half)):
                 holder, wheel = f"{end}_{side}_{part}", f"{end}_{side}_wheel"
                 found += [
-                    Set("body", holder, "pos", (x, y, r)),
-                    Stretch(holder, (1.0, 1.0, larger)),
-                    Scale("joint", "stiffness", heavier, holder),
-                    Scale("joint", "damping", heavier, holder),
-                    Scale("geom", "size", (larger, 1.0, larger), wheel),
-                    Scale("joint", "frictionloss", heavier * larger, wheel),
+                    (put, "body", holder, "pos", (x, y, r)),
+                    (stretch, holder, (1.0, 1.0, larger)),
+                    (scale, "joint", "stiffness", heavier, holder),
+                    (scale, "joint", "damping", heavier, holder),
+                    (scale, "geom", "size", (larger, 1.0, larger), wheel),
+                    (scale, "joint", "frictionloss", heavier * larger, wheel),
                 ]
         gain, fastest = 50 * heavier * larger**2, 22 / larger
         found += [
-            Set("actuator", "drive", "gainprm", (gain,)),
-            Set("actuator", "drive", "biasprm", (0.0, 0.0, -gain)),
-            Set("actuator", "drive", "ctrlrange", (-fastest, fastest)),
-            Set("actuator", "drive", "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
+            (put, "actuator", "drive", "gainprm", (gain,)),
+            (put, "actuator", "drive", "biasprm", (0.0, 0.0, -gain)),
+            (put, "actuator", "drive", "ctrlrange", (-fastest, fastest)),
+            (put, "actuator", "drive", "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
         ]
         crank, wheel = ackermann(self.slant)
         for side, sign in (("left", 1.0), ("right", -1.0)):  # the right side is the left's mirror image, -q(-p(-d))
             mirrored = [tuple(c * sign ** (k + 1) for k, c in enumerate(poly)) for poly in (crank, wheel)]
-            found += [Couple(f"crank_{side}", mirrored[0]), Couple(f"front_{side}_steer", mirrored[1])]
+            found += [(couple, f"crank_{side}", mirrored[0]), (couple, f"front_{side}_steer", mirrored[1])]
         return tuple(found)
 
 
@@ -421,13 +421,13 @@ class Car(Vehicle, Onboard):
             found += self.parameters.rolling(self.rolling_resistance)
         if self.wheel_spread is not None:
             found += [
-                Scale("geom", "size", (factor, 1.0, factor), f"{name}_wheel")
+                (scale, "geom", "size", (factor, 1.0, factor), f"{name}_wheel")
                 for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True)
             ]
         if self.tyres is not None:  # the floor carries a wheel, and the tyre alone holds it
-            found += [Set("geom", f"{name}_contact", "condim", 1) for name in WHEELS]
+            found += [(put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS]
         if self.steering_play_deg:
-            found.append(Loosen("steering", math.radians(self.steering_play_deg)))
+            found.append((loosen, "steering", math.radians(self.steering_play_deg)))
         return tuple(found)
 
     @property

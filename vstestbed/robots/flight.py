@@ -38,8 +38,6 @@ RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD)
 MAX_TILT_RATE = 4.0
 """Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
-MAX_YAW_ACCELERATION = 0.4
-"""Slope of the X-4's yaw-rate command [rad/s^2], a little under the .45 that its rotors' share of yaw can realise (`yaw_slope`)."""
 LEAST_LIFT = 0.3 * GRAVITY  # least upward part of the commanded force, by mass [m/s^2]
 MAX_TRIM = 3.0  # bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5
 MAX_RATE_TRIM = 3.0  # bound of the rate loop's integral [rad/s^2]
@@ -126,7 +124,7 @@ def fly(
     trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
     _, _, _, _, _, _, zx, zy, zz = R
     levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
-    most = yaw_slope(craft) * dt
+    most = craft.yaw_slope * dt
     yaw_rate += clip((0.0 if levelling else yaw_order) - yaw_rate, -most, most)
     if levelling:
         # Trim and model start anew: integrated upside down, or from the fall, they would throw the craft off again.
@@ -194,11 +192,6 @@ def attitude_loop(force: Vector, gains: Gains) -> tuple[float, float]:
     rate = gains.attitude * math.atan2(sine, z)
     share = (rate if rate < MAX_TILT_RATE else MAX_TILT_RATE) / sine
     return -share * y, share * x
-
-
-def yaw_slope(craft: QuadrotorParameters) -> float:
-    """Slope of the yaw-rate command [rad/s^2]: as much less than what the rotors can realise as the X-4's."""
-    return MAX_YAW_ACCELERATION * ((craft.yaw_torque / craft.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
 
 
 def rate_loop(

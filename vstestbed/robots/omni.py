@@ -32,7 +32,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
 from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate
 from vstestbed.core.spec import spec
-from vstestbed.effects.body import Change, Scale, Set, Stretch
+from vstestbed.effects.body import Change, put, scale
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
@@ -125,25 +125,25 @@ class OmniParameters:
         if self == PLATFORM:
             return ()
         larger = self.wheel_radius_m / PLATFORM.wheel_radius_m
-        stretch = self.wheelbase_m / PLATFORM.wheelbase_m, self.track_m / PLATFORM.track_m, 1.0
+        wider = self.wheelbase_m / PLATFORM.wheelbase_m, self.track_m / PLATFORM.track_m, 1.0
         found: list[Change] = [
-            Set("geom", "chassis", "mass", self.mass_kg - len(WHEELS) * WHEEL_KG),
-            Stretch("base", stretch, (0.0, 0.0, self.wheel_radius_m - PLATFORM.wheel_radius_m)),
+            (put, "geom", "chassis", "mass", self.mass_kg - len(WHEELS) * WHEEL_KG),
+            (stretch, "base", wider, (0.0, 0.0, self.wheel_radius_m - PLATFORM.wheel_radius_m)),
         ]
         harder = self.moved / PLATFORM.moved
         for name, (x, y), row, before in zip(WHEELS, self.places.tolist(), self.W, PLATFORM.W, strict=True):
             found += [
-                Set("body", name, "pos", (x, y, self.wheel_radius_m)),
-                Scale("geom", "size", larger, name),
-                Scale("geom", "pos", larger, name),
-                Scale("actuator", "gainprm", harder, name),
-                Scale("actuator", "biasprm", harder, name),
-                Set("actuator", name, "ctrlrange", (-self.wheel_speed_radps, self.wheel_speed_radps)),
-                Set("actuator", name, "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
+                (put, "body", name, "pos", (x, y, self.wheel_radius_m)),
+                (scale, "geom", "size", larger, name),
+                (scale, "geom", "pos", larger, name),
+                (scale, "actuator", "gainprm", harder, name),
+                (scale, "actuator", "biasprm", harder, name),
+                (put, "actuator", name, "ctrlrange", (-self.wheel_speed_radps, self.wheel_speed_radps)),
+                (put, "actuator", name, "forcerange", (-self.motor_torque_nm, self.motor_torque_nm)),
             ]
             if planar:  # the gear is the wheel's row; ratios, since the file has five digits of it
                 of_x, of_y, of_yaw = (row / before).tolist()
-                found.append(Scale("actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
+                found.append((scale, "actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
             else:
                 found += _larger_rollers(name, larger)
         return (*found, *(self._planar_inertia() if planar else ()))
@@ -151,19 +151,21 @@ class OmniParameters:
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
         """Torques on the wheels by a rolling resistance [1]: its share of a quarter of the weight, at the radius."""
         torque = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m / 4
-        return tuple(Set("joint", name, "frictionloss", torque) for name in WHEELS)
+        return tuple((put, "joint", name, "frictionloss", torque) for name in WHEELS)
 
     def _planar_inertia(self) -> tuple[Change, ...]:
         """Of the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both slides."""
         J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
         along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
-        both = (Set("joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y"))
-        return (*both, Set("joint", "root_yaw", "armature", 0.250 * turning))
+        both = ((put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y"))
+        return (*both, (put, "joint", "root_yaw", "armature", 0.250 * turning))
 
 
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
     rollers = [f"{name}_roller{i}" for i in range(ROLLERS)]
-    return tuple(change for roller in rollers for change in (Scale("body", "pos", factor, roller), Scale("geom", "size", factor, roller)))
+    return tuple(
+        change for roller in rollers for change in ((scale, "body", "pos", factor, roller), (scale, "geom", "size", factor, roller))
+    )
 
 
 PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
@@ -240,7 +242,7 @@ class Omni(Vehicle, Onboard):
             found += self.parameters.rolling(self.rolling_resistance)
         if self.wheel_spread is not None:
             for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True):
-                found += [Scale("geom", "size", factor, name), Scale("geom", "pos", factor, name), *_larger_rollers(name, factor)]
+                found += [(scale, "geom", "size", factor, name), (scale, "geom", "pos", factor, name), *_larger_rollers(name, factor)]
         return tuple(found)
 
     @property

@@ -22,13 +22,15 @@ from vstestbed.core.geometry import clip
 from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
-from vstestbed.effects.body import Change, Set
+from vstestbed.effects.body import Change, put
 
 YAW_SHARE = 0.6  # share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust
 LEAST_THRUST_TO_WEIGHT = 1.3
 """Under it the rotors' margin over the weight no longer flies the flight loops' tilt of 30 degrees, which takes 1.15 of the weight."""
 LEAST_TURN = 10.0
 """Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
+MAX_YAW_ACCELERATION = 0.4
+"""Slope of the X-4's yaw-rate command [rad/s^2], a little under the .45 that its rotors' share of yaw can realise (`yaw_slope`)."""
 HUB_M = 0.075  # radius of the hub, where the arms begin [m]
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 """Moments of inertia about x, y and z [kg m^2]."""
@@ -112,6 +114,11 @@ class QuadrotorParameters:
         return YAW_SHARE * 4 * self.drag_coefficient * (self.limit - self.hover)
 
     @cached_property
+    def yaw_slope(self) -> float:
+        """Slope of the yaw-rate command [rad/s^2]: as much less than what the rotors can realise as the X-4's."""
+        return MAX_YAW_ACCELERATION * ((self.yaw_torque / self.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
+
+    @cached_property
     def units(self) -> Vector:
         """Roll or pitch torque of a unit of r or p, thrust of a unit of t, yaw torque of a unit of y [Nm s^2, N s^2, Nm s^2]."""
         return 2 * self.arm_m * self.thrust_coefficient, 4 * self.thrust_coefficient, 4 * self.drag_coefficient
@@ -120,22 +127,22 @@ class QuadrotorParameters:
         """What makes the craft of the file, the X-4, this one; body_share: of its air drag, where a model of the rotors has the rest."""
         b, k = self.thrust_coefficient, self.drag_coefficient
         wide, d = self.arm_m / X4.arm_m, self.arm_m
-        found: list[Change] = [Set("body", "base", "mass", self.mass_kg), Set("body", "base", "inertia", self.inertia)]
-        found.append(Set("geom", "air", "fluid_coefs", (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),)))
+        found: list[Change] = [(put, "body", "base", "mass", self.mass_kg), (put, "body", "base", "inertia", self.inertia)]
+        found.append((put, "geom", "air", "fluid_coefs", (1.5915 * (body_share * self.drag_area_m2 / X4.drag_area_m2),)))
         for name, x, y, turn in (("front", 1, 0, -1), ("right", 0, -1, 1), ("back", -1, 0, -1), ("left", 0, 1, 1)):
             along, half = (d + HUB_M) / 2, (d - HUB_M) / 2
             found += [
-                Set("actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
-                Set("actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
-                Set("actuator", f"rotor_{name}", "ctrlrange", (0, self.limit)),
-                *(Set("geom", f"{part}_{name}", "pos", (x * d, y * d)) for part in ("motor", "disc", "blade")),
-                Set("site", f"rotor_{name}", "pos", (x * d, y * d)),
-                Set("geom", f"arm_{name}", "pos", (x * along, y * along)),
-                Set("geom", f"arm_{name}", "size", (half, 0.011) if x else (0.011, half)),
-                Set("geom", f"disc_{name}", "size", (self.rotor_radius_m,)),
-                Set("geom", f"blade_{name}", "size", (self.rotor_radius_m - 0.005,)),
-                Set("geom", f"foot_{name}", "pos", (x * 0.22 * wide, y * 0.22 * wide)),
-                Set("geom", f"leg_{name}", "fromto", (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16))),
+                (put, "actuator", f"rotor_{name}", "gear", (0, 0, b, 0, 0, turn * k)),
+                (put, "actuator", f"rotor_{name}", "dynprm", (self.rotor_lag_s,)),
+                (put, "actuator", f"rotor_{name}", "ctrlrange", (0, self.limit)),
+                *((put, "geom", f"{part}_{name}", "pos", (x * d, y * d)) for part in ("motor", "disc", "blade")),
+                (put, "site", f"rotor_{name}", "pos", (x * d, y * d)),
+                (put, "geom", f"arm_{name}", "pos", (x * along, y * along)),
+                (put, "geom", f"arm_{name}", "size", (half, 0.011) if x else (0.011, half)),
+                (put, "geom", f"disc_{name}", "size", (self.rotor_radius_m,)),
+                (put, "geom", f"blade_{name}", "size", (self.rotor_radius_m - 0.005,)),
+                (put, "geom", f"foot_{name}", "pos", (x * 0.22 * wide, y * 0.22 * wide)),
+                (put, "geom", f"leg_{name}", "fromto", (*_at(x, y, 0.14 * wide, -0.008), *_at(x, y, 0.22 * wide, -0.16))),
             ]
         return tuple(found)
 

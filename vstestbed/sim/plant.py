@@ -66,6 +66,9 @@ class RobotContacts:
         return words or "something without a name"
 
 
+NO_JOINTS = np.zeros(0)
+
+
 class SensorReader:
     """Reads a robot's joints and MJCF sensors, once for each physics step.
 
@@ -74,7 +77,7 @@ class SensorReader:
 
     def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
         robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
-        self._at = stage.at
+        self._at, self._has_encoders = stage.at, len(stage.at.motor_qpos) > 0
         self._model, self._felt = robot.instruments(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
         self._sensors = []
         for name in robot.body.sensors if robot.body else ():
@@ -95,7 +98,9 @@ class SensorReader:
             sensors = {name: values[where] for name, where in self._sensors}
             for felt in self._felt:
                 sensors = felt(sensors)
-            q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # of what the encoders are on
+            q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
+            if self._has_encoders:
+                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # of what the encoders are on
             self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
@@ -149,7 +154,8 @@ def check_static_load(stage: Stage) -> None:
     )
     for effect in robot.acting:
         if remedy := effect.remedy(stage.body, weight, holds):
-            raise UnreachableError(remedy.field, f"{words}; works: {remedy.words}", remedy.value)
+            field, works, value = remedy
+            raise UnreachableError(field, f"{words}; works: {works}", value)
     raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
 
 
