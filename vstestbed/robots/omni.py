@@ -32,7 +32,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
 from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate
 from vstestbed.core.spec import spec
-from vstestbed.effects.body import Change, put, scale
+from vstestbed.effects.body import Change, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
