@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.tasks.judged import at_the_end, at_worst, by_convergence
 from vstestbed.tasks.stop import Converged
 
@@ -50,13 +51,13 @@ def test_the_truth_of_a_band_counts_once_settled_and_by_magnitude():
 
 @pytest.mark.parametrize(
     ("name", "overrides", "unit", "by"),
-    [
+    one_quick(
         ("ibvs_book", {}, "px", "pixels"),
         ("car_pbvs", {"stop.duration_s": 0.2}, "m", "estimate"),
         ("car_line", {"stop.duration_s": 0.2}, "m", "truth"),
         ("quadrotor_hover", {"stop.duration_s": 0.2}, "px", "level pixels"),
         ("quadrotor_land", {"stop.duration_s": 0.2}, "m", "truth"),
-    ],
+    ),
 )
 def test_each_kind_of_task_says_who_measured(name: str, overrides: dict[str, object], unit: str, by: str):
     summary = vs.run(vs.load(name, overrides)).summary()

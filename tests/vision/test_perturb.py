@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.vision.perturb import PERTURBATIONS, ColorJitter, Erasing, Outliers, PerturbationBase, Perturbed, Shadow
 
@@ -88,7 +89,7 @@ def test_the_panels_of_a_picture_are_changed_alike_and_again_alike():
     assert none is None and np.array_equal(a, b) and np.array_equal(change(0.0, (IMAGE,))[0], a)
 
 
-@pytest.mark.parametrize("name", ["ibvs_book", "arm_tags"])
+@pytest.mark.parametrize("name", one_quick("ibvs_book", "arm_tags"))
 def test_a_run_repeats_and_does_not_depend_on_who_looks_at_the_pictures(name):
     changes = {"noise.perturb": ["color_jitter", "erasing"], "stop.duration_s": 0.4}
     scenario = vs.load(name, changes)
