@@ -5,6 +5,7 @@ import pytest
 
 from vstestbed.core.geometry import exp, inverse, rigid_error, transform
 from vstestbed.core.planar import pose_on_ground, relative
+from vstestbed.vision import pnp
 from vstestbed.vision.floor_pose import solve_place
 from vstestbed.vision.pnp import solve_pose_all_round, solve_pose_from_rays
 
@@ -21,6 +22,12 @@ def rays_of(T, points, noise=0.0, rng=None):
 
 
 class TestAllRound:
+    def test_the_guesses_are_the_24_rotations_of_a_cube(self):
+        turns = np.array(pnp._turns())
+        assert len(np.unique(turns.reshape(-1, 9), axis=0)) == 24
+        np.testing.assert_array_equal(turns @ turns.mT, np.tile(np.eye(3), (24, 1, 1)))
+        np.testing.assert_allclose(np.linalg.det(turns), 1)
+
     @pytest.mark.parametrize("n", [4, pytest.param(5, marks=pytest.mark.study)])
     def test_a_camera_amid_the_markers_knows_its_pose_without_a_previous_one(self, n):
         rng = np.random.default_rng(1)

@@ -106,9 +106,9 @@ def test_drawing_every_picture_again_changes_nothing_of_a_run(monkeypatch: pytes
     s = vs.load("omni_ibvs", {"stop.duration_s": 0.6, "camera.latency_s": 0.03})
     plain, arrive, again = vs.run(s), Controller.arrive, []
 
-    def drawn_again(self: Controller, shot: object, now: object) -> object:
+    def drawn_again(self: Controller, shot: object, *rest: object) -> object:
         again.append(shot.picture.completed() is not shot.picture)
-        return arrive(self, shot, now)
+        return arrive(self, shot, *rest)
 
     monkeypatch.setattr(Controller, "arrive", drawn_again)
     watched = vs.run(s)
