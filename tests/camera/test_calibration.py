@@ -43,7 +43,7 @@ def test_distortion_that_nobody_knows_of():
 
 def test_what_a_lens_does_not_have_is_refused():
     for error, camera, words in (
-        ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with this camera"),
+        ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with camera spherical"),
         ({"ignores_distortion": True}, Catadioptric(), "lenses perspective and fisheye"),
         ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must lie in the 640 x 480 picture"),
     ):

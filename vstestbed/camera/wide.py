@@ -260,8 +260,9 @@ class SphericalCamera(Radial):
         lens = Perspective(width=self.face_px, height=self.face_px, fovy_deg=FACE_DEG, **same)
         return tuple(Panel(lens, R) for R in CUBE.values())
 
-    # Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them.
-    miscalibrated = Camera.miscalibrated
+    def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
+        """Refused: markers are found in the panels, whose rays are known; the map of the sphere is only what is shown of them."""
+        raise ParameterError("calibration", "may have no lens errors with camera spherical, which has no one lens; mount_error it may")
 
     @property
     def reach(self) -> tuple[float, float]:
