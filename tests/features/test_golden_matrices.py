@@ -156,7 +156,7 @@ def outline(centre: np.ndarray, across: np.ndarray) -> np.ndarray:
 def test_ellipse():
     given, s, L = columns("ellipse")
     m = ellipse_moments(given[:, :5]).in_plane(given[:, 5:])
-    rows = [m.xg, m.yg, *(m.central(p, q) / m.central(0, 0) for p, q in ((2, 0), (1, 1), (0, 2)))]
+    rows = [m.coordinate(0), m.coordinate(1), *(m.central(p, q) / m.central(0, 0) for p, q in ((2, 0), (1, 1), (0, 2)))]
     agree(np.stack([row.value for row in rows], axis=-1), s)
     agree(np.stack([row.rate for row in rows], axis=-2), L)
 

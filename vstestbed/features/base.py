@@ -153,8 +153,8 @@ def bounded_inverse(x: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Rated:
-    """A real or complex quantity (...) and its derivative to the six velocities of the camera, q (..., 6) with value_dot = q v.
+class Dual:
+    """A dual number: a real or complex quantity (...) and its derivative to the six velocities of the camera, value_dot = rate v, (..., 6).
 
     With +, -, *, /, powers, `real`, `imag` and `conj()` as numpy arrays have them, a formula written for arrays also takes these, and gives
     the derivative by the rules of calculus (forward differentiation): exact, and never in disagreement with the formula.
@@ -162,69 +162,69 @@ class Rated:
 
     value: NDArray[Any]
     rate: NDArray[Any]
-    __array_ufunc__ = None  # `array * rated` comes to __rmul__, not to numpy
+    __array_ufunc__ = None  # `array * dual` comes to __rmul__, not to numpy
 
-    def __add__(self, other: Any) -> Rated:
-        if isinstance(other, Rated):
-            return Rated(self.value + other.value, self.rate + other.rate)
-        return Rated(self.value + other, self.rate)
+    def __add__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.rate + other.rate)
+        return Dual(self.value + other, self.rate)
 
     __radd__ = __add__
 
-    def __neg__(self) -> Rated:
-        return Rated(-self.value, -self.rate)
+    def __neg__(self) -> Dual:
+        return Dual(-self.value, -self.rate)
 
-    def __sub__(self, other: Any) -> Rated:
+    def __sub__(self, other: Any) -> Dual:
         return self + -other
 
-    def __mul__(self, other: Any) -> Rated:
-        if isinstance(other, Rated):
-            return Rated(self.value * other.value, self.rate * other.value[..., None] + self.value[..., None] * other.rate)
-        return Rated(self.value * other, self.rate * other)
+    def __mul__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value * other.value, self.rate * other.value[..., None] + self.value[..., None] * other.rate)
+        return Dual(self.value * other, self.rate * other)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Any) -> Rated:
-        if isinstance(other, Rated):
+    def __truediv__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
             value = self.value / other.value
-            return Rated(value, (self.rate - value[..., None] * other.rate) / other.value[..., None])
-        return Rated(self.value / other, self.rate / other)
+            return Dual(value, (self.rate - value[..., None] * other.rate) / other.value[..., None])
+        return Dual(self.value / other, self.rate / other)
 
-    def __pow__(self, power: float) -> Rated:
-        return Rated(self.value**power, (power * self.value ** (power - 1))[..., None] * self.rate)
+    def __pow__(self, power: float) -> Dual:
+        return Dual(self.value**power, (power * self.value ** (power - 1))[..., None] * self.rate)
 
     @property
-    def real(self) -> Rated:
+    def real(self) -> Dual:
         """The real part."""
-        return Rated(np.real(self.value), np.real(self.rate))
+        return Dual(np.real(self.value), np.real(self.rate))
 
     @property
-    def imag(self) -> Rated:
+    def imag(self) -> Dual:
         """The imaginary part."""
-        return Rated(np.imag(self.value), np.imag(self.rate))
+        return Dual(np.imag(self.value), np.imag(self.rate))
 
-    def conj(self) -> Rated:
+    def conj(self) -> Dual:
         """The complex conjugate."""
-        return Rated(self.value.conj(), self.rate.conj())
+        return Dual(self.value.conj(), self.rate.conj())
 
 
 def square(z: Any) -> Any:
-    """|z|^2 of a complex array or Rated, real."""
+    """|z|^2 of a complex array or Dual, real."""
     return z.real * z.real + z.imag * z.imag
 
 
 def angle(z: Any, floor: Any = 0.0) -> Any:
-    """The angle of z in (-pi, pi] rad, a complex array or Rated; its rate fades to zero with |z| where that is under `floor`."""
-    if not isinstance(z, Rated):
+    """The angle of z in (-pi, pi] rad, a complex array or Dual; its rate fades to zero with |z| where that is under `floor`."""
+    if not isinstance(z, Dual):
         return np.angle(z)
     size, least = np.abs(z.value), np.maximum(floor, np.finfo(float).tiny)
     share = np.minimum(size / least, 1)  # once for the fading, and 1/|z| is bounded by it too
     across = (z.value.conj() / np.maximum(size, least) * share)[..., None] * z.rate
-    return Rated(np.angle(z.value), across.imag / np.maximum(size, least)[..., None])
+    return Dual(np.angle(z.value), across.imag / np.maximum(size, least)[..., None])
 
 
 def at_least(x: Any, least: float) -> Any:
-    """The larger of x, a real array or Rated, and a constant, whose rate is zero."""
-    if not isinstance(x, Rated):
+    """The larger of x, a real array or Dual, and a constant, whose rate is zero."""
+    if not isinstance(x, Dual):
         return np.maximum(x, least)
-    return Rated(np.maximum(x.value, least), np.where((x.value > least)[..., None], x.rate, 0.0))
+    return Dual(np.maximum(x.value, least), np.where((x.value > least)[..., None], x.rate, 0.0))

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import FLOOR, Feature, Rated, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
+from vstestbed.features.base import FLOOR, Dual, Feature, angle, at_least, bounded_inverse, checked, square, wrap, wrap_together
 from vstestbed.features.points import Point
 
 
@@ -192,7 +192,7 @@ class Segment(Feature):
         """L (..., 4, 6) of xy (..., N, 2) and depth (..., N) [m]."""
         xy, depth = checked(xy, depth, self.inputs, self.least_markers)
         L = _POINT.interaction(xy[..., :2, :], depth[..., :2])
-        ends = [Rated(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
+        ends = [Dual(xy[..., i // 2, i % 2], L[..., i, :]) for i in range(4)]
         return np.stack([row.rate for row in self._rows(*ends)], axis=-2)
 
     def error(self, s: Array, s_star: Array) -> Array:

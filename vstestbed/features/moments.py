@@ -14,7 +14,7 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.spec import spec
-from vstestbed.features.base import MOST_CONDITION, Feature, Rated, angle, checked, condition, require_plane, square, wrap
+from vstestbed.features.base import MOST_CONDITION, Dual, Feature, angle, checked, condition, require_plane, square, wrap
 from vstestbed.features.polygon import segments, size, spans_area
 
 Of = Literal["points", "region"]  # moments are sums over points, or integrals over the region within a closed outline
@@ -71,7 +71,7 @@ def fitted_plane(xy: Array, depth: Array) -> Array:
 
 @dataclass(frozen=True)
 class MomentSet:
-    """The centroid and the central moments of shapes; with a plane, each quantity comes with its rate as a `Rated`, else as an array.
+    """The centroid and the central moments of shapes; with a plane, each quantity comes with its rate as a `Dual`, else as an array.
 
     m_pq_dot = sum of x^p y^q by the flow of its points, which lie in the plane 1/Z = A x + B y + C. For central moments mu_pq, with
     d = 1 and k = 4 for a region, d = 0 and k = 1 for points, n_ij = mu_ij/m_00:
@@ -112,16 +112,6 @@ class MomentSet:
         return replace(self, plane=plane, _known={})
 
     @property
-    def xg(self) -> Any:
-        """The centroid's x."""
-        return self._coordinate(0)
-
-    @property
-    def yg(self) -> Any:
-        """The centroid's y."""
-        return self._coordinate(1)
-
-    @property
     def area(self) -> Any:
         """The area a of a region; of points mu20 + mu02, which changes with the distance as an area does."""
         if self.of == "points":
@@ -134,7 +124,7 @@ class MomentSet:
             value = self._at(p, q)
             if (p, q) == (0, 0):
                 value = np.maximum(value, LEAST_AREA)
-            self._known[p, q] = value if self.plane is None else Rated(value, self._rate(p, q))
+            self._known[p, q] = value if self.plane is None else Dual(value, self._rate(p, q))
         return self._known[p, q]
 
     def complex(self, p: int, q: int) -> Any:
@@ -161,7 +151,7 @@ class MomentSet:
         share = (4 if self.of == "region" else 1) / np.maximum(self._at(0, 0), LEAST_AREA)
         return share * self._at(2, 0), share * self._at(1, 1), share * self._at(0, 2)
 
-    def _coordinate(self, axis: int) -> Any:
+    def coordinate(self, axis: int) -> Any:
         """The centroid's xg or yg; its rate is the flow of a point there, and terms of second order."""
         value = self.centre[..., axis]
         if self.plane is None:
@@ -178,7 +168,7 @@ class MomentSet:
         else:
             rate[..., 2], rate[..., 5] = y * inverse + A * n11 + B * n02, -x
             rate[..., 3], rate[..., 4] = 1 + y * y + n02, -(x * y + n11)
-        return Rated(value, rate)
+        return Dual(value, rate)
 
     def _rate(self, p: int, q: int) -> Array:
         """The rate (..., 6) of mu_pq by the equations above."""
@@ -197,29 +187,30 @@ class MomentSet:
 
 
 def place(m: MomentSet, row: str) -> Any:
-    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Rated."""
+    """The row xg, yg, area, an = 1/sqrt(area), xn = xg an or yn = yg an, as an array (...) or as a Dual."""
     plain = {"g": 1.0, "n": m.area**-0.5}
     if row in ("area", "an"):
         return m.area if row == "area" else plain["n"]
-    return (m.xg if row[0] == "x" else m.yg) * plain[row[1]]
+    return m.coordinate("xy".index(row[0])) * plain[row[1]]
 
 
 # Functions of a shape's moments that do not change with its place, size and rotation in the image.
 def over(a: Any, b: Any) -> Any:
     """The ratio a/b, and 0/0 as a finite number: of a shape whose moments vanish by symmetry."""
-    below = b.value if isinstance(b, Rated) else b
+    below = b.value if isinstance(b, Dual) else b
     return a / (b + np.where(below == 0, np.finfo(float).tiny, 0.0))
 
 
-def _c1(m: MomentSet) -> dict[str, Any]:
-    """With complex moments: c1 = (c20 conj(c20) - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2."""
-    c20 = square(m.complex(2, 0))
-    return {"c1": over(0.25 * (c20 - square(m.complex(1, 1))), c20)}
+def _second_order(m: MomentSet) -> dict[str, Any]:
+    """With complex moments: c1 = (|c20|^2 - c11^2) / (4 |c20|^2) = (mu11^2 - mu20 mu02) / |c20|^2, px = |c20|^2 / c11^2."""
+    c20, c11 = square(m.complex(2, 0)), square(m.complex(1, 1))
+    return {"c1": over(0.25 * (c20 - c11), c20), "px": over(c20, c11)}
 
 
-def _c2(m: MomentSet) -> dict[str, Any]:
-    """With complex moments: c2 = |c30|^2 / |c21|^2."""
-    return {"c2": over(square(m.complex(3, 0)), square(m.complex(2, 1)))}
+def _third_order_sizes(m: MomentSet) -> dict[str, Any]:
+    """With complex moments: c2 = |c30|^2 / |c21|^2, py = a |c30|^2 / c11^3."""
+    c30 = square(m.complex(3, 0))
+    return {"c2": over(c30, square(m.complex(2, 1))), "py": over(m.area * c30, m.complex(1, 1).real ** 3)}
 
 
 def _third_order(m: MomentSet) -> dict[str, Any]:
@@ -254,25 +245,15 @@ def _tilt(m: MomentSet) -> dict[str, Any]:
     return {"sx": S.real, "sy": S.imag}
 
 
-def _px(m: MomentSet) -> dict[str, Any]:
-    """With complex moments: px = |c20|^2 / c11^2."""
-    return {"px": over(square(m.complex(2, 0)), square(m.complex(1, 1)))}
-
-
-def _py(m: MomentSet) -> dict[str, Any]:
-    """With complex moments: py = a |c30|^2 / c11^3."""
-    return {"py": over(m.area * square(m.complex(3, 0)), m.complex(1, 1).real ** 3)}
-
-
 INVARIANTS = {
-    "c1": (_c1, 2),
-    "c2": (_c2, 3),
+    "c1": (_second_order, 2),
+    "c2": (_third_order_sizes, 3),
     **dict.fromkeys(("c3", "c4", "c5", "c6"), (_third_order, 3)),
     **dict.fromkeys(("c7", "c8"), (_fourth_order, 4)),
     **dict.fromkeys(("c9", "c10"), (_fifth_order, 5)),
     **dict.fromkeys(("sx", "sy"), (_tilt, 3)),
-    "px": (_px, 2),
-    "py": (_py, 3),
+    "px": (_second_order, 2),
+    "py": (_third_order_sizes, 3),
 }
 """By word, the function that gives it and the highest order of the moments in it.
 
