@@ -41,9 +41,8 @@ def least_squares(A: Array, b: Array) -> Array:
     m, n = A.shape
     if not (m and n):
         return np.zeros(n)  # LAPACK refuses empty matrices
-    wide = np.zeros((max(m, n), 1))
-    wide[:m, 0] = b  # gelsy takes b of m rows and returns x of n rows in one array
-    _, x, *_ = load_lapack()(A, wide, np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
+    right = b if m >= n else np.concatenate([b, np.zeros(n - m)])  # gelsy takes b of m rows and returns x of n rows in one array
+    _, x, *_ = load_lapack()(A, right[:, None], np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
     return x[:n, 0]
 
 
