@@ -133,14 +133,14 @@ class TestSight:
         np.testing.assert_allclose(half.u, whole.u, atol=1e-9)
         assert not half.rest_reason
 
-    def test_out_of_sight_it_coasts_and_then_rests(self):
+    def test_out_of_sight_it_holds_its_command_and_then_rests(self):
         lines, goal = world(Straight(length_m=9))
         basis, law = Mount.of(goal.T_base_camera).to_camera @ CAR, LineFollowing(coast_s=0.2)
         state, first = law.step(law.init(goal), observe(lines, goal, (3, 0.05, 0)), goal, basis)
-        state, coasting = law.step(state, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
-        np.testing.assert_array_equal(coasting.u, first.u)
+        state, holding = law.step(state, observe(lines, goal, (30, 0, 0), 0.2), goal, basis)
+        np.testing.assert_array_equal(holding.u, first.u)
         _, resting = law.step(state, observe(lines, goal, (30, 0, 0), 0.24), goal, basis)
-        assert coasting.rest_reason and resting.rest_reason and not resting.u.any()
+        assert holding.rest_reason and resting.rest_reason and not resting.u.any()
 
 
 def test_refuses_to_look_beside_itself():

@@ -1,4 +1,4 @@
-"""Pure pursuit: the gap settles without error behind a steady leader, also in a bend; out of sight it coasts, then rests."""
+"""Pure pursuit: the gap settles without error behind a steady leader, also in a bend; out of sight it holds its command, then rests."""
 
 import numpy as np
 import pytest
@@ -55,14 +55,14 @@ def test_too_near_it_waits():
     assert command.u[0] == 0
 
 
-def test_out_of_sight_it_coasts_and_then_rests():
+def test_out_of_sight_it_holds_its_command_and_then_rests():
     law, want = Pursuit(coast_s=0.5), goal(gap_m=2.0)
     state, first = law.step(law.init(want), observe(0, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0])), want, BASIS)
     assert first.u[0] > 0
     unseen = observe(0.4, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False)
-    state, coasting = law.step(state, unseen, want, BASIS)
-    np.testing.assert_array_equal(coasting.u, first.u)
-    assert coasting.rest_reason
+    state, holding = law.step(state, unseen, want, BASIS)
+    np.testing.assert_array_equal(holding.u, first.u)
+    assert holding.rest_reason
     _, resting = law.step(state, observe(0.6, np.zeros(3), np.zeros(3), np.array([3.0, 1, 0]), seen=False), want, BASIS)
     assert not resting.u.any() and resting.rest_reason
 
@@ -109,7 +109,7 @@ class TestOneFrame:
         _, command = law.step(state, observe(0.04, self.HERE, np.array([-9.0, 0, 0]), np.array([0, 1e-9, 0])), goal(gap_m=2.0), BASIS)
         assert np.isfinite(command.u).all()
 
-    def test_it_coasts_up_to_its_time_and_says_what_is_missing(self):
+    def test_it_holds_its_command_up_to_its_time_and_says_what_is_missing(self):
         law = Pursuit(coast_s=0.5)
         state, first = self.step(law, law.init(goal(gap_m=2.0)), 0.0, self.HERE, self.LEADER)
         for t, moves in ((0.5, True), (0.51, False)):

@@ -18,7 +18,7 @@ COLUMNS = ("uv", "depth", "ray", "range")
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """A whole picture (H, W, 3) uint8 RGB; depth (H, W) [m] along the optical axis, NaN where none was measured, or None."""
+    """An RGB-D image: RGB (H, W, 3) uint8; depth (H, W) [m] along the optical axis, NaN where none was measured, or None."""
 
     image: NDArray[np.uint8]
     depth: NDArray[np.float32] | None = None

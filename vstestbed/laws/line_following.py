@@ -54,13 +54,13 @@ class LineFollowing(Law[LineState]):
 
     Where the curvature jumps, the vehicle steers too early, because the camera looks ahead: a car's origin leaves the line by about k m^2 /
     9, which speaks for a camera under the car and against one at its front. Of two lines both count, in least squares; one is enough. While
-    none is visible for less than `coast_s`, the last command is repeated.
+    none is visible for less than `coast_s`, the last command is held.
 
     Args:
         gain: lambda [1/s].
         cruise_mps: v, the forward speed of the vehicle's origin [m/s].
         approach_deg: the steepest angle of approach to the line [deg].
-        coast_s: how long the last command is repeated without a visible line [s].
+        coast_s: how long the last command is held without a visible line [s].
         solve: inversion of the matrix of the motions other than the forward one (`Solve`).
         limits: largest speed and rate of the commanded twist.
 

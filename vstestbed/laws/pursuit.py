@@ -41,12 +41,12 @@ class Pursuit(Law[PursuitState]):
     kappa is the curvature of the arc from the vehicle, tangential to its heading, to the target. The target's speed along the line
     of sight is estimated from the change of the gap and from the vehicle's encoders, v_target = d_dot + v cos(alpha), filtered with
     the time constant `filter_s`: so behind a leader of constant speed the gap has no steady error. While the target is not
-    visible for less than `coast_s`, the last command is repeated. The vehicle does not reverse: where it is too near, it waits.
+    visible for less than `coast_s`, the last command is held. The vehicle does not reverse: where it is too near, it waits.
 
     Args:
         gain: lambda [1/s].
         filter_s: time constant of the estimate of the target's speed [s].
-        coast_s: how long the last command is repeated without a visible target [s].
+        coast_s: how long the last command is held without a visible target [s].
         depth: source of the target's distance; `floor` needs one or two points of known height, `pnp` three or more. The target's
             origin is pursued; a single point gives its own place but no heading, and so must lie above the origin.
         limits: largest speed and rate of the commanded twist.
