@@ -79,3 +79,10 @@ def test_the_jacobian_is_the_derivative_of_the_errors() -> None:
     for k, step in enumerate(np.eye(3) * h):
         plus, minus = (floor_pose._errors(d, across, LANDMARKS, FORWARD[:3, 3], at + s * step)[0] for s in (1, -1))
         np.testing.assert_allclose(J[:, k], (plus - minus) / (2 * h), atol=1e-8)
+
+
+def test_two_landmarks_tell_the_heading_also_where_one_is_as_high_as_the_lens() -> None:
+    """It has no distance by its height, so that the first guess is of one landmark, with the heading open."""
+    at, points = np.array([0.3, -0.2, 0.3]), np.array([[3, -0.5, 0.5], [3, 0.8, 1.2]])
+    for previous in (None, at + [0.02, -0.03, 0.1]):
+        assert solve_place(rays(at, points, FORWARD), points, FORWARD, previous) == pytest.approx(at, abs=1e-8)
