@@ -200,10 +200,10 @@ def test_a_field_has_default_unit_words_and_an_example() -> None:
 
 
 def test_a_field_that_says_different_things_in_different_blocks_has_a_row_for_each() -> None:
-    lines = field_shown("robot.start.nominal.q_deg")
+    lines = field_shown("law.gain")
     assert lines[2] == "field of default unit what it is"
-    assert lines[3].startswith("puma560.start.nominal [0.0, 45.0,")
-    assert any(line.startswith("mjcf.start.nominal required deg the positions in the order") for line in lines)
+    assert lines[3].startswith("law.ibvs 0.5 1/s lambda, a number or an adaptive gain")
+    assert any(line.startswith("law.line_following 3.0 1/s lambda.") for line in lines)
 
 
 def test_a_field_that_holds_a_block_is_followed_by_it() -> None:
