@@ -135,7 +135,6 @@ LOOKED_UP = {*WRITES, "open", "VideoWriter"}
 WRITERS = {  # beside core/files.py: where, which call, and why it may
     ("loop/log_file.py", "open"): "log.part has a fixed name and grows; opened with x",
     ("report/video/writer.py", "open"): "the encoder writes into the open file of a PartFile",
-    ("report/video/gif.py", "open"): "the encoder writes into memory",
     ("cli/ending.py", "open"): "opens the null device in place of a closed pipe",
 }
 
