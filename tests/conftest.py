@@ -141,9 +141,9 @@ def one_figure(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_kinds() -> Iterator[None]:
     """Lets a test add kinds to the rooms' lists, and takes them out again."""
     from vstestbed.core.registry import SPECS
-    from vstestbed.scenario.validation import KINDS
+    from vstestbed.scenario.plugins import registries
 
-    before, modules = {room: dict(kinds.members) for room, kinds in KINDS.items()}, set(sys.modules)
+    before, modules = {room: dict(kinds.members) for room, kinds in registries().items()}, set(sys.modules)
     path = list(sys.path)
     yield
     sys.path[:] = path
@@ -153,8 +153,8 @@ def own_kinds() -> Iterator[None]:
         del sys.modules[name]
     SPECS[:] = [cls for cls in SPECS if cls.__module__ not in gone]
     for room, members in before.items():
-        KINDS[room].members.clear()
-        KINDS[room].members.update(members)
+        registries()[room].members.clear()
+        registries()[room].members.update(members)
 
 
 QUICK = """\

@@ -18,7 +18,7 @@ import vstestbed as vs
 from docs.build.kept import FOLDER, Kept, place_of
 from docs.build.render import REPOSITORY, SOURCES, pages, rendered
 from tests.scenario.schemas import whole_schema
-from vstestbed.cli.app import app
+from vstestbed.cli.app import program
 from vstestbed.cli.tools import settings_of
 
 PAGES = sorted(
@@ -29,7 +29,7 @@ PAGES = sorted(
 )
 READ = [page for page in PAGES if page.name not in ("CHANGELOG.md", "CONTRIBUTING.md")]
 """Their commands are carried out: not those of the history, nor those with a contributor's own names."""
-COMMANDS: Any = typer.main.get_command(app)
+COMMANDS: Any = typer.main.get_command(program())
 WHOLE = {"list", "schema", "doctor"}
 """Commands that need no more words; others without any are spoken of, not given."""
 SHORT = {"list", "schema", "describe", "doctor"}
@@ -101,7 +101,7 @@ def test_short_commands_of_the_pages_do_what_they_say(tmp_path: Path, monkeypatc
     found = {words for words in given if words[0] in SHORT and not words[-1].endswith((".xml", ".py"))}
     assert found
     for words in sorted(found):
-        done = CliRunner().invoke(app, list(words))
+        done = CliRunner().invoke(program(), list(words))
         assert done.exit_code == 0, (words, done.output)
 
 

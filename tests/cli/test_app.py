@@ -14,12 +14,12 @@ from vstestbed.cli.tools import Listed
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.laws.switched import Stage
 from vstestbed.scenario import catalogue
-from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.plugins import registries
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render import pictures
 
 NO_FILM = ("--video", "none")
-LAW_WORDS = ", ".join(sorted(KINDS["laws"].members))
+LAW_WORDS = ", ".join(sorted(registries()["laws"].members))
 FAILS = """\
 from typing import Literal
 import vstestbed as vs
@@ -296,7 +296,7 @@ class TestListAndSchema:
     def test_a_room_has_one_line_a_member(self, command, room: str) -> None:
         ended = command("list", room)
         files = {"scenarios": bundled_scenarios, "comparisons": bundled_comparisons}
-        members = files[room]() if room in files else KINDS[room].members
+        members = files[room]() if room in files else registries()[room].members
         assert ended.code == 0
         assert [line.split()[0] for line in ended.out.splitlines()] == (list(members) or ["none;"])
         assert all(len(line.split()) > 2 for line in ended.out.splitlines())  # the word, and what it is

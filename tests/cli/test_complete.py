@@ -10,7 +10,7 @@ import vstestbed as vs
 from vstestbed.cli import complete
 from vstestbed.core.errors import ParameterError
 from vstestbed.scenario.catalogue import catalogue, looked_up
-from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.plugins import registries
 
 
 def offered(process: tuple[list[str], dict[str, str]], *words: str) -> list[str]:
@@ -43,7 +43,7 @@ def test_scenarios_and_comparisons() -> None:
 
 def test_kinds_are_those_that_describe_knows() -> None:
     assert complete.kinds("pbv") == ["pbvs"]
-    bundled = {kind for room in KINDS.values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
+    bundled = {kind for room in registries().values() for kind, cls in room.members.items() if cls.__module__.startswith("vstestbed.")}
     assert bundled <= set(complete.kinds(""))
     assert {"law", "stop", "noise"} <= set(complete.kinds(""))
     assert complete.kinds("camera.s") == ["camera.sensor", "camera.shadows", "camera.spherical", "camera.stream"]

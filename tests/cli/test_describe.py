@@ -15,8 +15,8 @@ from vstestbed.cli.describe import describe_entry, describe_field
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError
 from vstestbed.scenario.catalogue import Entry, FieldPlace, catalogue, looked_up
+from vstestbed.scenario.plugins import registries
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import KINDS
 from vstestbed.studies.comparison import Comparison
 
 
@@ -42,7 +42,7 @@ def test_everything_can_be_shown_in_80_columns() -> None:
 
 
 def test_every_kind_has_an_entry() -> None:
-    for room in KINDS.values():
+    for room in registries().values():
         assert {f"{room.what}.{kind}" for kind in room.members} <= set(entries())
 
 
@@ -78,7 +78,7 @@ def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:
 
 
 def test_a_table_of_kinds_has_whole_sentences() -> None:
-    rooms = [entry.room for entry in entries().values() if entry.cls is None]
+    rooms = [entry.registry for entry in entries().values() if entry.cls is None]
     assert [cls for room in rooms for cls in room.members.values() if not class_text(cls).summary.endswith(".")] == []
 
 

@@ -14,9 +14,9 @@ import pytest
 
 import vstestbed as vs
 from tests.shortcuts import one_quick
-from vstestbed.cli.tools import ROOM_OF, NewKind, commands_of, settings_of, text_of
+from vstestbed.cli.tools import REGISTRY_OF, NewKind, commands_of, settings_of, text_of
 from vstestbed.core.docstrings import class_text
-from vstestbed.scenario.validation import KINDS as ROOMS
+from vstestbed.scenario.plugins import registries
 
 KINDS = list(get_args(NewKind))
 SUCCESS = {"motion": "completed"}
@@ -71,7 +71,7 @@ def test_each_runs_to_a_good_end(command, tmp_path: Path, monkeypatch: pytest.Mo
 
 def check_words(kind: str) -> None:
     """`describe` has words for each field of the file's own, and a unit for each number; the blocks of others have theirs."""
-    cls = ROOMS[ROOM_OF.get(kind, f"{kind}s")].members[f"own_{kind}"]
+    cls = registries()[REGISTRY_OF.get(kind, f"{kind}s")].members[f"own_{kind}"]
     own = {name: text for name, text in class_text(cls).fields.items() if name in cls.__annotations__ and name != "kind"}
     assert own.pop("depth", None) is None or kind == "law"
     assert all(text.description and text.unit for text in own.values()), own

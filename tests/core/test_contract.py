@@ -7,10 +7,10 @@ from typing import ClassVar, Literal, Protocol
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES
-from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.plugins import registries
 from vstestbed.vision import DETECTORS
 
 
@@ -31,8 +31,8 @@ class ShapeBase:
     colours = ("red",)
 
 
-def shapes() -> OneOf:
-    return OneOf("shape", contract=Contract(Shape, base=ShapeBase, words={"colours": ("red", "green")}))
+def shapes() -> Registry:
+    return Registry("shape", contract=Contract(Shape, base=ShapeBase, words={"colours": ("red", "green")}))
 
 
 def test_a_base_with_defaults_leaves_the_kind_and_one_method_to_write() -> None:
@@ -152,8 +152,8 @@ def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str
             shapes().add(member)
 
 
-@pytest.mark.parametrize("room", [room for room in KINDS.values() if room.contract is not None], ids=lambda room: room.what)
-def test_every_bundled_kind_keeps_the_contract_of_its_room(room: OneOf) -> None:
+@pytest.mark.parametrize("room", [room for room in registries().values() if room.contract is not None], ids=lambda room: room.what)
+def test_every_bundled_kind_keeps_the_contract_of_its_room(room: Registry) -> None:
     assert room.contract is not None
     for member in room.members.values():
         room.contract.check(member)

@@ -1,4 +1,4 @@
-"""@spec and OneOf: what a block may be, how it refuses, how a room grows."""
+"""@spec and Registry: what a block may be, how it refuses, how a room grows."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import pytest
 from annotated_types import Gt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import to_mapping
-from vstestbed.core.spec import OneOf, kind_of, spec, whole_adapter
+from vstestbed.core.registry import Registry, kind_of, to_mapping, whole_adapter
+from vstestbed.core.spec import spec
 
 
 @spec
@@ -36,8 +36,8 @@ class Ring:
             raise ParameterError("outer", "must be over inner", self.outer)
 
 
-def room(**more: object) -> tuple[OneOf, pydantic.TypeAdapter]:
-    shapes = OneOf("shape", Disc, Ring, **more)
+def room(**more: object) -> tuple[Registry, pydantic.TypeAdapter]:
+    shapes = Registry("shape", Disc, Ring, **more)
     return shapes, pydantic.TypeAdapter(Annotated[Disc | Ring, shapes])
 
 
@@ -117,7 +117,7 @@ def test_installed_packages_add_kinds_through_their_entry_points(monkeypatch: py
     offered = EntryPoints(
         EntryPoint(name, f"{__name__}:Ring", group) for name, group in (("a", "vstestbed.shapes"), ("b", "vstestbed.laws"))
     )
-    shapes = OneOf("shape", Disc)
+    shapes = Registry("shape", Disc)
     monkeypatch.setattr(EntryPoint, "load", lambda self: {"a": Ring}[self.name])
     assert shapes.load_entry_points(offered)
     assert list(shapes.members) == ["disc", "ring"]

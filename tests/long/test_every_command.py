@@ -31,7 +31,7 @@ from tests.conftest import Ended
 from tests.laws.onnx_file import linear
 from tests.laws.test_policy import HOMES
 from tests.robots.arms import where_installed
-from vstestbed.cli.app import app
+from vstestbed.cli.app import program
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.studies.comparison.plan import read_comparison
 
@@ -83,7 +83,7 @@ class Form(NamedTuple):
 
 def forms(experiment: str | None) -> Iterator[Form]:
     """All commands that take an experiment, or a folder; of None those that take neither."""
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined] - a group
+    for name, command in typer.main.get_command(program()).commands.items():  # type: ignore[attr-defined] - a group
         if command.hidden:
             continue
         context = command.make_context(name, [], resilient_parsing=True)
@@ -259,5 +259,5 @@ def files_in(folder: Path) -> set[str]:
 
 
 def test_no_command_is_left_out() -> None:
-    every = {name for name, command in typer.main.get_command(app).commands.items() if not command.hidden}  # type: ignore[attr-defined]
+    every = {name for name, command in typer.main.get_command(program()).commands.items() if not command.hidden}  # type: ignore[attr-defined]
     assert {form.words[0] for experiment in (None, "arm_ibvs") for form in forms(experiment)} == every

@@ -25,14 +25,14 @@ from ruamel.yaml import YAML
 import vstestbed as vs
 from vstestbed.core.errors import ScenarioError, VstestbedError
 from vstestbed.core.named_files import bundled_scenarios
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Registry
 from vstestbed.scenario import load as loader
+from vstestbed.scenario.plugins import registries
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import plain_mapping
 
 FILES = bundled_scenarios()
-TYPES = list(KINDS["robots"].members) + list(KINDS["laws"].members) + list(KINDS["goals"].members)
+TYPES = list(registries()["robots"].members) + list(registries()["laws"].members) + list(registries()["goals"].members)
 
 FLOATS = st.sampled_from(
     [0.0, -0.0, 1.0, -1.0, 1e-308, 5e-324, -1e-308, 1e-12, 1e-6, 1e-3, 0.5, 10.0, 89.999, 90.0, 180.0, 360.0, 1e3, 1e6, 1e9, 1e15]
@@ -76,7 +76,7 @@ def right(hint: Any, meta: list[Any], depth: int) -> st.SearchStrategy[Any]:
     """Values of the type, whatever their size."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
-        rooms = [m for m in args[1:] if isinstance(m, OneOf)]
+        rooms = [m for m in args[1:] if isinstance(m, Registry)]
         return room_values(rooms[0], depth) if rooms else right(args[0], [*meta, *args[1:]], depth)
     if origin in (Union, types.UnionType):
         return st.one_of([right(arg, meta, depth) for arg in args])
@@ -99,7 +99,7 @@ def listed(item: Any, meta: list[Any], depth: int) -> st.SearchStrategy[Any]:
     return st.one_of(st.lists(inner, min_size=least, max_size=min(most, least + 2)), same, st.lists(inner, max_size=2))
 
 
-def room_values(room: OneOf, depth: int) -> st.SearchStrategy[Any]:
+def room_values(room: Registry, depth: int) -> st.SearchStrategy[Any]:
     """Blocks of each kind of a room, and the bare words; of a room without kinds what it refuses."""
     if not room.members:
         return st.one_of(WORDS, st.just({}))
@@ -137,7 +137,7 @@ def member_of(hint: Any, plain: Any) -> Any:
     """The spec class of the block `plain` in a field of this type, or the item type of a list; None for scalars."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
-        for room in (m for m in args[1:] if isinstance(m, OneOf)):
+        for room in (m for m in args[1:] if isinstance(m, Registry)):
             given = plain.get("kind") if isinstance(plain, dict) else None
             kind = given or next((k for f, k in room.fields.items() if f in plain), room.default)
             return room.members.get(kind) if isinstance(kind, str) else None

@@ -19,9 +19,8 @@ from vstestbed.core.spec import spec
 from vstestbed.laws import IBVS
 from vstestbed.scenario.dump import dump
 from vstestbed.scenario.load import find, load, parse
-from vstestbed.scenario.plugins import load_plugins
+from vstestbed.scenario.plugins import load_plugins, registries
 from vstestbed.scenario.scenario import Scenario, in_view
-from vstestbed.scenario.validation import KINDS
 from vstestbed.scenario.yaml_marks import read_value
 
 GOOD = """\
@@ -41,7 +40,7 @@ NAMES = sorted(bundled_scenarios())
 
 def kinds_of(room: str) -> str:
     """The words of a room's list, as messages have them."""
-    return ", ".join(sorted(KINDS[room].members))
+    return ", ".join(sorted(registries()[room].members))
 
 
 @spec
@@ -417,7 +416,7 @@ class TestSchema:
     def test_it_knows_every_field_and_kind(self, whole: dict[str, Any]) -> None:
         assert {"robot", "target", "law", "goal"} == set(whole["required"])
         known = {name.rpartition("__")[2] for name in whole["$defs"]}  # two classes of one name go by their modules', too
-        for kinds in KINDS.values():
+        for kinds in registries().values():
             assert {member.__name__ for member in kinds.members.values()} <= known
 
     @pytest.mark.parametrize("name", one_quick(*where_installed(NAMES), every=3))

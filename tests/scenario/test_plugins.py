@@ -15,8 +15,7 @@ import vstestbed as vs
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
 from vstestbed.laws.switched import Stage
 from vstestbed.scenario.catalogue import schema_of
-from vstestbed.scenario.plugins import load_plugins
-from vstestbed.scenario.validation import KINDS
+from vstestbed.scenario.plugins import load_plugins, registries
 
 pytestmark = pytest.mark.usefixtures("own_kinds")
 EXAMPLES = Path(__file__).parent.parent / "examples"
@@ -106,7 +105,7 @@ def test_two_files_of_one_name_and_one_file_by_two_names(tmp_path: Path, monkeyp
     a, b = plugin(tmp_path / "a/mine.py", "one"), plugin(tmp_path / "b/mine.py", "two")
     (tmp_path / "link.py").symlink_to(a)
     assert load_plugins([str(a), str(b), str(tmp_path / "a/../a/mine.py"), str(tmp_path / "link.py")])
-    assert {"one", "two"} <= set(KINDS["laws"].members)
+    assert {"one", "two"} <= set(registries()["laws"].members)
     monkeypatch.syspath_prepend(str(tmp_path / "a"))
     assert load_plugins(["mine"]) == ("mine",)  # the same file once more, as a module
     with pytest.raises(PluginError, match=r"c\.py:\d+: cannot be imported \(ParameterError: kind 'one' is already a law \(.*a/mine\.py\)"):
@@ -118,7 +117,7 @@ def test_a_module_in_the_current_folder_is_remembered_by_its_file(tmp_path: Path
     assert load_plugins(["here_only"]) == (str(tmp_path / "here_only.py"),)
     from here_only import Mine  # pyright: ignore[reportMissingImports] - not loaded a second time
 
-    assert KINDS["laws"].members["mine"] is Mine
+    assert registries()["laws"].members["mine"] is Mine
 
 
 @pytest.mark.parametrize(
@@ -132,11 +131,11 @@ def test_a_module_in_the_current_folder_is_remembered_by_its_file(tmp_path: Path
 )
 def test_a_plugin_that_fails_is_named_with_its_line_and_leaves_nothing(command, quick: Path, tmp_path: Path, code: str, words: str) -> None:
     plugin(tmp_path / "bad.py", more=code + "\n")
-    before = set(KINDS["laws"].members)
+    before = set(registries()["laws"].members)
     ended = command("run", "quick.yaml", "--plugin", "bad.py", *NO_FILM)
     assert ended.code == 2
     assert re.fullmatch(f"{re.escape(str(tmp_path))}/{words}", ended.err.strip()), ended.err
-    assert set(KINDS["laws"].members) == before
+    assert set(registries()["laws"].members) == before
     assert "Traceback" in command("--debug", "run", "quick.yaml", "--plugin", "bad.py", *NO_FILM).err
     plugin(tmp_path / "bad.py")  # mended, in the same process
     assert load_plugins([str(tmp_path / "bad.py")])

@@ -11,7 +11,7 @@ import pytest
 import vstestbed as vs
 from tests.vision.views import CAMERA, goal, homography_of, picture_by, places
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import ROOMS, SPECS
+from vstestbed.core.registry import REGISTRIES, SPECS
 from vstestbed.vision.keypoints import Klt, Slots, followed, map_derivatives, planar_map, refined, smooth, spread_out
 from vstestbed.vision.local_features import Akaze, Orb, Sift, extracted, grey, matched, mutual_matches
 
@@ -179,7 +179,7 @@ def test_a_kind_without_a_method_is_refused_when_it_is_registered():
     with pytest.raises(ParameterError, match=r"Nothing lacks extract\(image\), which gives \(uv, descriptors\), or match"):
         vs.KEYPOINTS.add(Nothing)
     del SPECS[specs:]
-    assert vs.KEYPOINTS.members == members and any(room is vs.KEYPOINTS for room in ROOMS)
+    assert vs.KEYPOINTS.members == members and any(room is vs.KEYPOINTS for room in REGISTRIES)
 
 
 def test_well_spread_points_begin_with_those_that_stay():

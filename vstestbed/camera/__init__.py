@@ -8,10 +8,10 @@ thus covers u in [-0.5, W - 0.5]. Camera axes: x right, y down, z forward. `uv` 
 from vstestbed.camera.base import Calibration, Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.camera.perspective import Perspective
 from vstestbed.camera.wide import Catadioptric, Fisheye, Radial, SphericalCamera
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Registry
 from vstestbed.imaging.depth import DEPTH_SENSORS, DepthImage, DepthSensor
 
-CAMERAS = OneOf("camera", Perspective, Fisheye, Catadioptric, SphericalCamera, default="perspective")
+CAMERAS = Registry("camera", Perspective, Fisheye, Catadioptric, SphericalCamera, default="perspective")
 
 __all__ = [
     "CAMERAS",

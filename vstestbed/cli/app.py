@@ -6,7 +6,7 @@ Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
@@ -14,26 +14,30 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 import typer
 
 from vstestbed.cli import complete
-from vstestbed.cli.compare import comparing
+from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
-from vstestbed.cli.export import exports
-from vstestbed.cli.studies import basins, benchmarks, convergences, delays, tunings
-from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, lives, load_scenario, news, tools
+from vstestbed.cli.export import export
+from vstestbed.cli.studies import basin, bench, gain_limit, sweep, tune
+from vstestbed.cli.tools import (
+    Json,
+    Plugins,
+    ScenarioName,
+    Settings,
+    describe,
+    doctor,
+    list_,
+    live,
+    load_scenario,
+    new,
+    optical_flow,
+    schema,
+)
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Watcher
     from vstestbed.tasks.frame import Frame
-
-app = typer.Typer(
-    help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
-    no_args_is_help=True,
-    add_completion=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
 
 FilmChoice = Literal["camera", "overview", "both", "none"]
 Fine = Annotated[bool, typer.Option("--fine", help="Films of 1280x720 with shadows and every frame, in place of quick drafts.")]
@@ -48,7 +52,6 @@ def _version(value: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _options(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks; may stand anywhere.")] = False,  # taken out by `main`
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")] = False,
@@ -56,7 +59,6 @@ def _options(
     """Options of the program itself."""
 
 
-@app.command()
 def run(
     scenario: ScenarioName,
     set_: Settings = None,
@@ -115,7 +117,6 @@ def _interrupts() -> Iterator[Watcher]:
             signal.signal(number, handler)
 
 
-@app.command()
 def render(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
     camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
@@ -175,7 +176,6 @@ def _size(text: str | None) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-@app.command()
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
     quiet: Quiet = False,
@@ -203,8 +203,40 @@ def report(
         typer.echo(str(page), err=True)
 
 
-for commands in (exports, comparing, tunings, basins, delays, convergences, lives, news, tools, benchmarks):
-    app.add_typer(commands)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run,
+    "render": render,
+    "report": report,
+    "export": export,
+    "compare": compare,
+    "tune": tune,
+    "basin": basin,
+    "gain-limit": gain_limit,
+    "sweep": sweep,
+    "live": live,
+    "new": new,
+    "list": list_,
+    "schema": schema,
+    "describe": describe,
+    "doctor": doctor,
+    "optical-flow": optical_flow,
+    "bench": bench,
+}
+
+
+def program(*names: str) -> typer.Typer:
+    """The command line with these commands, by default all: typer takes 0.1 s to read the signatures of all."""
+    app = typer.Typer(
+        help="Visual servoing meets real dynamics: run scenarios, film them, look at the results.",
+        no_args_is_help=True,
+        add_completion=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    app.callback()(_options)
+    for name in names or COMMANDS:
+        app.command(name)(COMMANDS[name])
+    return app
 
 
 def main(argv: list[str] | None = None) -> NoReturn:
@@ -213,6 +245,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     """
     arguments = sys.argv[1:] if argv is None else argv
     if complete.asked(arguments):
-        app(arguments, prog_name="vstestbed")
+        program()(arguments, prog_name="vstestbed")
     given = [argument for argument in arguments if argument != "--debug"]  # --debug may stand anywhere
+    app = program(*(name for name in given[:1] if name in COMMANDS))
     sys.exit(exit_code(lambda: app(given, prog_name="vstestbed", standalone_mode=False), debug=len(given) < len(arguments)))

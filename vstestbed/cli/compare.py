@@ -20,10 +20,7 @@ if TYPE_CHECKING:
     from vstestbed.report.comparison.baseline import BaselineChanges
     from vstestbed.studies.comparison import Baseline, Campaign, Comparison, ComparisonTable
 
-comparing = typer.Typer()
 
-
-@comparing.command()
 def compare(
     scenarios: Annotated[
         list[str] | None,

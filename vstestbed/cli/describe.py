@@ -15,7 +15,7 @@ from rich.text import Text
 
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
 from vstestbed.core.fields import SchemaField, fields
-from vstestbed.core.registry import Room
+from vstestbed.core.registry import Registry
 from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
 from vstestbed.tasks.metrics import KNOWN, own_metrics
@@ -30,15 +30,15 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the blocks in it."""
     console.print(Text(entry.name, style="bold"))
     if entry.cls is None:
-        assert entry.room is not None  # an entry has a class, or is a room
-        _kinds(entry, entry.room, console)
+        assert entry.registry is not None  # an entry has a class, or is a registry
+        _kinds(entry, entry.registry, console)
         return
     _text(entry.cls, console)
     console.print()
     console.print(_fields(entry.cls, _names(entries)))
-    if entry.room is not None and _common(entry.room) is not None:
+    if entry.registry is not None and _common(entry.registry) is not None:
         console.print()
-        _wrapped(f"vstestbed describe {entry.room.what} has what all kinds have in common.", console)
+        _wrapped(f"vstestbed describe {entry.registry.what} has what all kinds have in common.", console)
     _use(entry, console)
 
 
@@ -62,9 +62,9 @@ def _text(cls: type, console: Console) -> None:
             _wrapped(line, console)
 
 
-def _common(room: Room) -> type | None:
+def _common(registry: Registry) -> type | None:
     """The block from which all kinds come, if it says more than what it is; None else."""
-    return room.base if room.base is not None and class_text(room.base).text else None
+    return registry.base if registry.base is not None and class_text(registry.base).text else None
 
 
 def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Console) -> None:
@@ -103,17 +103,17 @@ def _names(entries: dict[str, Entry]) -> dict[type, str]:
     return {e.cls: e.name for e in reversed(entries.values()) if e.cls is not None}
 
 
-def _kinds(entry: Entry, room: Room, console: Console) -> None:
+def _kinds(entry: Entry, registry: Registry, console: Console) -> None:
     table = _table("kind", "what it is")
-    for kind, cls in room.members.items():
+    for kind, cls in registry.members.items():
         table.add_row(Text(kind, style="cyan"), Text(class_text(cls).summary))
     console.print(table)
-    if (common := _common(room)) is not None:
+    if (common := _common(registry)) is not None:
         _text(common, console)
     console.print()
     field = entry.field.removesuffix("[]")
-    place = "" if field == room.what else f" In a scenario the field is called {field}."
-    _wrapped(f"vstestbed describe {room.what}.{next(iter(room.members))} shows one of them.{place}", console)
+    place = "" if field == registry.what else f" In a scenario the field is called {field}."
+    _wrapped(f"vstestbed describe {registry.what}.{next(iter(registry.members))} shows one of them.{place}", console)
 
 
 def _lines(paragraph: str) -> Iterator[str]:
@@ -179,17 +179,17 @@ def _default(field: SchemaField) -> str:
     value = field.default
     if not isinstance(value, dict):
         return "none" if value is None else flow_text(value)
-    for room, _ in field.node.blocks():
-        if room is not None:
-            kind, inner = room.number or ("", "")
+    for registry, _ in field.node.blocks():
+        if registry is not None:
+            kind, inner = registry.number or ("", "")
             return flow_text(value[inner]) if value["kind"] == kind else value["kind"]
     return ""
 
 
 def _inner(field: SchemaField, names: dict[type, str]) -> str:
     """The name of the block, or of the list of kinds, that a field holds; "" where it holds none."""
-    for room, inner in field.node.blocks():
-        return room.what if room is not None else names[inner]
+    for registry, inner in field.node.blocks():
+        return registry.what if registry is not None else names[inner]
     return ""
 
 

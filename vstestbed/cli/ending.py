@@ -191,9 +191,9 @@ def _unforeseen(error: BaseException, debug: bool) -> int:
 
 def _place_in_plugin(error: BaseException) -> str | None:
     """The innermost line of a plugin in a traceback, with the plugin's module: of a package that has registered a kind."""
-    from vstestbed.scenario.validation import KINDS
+    from vstestbed.core.registry import REGISTRIES
 
-    packages = {member.__module__.partition(".")[0] for kinds in KINDS.values() for member in kinds.members.values()} - {"vstestbed"}
+    packages = {member.__module__.partition(".")[0] for kinds in REGISTRIES for member in kinds.members.values()} - {"vstestbed"}
     place = None
     for frame, line in traceback.walk_tb(error.__traceback__):
         module = str(frame.f_globals.get("__name__"))

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from vstestbed.report.export.source import RecordedRun
 
-exports = typer.Typer()
 WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
@@ -47,7 +46,6 @@ class Exported:
         return None if self.table is None else self.folder
 
 
-@exports.command("export")
 def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
     to: Annotated[Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. lerobot: a dataset v3.0. csv: tables.")],

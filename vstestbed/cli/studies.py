@@ -60,10 +60,6 @@ def _results_in(kind: str, out: Path | None, found: Sized, total: int, things: s
                 write(folder)
 
 
-basins = typer.Typer()
-
-
-@basins.command()
 def basin(
     scenarios: Experiments,
     x: Annotated[str, typer.Option("--x", metavar="NAME=LOW:HIGH", help="First coordinate: x y z [m], roll pitch yaw [deg].")],
@@ -144,10 +140,6 @@ def _summary_text(mapped: Basin) -> str:
     return "\n".join(lines)
 
 
-convergences = typer.Typer()
-
-
-@convergences.command("sweep")
 def sweep(
     scenarios: Experiments,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="A map's axis: first x, then y.")] = None,
@@ -188,12 +180,10 @@ def sweep(
         typer.echo(RESULTS.format(folder), err=True)
 
 
-delays = typer.Typer()
 LAGGING = 0.95  # a limit below this share of the theory for the delay alone shows the lag of the servos
 EXPLAINED = 0.9  # a limit below this share of the nearest model is told as not explained by it
 
 
-@delays.command("gain-limit")
 def gain_limit(
     scenario: Annotated[
         str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
@@ -255,11 +245,9 @@ def _summary_line(limit: Limit) -> str:
     return f"{line}{why}; {', '.join(with_servos)}{left}"
 
 
-tunings = typer.Typer()
 RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be repeated."
 
 
-@tunings.command()
 def tune(
     scenario: Annotated[
         str | None, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)
@@ -325,15 +313,11 @@ def _text(result: TuningResult) -> str:
     return "\n".join([*lines, RESULTS.format(result.folder)])
 
 
-benchmarks = typer.Typer()
-
-
 class _Result(Protocol):
     def as_dict(self) -> dict[str, object]: ...
     def as_text(self) -> str: ...
 
 
-@benchmarks.command()
 def bench(
     scenario: Annotated[
         str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]", autocompletion=complete.scenarios)

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from vstestbed.live.playback import PlaybackApp
     from vstestbed.scenario.scenario import Scenario
 
-tools = typer.Typer()
-
-
 Listed = Literal[
     "scenarios",
     "robots",
@@ -81,42 +78,38 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
     return overrides
 
 
-@tools.command("list")
 def list_(
-    room: Annotated[Listed | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None
+    registry: Annotated[Listed | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None
 ) -> None:
     """What there is, one line each."""
     from vstestbed.scenario.plugins import load_plugins
 
     load_plugins(plugin or [])
-    for name in [room] if room else get_args(Listed):
-        if room is None:
+    for name in [registry] if registry else get_args(Listed):
+        if registry is None:
             typer.echo(f"{name}:")
         entries = _entries(name)
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
-            typer.echo(f"{'' if room else '  '}none; a plugin may add some")
+            typer.echo(f"{'' if registry else '  '}none; a plugin may add some")
         for entry, text in entries:
-            typer.echo(f"{'' if room else '  '}{entry:{width}}  {text}")
+            typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
 
 
-def _entries(room: str) -> list[tuple[str, str]]:
-    """Names of the scenarios or kinds in a room, each with its description: for kinds the first line of the class's docstring."""
+def _entries(what: str) -> list[tuple[str, str]]:
+    """Names of the scenarios, or of the kinds in a registry, each with its description: of kinds the first line of their docstring."""
+    if what not in ("scenarios", "comparisons"):
+        from vstestbed.scenario.plugins import registry
+
+        return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in registry(what).members.items()]
     from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-    from vstestbed.scenario.load import text_of
-    from vstestbed.scenario.validation import KINDS
-    from vstestbed.scenario.yaml_marks import plain_mapping
+    from vstestbed.scenario.yaml_marks import bundled_mapping
 
-    if room == "scenarios":  # as they are written: an arm's file may be in a package that is not installed
-        return [(name, str(plain_mapping(text_of(path), str(path), "")[0]["description"])) for name, path in bundled_scenarios().items()]
-    if room == "comparisons":
-        from vstestbed.studies.comparison.plan import read_comparison  # here: a list of kinds need not wait for it
-
-        return [(name, read_comparison(path).description) for name, path in bundled_comparisons().items()]
-    return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in KINDS[room].members.items()]
+    # as they are written: an arm's file may be in a package that is not installed
+    files = bundled_scenarios() if what == "scenarios" else bundled_comparisons()
+    return [(name, str(bundled_mapping(path)["description"])) for name, path in files.items()]
 
 
-@tools.command()
 def schema(
     comparison: Annotated[bool, typer.Option("--comparison", help="Of a comparison's file, in place of a scenario's.")] = False,
     plugin: Plugins = None,
@@ -133,7 +126,6 @@ def schema(
     typer.echo(json.dumps(schema_of(Block), indent=1, ensure_ascii=False))
 
 
-@tools.command()
 def describe(
     kind: Annotated[
         str,
@@ -152,11 +144,17 @@ def describe(
     from vstestbed.scenario.catalogue import Entry, catalogue, looked_up
     from vstestbed.scenario.plugins import load_plugins
     from vstestbed.scenario.scenario import Scenario
-    from vstestbed.studies.comparison.plan import Comparison
 
     load_plugins(plugin or [])
-    entries = catalogue(scenario=Scenario, comparison=Comparison)
-    console, found = Console(highlight=False), None if kind == "summary" else looked_up(kind, entries)
+    entries = catalogue(scenario=Scenario)
+    try:
+        found = None if kind == "summary" else looked_up(kind, entries)
+    except ParameterError:
+        from vstestbed.studies.comparison.plan import Comparison  # here: most words are of a scenario, and it takes 0.3 s to import
+
+        entries = catalogue(scenario=Scenario, comparison=Comparison)
+        found = looked_up(kind, entries)
+    console = Console(highlight=False)
     with console.capture() as text:
         if found is None:
             describe_summary(console)
@@ -167,7 +165,6 @@ def describe(
     typer.echo("\n".join(line.rstrip() for line in text.get().splitlines()), color=True)  # rich has left colours out where none are wanted
 
 
-@tools.command()
 def doctor(
     model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
 ) -> None:
@@ -178,7 +175,6 @@ def doctor(
     raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
 
 
-@tools.command("optical-flow")
 def optical_flow(
     feature: Annotated[str, typer.Option(metavar="NAME", help="point, polar or spherical.")] = "point",
     depth: Annotated[float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")] = 1.0,
@@ -192,18 +188,16 @@ def optical_flow(
         typer.echo(str(path))
 
 
-news = typer.Typer()
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 NewKind = Literal[
     "law", "feature", "robot", "detector", "keypoints", "lens", "target", "motion", "metric", "noise", "effect", "monitor", "task"
 ]
-ROOM_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
-"""The room (`scenario.validation.KINDS`) of a kind, where it is not the plural of its word."""
+REGISTRY_OF = {"keypoints": "keypoints", "lens": "cameras", "noise": "perturbations", "task": "goals"}
+"""The registry (`scenario.plugins.HOMES`) of a kind, where it is not the plural of its word."""
 
 
-@news.command("new")
 def new(
     kind: Annotated[NewKind, typer.Argument(help="What to write.")],
     name: Annotated[str, typer.Argument(help="Its word in a scenario, such as my_law.")],
@@ -239,9 +233,9 @@ def commands_of(text: str) -> list[str]:
 def _check_name(kind: NewKind, name: str) -> None:
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
         raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind}", name)
-    from vstestbed.scenario.validation import KINDS  # after the cheap check: it imports the whole package
+    from vstestbed.scenario.plugins import registry  # after the cheap check: it imports much of the package
 
-    members = KINDS[ROOM_OF.get(kind, f"{kind}s")].members
+    members = registry(REGISTRY_OF.get(kind, f"{kind}s")).members
     if name in members:
         raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
 
@@ -258,10 +252,6 @@ def _check_file(path: Path, given: Path | None) -> None:
         raise ParameterError("NAME" if given is None else "--out", f"{words}; take another, such as {other}", path.stem)
 
 
-lives = typer.Typer()
-
-
-@lives.command("live")
 def live(
     what: Annotated[
         str,

@@ -3,7 +3,6 @@
 The docstrings are the one source of the descriptions in the JSON Schema and of `describe`. A field's line is
 `name: words [unit]; e.g. `example`.`, where the example is needed of a field that has no default and that no bundled file sets. One
 line may serve several fields, `width, height: picture size [px].`, with a unit each, `a_m, b_deg: ... [m, deg].`
-Griffe reads the sections; it is imported only when somebody asks.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ _SYMBOL = r"(?:1|rad|deg|m|s|h|Hz|px|kg|N|Nm|W|V|A|K|%|e-|DN|kbit|grey levels)(?
 _IS_UNIT = re.compile(rf"{_SYMBOL}(?:[ /]{_SYMBOL})*(?: per [a-z_ ]+)?|unit (?:of|as in) .+")
 _EXAMPLE = re.compile(r"; e\.g\. `([^`]+)`(?=\.$)")
 _SOURCE = re.compile(r"References?: ")
+_ITEM = re.compile(r" {4}(\S[^:]*): (.*)")  # a field, or several: `width, height: picture size [px].`
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ClassText:
 @functools.cache
 def class_text(cls: type) -> ClassText:
     """The docstring of a dataclass in parts; inherited fields have the text of the class that brings them."""
-    summary, *rest = [p for text in _sections(cls)[0] for p in text.split("\n\n")] or [""]
+    summary, *rest = [text.strip("\n") for text in _sections(cls)[0].split("\n\n") if text.strip()] or [""]
     sources = tuple(" ".join(_SOURCE.sub("", p).split()) for p in rest if _SOURCE.match(p))
     text = "\n\n".join(p for p in rest if not _SOURCE.match(p) and not p.startswith("Raises ("))
     return ClassText(" ".join(summary.split()), text, sources, _field_texts(cls))
@@ -62,20 +62,24 @@ def _field_texts(cls: type) -> dict[str, FieldText]:
 
 
 @functools.cache
-def _sections(cls: type) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """The texts of a class's own docstring, and the names and words of its `Args:`."""
-    from griffe import Docstring, DocstringSectionParameters, DocstringSectionText  # here: only `schema` and `describe` read docstrings
-
+def _sections(cls: type) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The text of a class's own docstring without its lists of fields, and the names and words of the list `Args:`."""
     own = cls.__dict__.get("__doc__")
     if not own or cls is object or own.startswith(f"{cls.__name__}("):  # dataclasses write a signature where there is none
-        return (), ()
-    texts, lines = [], []
-    for section in Docstring(inspect.cleandoc(own)).parse("google", warnings=False):
-        if isinstance(section, DocstringSectionText):
-            texts.append(section.value)
-        elif isinstance(section, DocstringSectionParameters):
-            lines += [(p.name, " ".join(p.description.split())) for p in section.value]
-    return tuple(texts), tuple(lines)
+        return "", ()
+    text, items, heading = list[str](), list[list[str]](), ""
+    for line in inspect.cleandoc(own).splitlines():
+        if line in ("Args:", "Attributes:"):
+            heading = line
+        elif line and not line.startswith(" "):
+            heading = ""
+        if not heading:
+            text.append(line)
+        elif heading == "Args:" and (item := _ITEM.fullmatch(line)):
+            items.append([item[1], item[2]])
+        elif heading == "Args:" and items:  # the next line of a field
+            items[-1][1] += f" {line.strip()}"
+    return "\n".join(text), tuple((names, words.strip()) for names, words in items)
 
 
 def _field_lines(lines: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, FieldText]]:
@@ -101,8 +105,8 @@ def without_unit(words: str) -> str:
 
 def _unit_of(node: Node, text: FieldText) -> str:
     """The unit of a field: as written, which can be the finer (px^2 in a type of px), else of its type."""
-    # a number may stand for a block of a room
-    numbers = [leaf for leaf in node.leaves() if leaf.number or (leaf.room is not None and leaf.room.number)]
+    # a number may stand for a block of a registry
+    numbers = [leaf for leaf in node.leaves() if leaf.number or (leaf.registry is not None and leaf.registry.number)]
     if not numbers:
         return ""
     typed = next((leaf.within.unit for leaf in numbers if leaf.within is not None and leaf.within.unit), "")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import typing
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass
@@ -15,7 +16,7 @@ from typing import Any, Literal
 from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.core.quantity import Narrower, Within
-from vstestbed.core.registry import Room, to_mapping
+from vstestbed.core.registry import Registry, to_mapping
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,14 @@ class Node:
         bounds: what `Annotated` says of it.
         parts: the items of a list or the values of a mapping (one node), or the alternatives.
         words: the words between which there is the choice.
-        room: the list of kinds of which it is one; None else.
+        registry: the list of kinds of which it is one; None else.
     """
 
     type: Any
     bounds: tuple[Any, ...] = ()
     parts: tuple[Node, ...] = ()
     words: tuple[Any, ...] = ()
-    room: Room | None = None
+    registry: Registry | None = None
 
     @property
     def is_list(self) -> bool:
@@ -81,11 +82,23 @@ class Node:
         for part in self.parts:
             yield from part.leaves()
 
-    def blocks(self) -> Iterator[tuple[Room | None, type]]:
-        """The spec classes that it may hold, each with the room in which it is a kind; None where it is the only one."""
+    def block_of(self, value: Any) -> tuple[type, Registry | None] | None:
+        """The spec class of the block that a plain value is, by its kind, and the registry of it; None for a value that is no block."""
         for leaf in self.leaves():
-            if leaf.room is not None:
-                yield from ((leaf.room, member) for member in leaf.room.members.values())
+            if leaf.registry is not None:
+                block = leaf.registry.expanded(value)
+                kind = block["kind"] if isinstance(block, dict) else None
+                if isinstance(kind, str) and kind in leaf.registry.members:
+                    return leaf.registry.members[kind], leaf.registry
+            elif isinstance(leaf.type, type) and dataclasses.is_dataclass(leaf.type) and (isinstance(value, dict) or leaf.bounds):
+                return leaf.type, None
+        return None
+
+    def blocks(self) -> Iterator[tuple[Registry | None, type]]:
+        """The spec classes that it may hold, each with the registry in which it is a kind; None where it is the only one."""
+        for leaf in self.leaves():
+            if leaf.registry is not None:
+                yield from ((leaf.registry, member) for member in leaf.registry.members.values())
             elif isinstance(leaf.type, type) and dataclasses.is_dataclass(leaf.type):
                 yield None, leaf.type
 
@@ -93,8 +106,8 @@ class Node:
 def _node(hint: Any, bounds: tuple[Any, ...] = ()) -> Node:
     if hasattr(hint, "__metadata__"):
         bounds = (*bounds, *hint.__metadata__)
-        room = next((bound for bound in bounds if isinstance(bound, Room)), None)
-        return _node(hint.__origin__, bounds) if room is None else Node(hint.__origin__, bounds, room=room)
+        registry = next((bound for bound in bounds if isinstance(bound, Registry)), None)
+        return _node(hint.__origin__, bounds) if registry is None else Node(hint.__origin__, bounds, registry=registry)
     origin, inner = typing.get_origin(hint), [part for part in typing.get_args(hint) if part is not type(None)]
     if origin is Literal:
         return Node(Literal, bounds, words=typing.get_args(hint))
@@ -120,8 +133,15 @@ def fields(cls: type) -> dict[str, SchemaField]:
     """The fields of a spec class that its constructor takes, by name."""
     own = {field.name: field for field in dataclasses.fields(cls) if field.init}
     # of a class in a function, `spec` has read the types already
-    types = {} if not any(isinstance(f.type, str) for f in own.values()) else typing.get_type_hints(cls, include_extras=True)
+    bases = reversed(cls.__mro__) if any(isinstance(f.type, str) for f in own.values()) else ()
+    types = {name: hint for base in bases for name, hint in _own_types(base).items()}
     return {name: SchemaField(name, _node(types.get(name, field.type)), *_default(field)) for name, field in own.items()}
+
+
+@functools.cache
+def _own_types(cls: type) -> dict[str, Any]:
+    """The types in the annotations of a class itself; `typing.get_type_hints` would read those of a base anew for each class."""
+    return inspect.get_annotations(cls, eval_str=True)
 
 
 def needed(cls: type) -> list[str]:

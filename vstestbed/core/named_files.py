@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import os
 import re
 import sys
-import traceback
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -64,6 +61,8 @@ def place_of_file(file: str) -> Path:
 
 def _no_package(name: str, inside: str) -> str:
     """Why there is no package of a name that holds a file, and what to write: a distribution is often imported by another name."""
+    from importlib import metadata  # here: `--help` imports this module
+
     try:
         files = [path.as_posix() for path in metadata.distribution(name).files or ()]
     except (metadata.PackageNotFoundError, ValueError):
@@ -149,6 +148,8 @@ def load_file(path: Path) -> ModuleType:
     """
     if (known := module_of(path)) is not None:
         return known
+    import hashlib  # here: `--help` imports this module
+
     # The same name in every process: workers unpickle the plugin's objects by it.
     name = f"{path.stem}@{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
@@ -172,6 +173,8 @@ def is_file_module(name: str) -> bool:
 
 def line_of(error: BaseException, name: str, path: Path | None) -> str:
     """FILE:LINE where an error was raised in a file: the last line of it that was at work; `name` where it has no part in it."""
+    import traceback  # here: `--help` imports this module
+
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)

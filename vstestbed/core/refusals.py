@@ -11,7 +11,7 @@ import pydantic
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
 from vstestbed.core.fields import Node, fields, needed
-from vstestbed.core.registry import Room, rooms_of, to_mapping
+from vstestbed.core.registry import Registry, registries_of, to_mapping
 
 Key = tuple[str | int, ...]
 
@@ -77,13 +77,13 @@ def _details(error: pydantic.ValidationError) -> list[Any]:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a mistake is. key: in YAML. block: the innermost block there. room: of whose kinds the block is one. name, field: of the last
-    field on the way. node: what may stand there; None for an unknown field.
+    """Where a mistake is. key: in YAML. block: the innermost block there. registry: of whose kinds the block is one. name, field: of the
+    last field on the way. node: what may stand there; None for an unknown field.
     """
 
     key: Key
     block: type
-    room: Room | None
+    registry: Registry | None
     name: str = ""
     field: Node | None = None
     node: Node | None = None
@@ -91,7 +91,7 @@ class _Place:
 
 def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
     """The place of a pydantic location in the values that should become a `cls`."""
-    here, place = plain, _Place((), cls, next(iter(rooms_of(cls)), None))
+    here, place = plain, _Place((), cls, next(iter(registries_of(cls)), None))
     for part in loc:
         node = place.node
         if node is not None and node.type is Union:  # the part says which of the alternatives is meant
@@ -101,9 +101,9 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
         named = isinstance(here, dict if isinstance(part, str) else list | tuple)
         key = (*place.key, part) if named else place.key
         if isinstance(part, str) and (node is None or node.type is not dict):
-            block, room = _block_in(node, here) if node else (place.block, place.room)
+            block, registry = (node and node.block_of(here)) or (place.block, place.registry)
             field = fields(block).get(part)
-            place = _Place(key, block, room, part, field and field.node, field and field.node)
+            place = _Place(key, block, registry, part, field and field.node, field and field.node)
         else:
             place = replace(place, key=key, node=node.parts[0] if node and node.type in (tuple, dict) else node)
         here = _child(here, part) if named else here
@@ -114,13 +114,6 @@ def _child(here: Any, part: int | str) -> Any:
     if isinstance(here, dict):
         return here.get(part)
     return here[part] if isinstance(part, int) and part < len(here) else None
-
-
-def _block_in(node: Node, value: Any) -> tuple[type, Room | None]:
-    """The class that a valid kind makes of a value, and its room."""
-    if node.room is not None:
-        return node.room.members[node.room.expanded(value)["kind"]], node.room
-    return node.type, None
 
 
 def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
@@ -168,8 +161,8 @@ def _sentence(detail: Any, place: _Place) -> str:
         return _block_needed(place.block if node is None else node.type, found)
     if kind == "missing":
         return "is missing" + _meaning(place)
-    if kind in ("block", "unknown_kind") and node and node.room and node.room.number:
-        return f"must be a number, or a block of one of the kinds {', '.join(sorted(node.room.members))}, got {short(found)}"
+    if kind in ("block", "unknown_kind") and node and node.registry and node.registry.number:
+        return f"must be a number, or a block of one of the kinds {', '.join(sorted(node.registry.members))}, got {short(found)}"
     words = _WORDS[kind].format(**_shown(detail.get("ctx", {}))) if kind in _WORDS else str(detail["msg"])
     if kind == "tuple_type":
         words += _such_as(place)
@@ -182,8 +175,8 @@ def _such_as(place: _Place) -> str:
     """How a sentence goes on for what is no list: with what its blocks are, or an example."""
     if place.node is None or place.field is None:
         return ""
-    for room, block in place.node.blocks():
-        return f" of blocks, each {_a(room.what) if room else f'of {_listed(block)}'}"
+    for registry, block in place.node.blocks():
+        return f" of blocks, each {_a(registry.what) if registry else f'of {_listed(block)}'}"
     example = _list_like(place.block, place.name)
     if not example:
         return ""
@@ -210,8 +203,8 @@ def _meaning(place: _Place) -> str:
     node, text = place.node, class_text(place.block).fields.get(place.name)
     if node is None or text is None:
         return ""
-    if node.room is not None:
-        return f"; valid kinds: {', '.join(sorted(node.room.members))}"
+    if node.registry is not None:
+        return f"; valid kinds: {', '.join(sorted(node.registry.members))}"
     words = f": {text.description.rstrip('.')}" if text.description else ""
     words += f", e.g. {text.example}" if text.example else ""
     blocks = [block for _, block in node.blocks()]
@@ -248,9 +241,9 @@ def _takes(block: type, name: str, value: Any) -> bool:
 
 
 def _unknown(place: _Place) -> str:
-    able = [kind for kind, member in place.room.members.items() if place.name in fields(member)] if place.room else []
-    if able and place.room:
-        kind = next(kind for kind, member in place.room.members.items() if member is place.block)
+    able = [kind for kind, member in place.registry.members.items() if place.name in fields(member)] if place.registry else []
+    if able and place.registry:
+        kind = next(kind for kind, member in place.registry.members.items() if member is place.block)
         words = f"{', '.join(able[:-1])} and {able[-1]} have" if able[1:] else f"{able[0]} has"
         return f"{UNKNOWN} of {kind}; {words} it"
     return f"{UNKNOWN}; {nearest(place.name, fields(place.block))}"

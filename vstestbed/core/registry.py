@@ -1,35 +1,77 @@
-"""What is registered: the spec classes, and the rooms with their kinds. `core.spec` fills it; here it is read."""
+"""What is registered: the spec classes, and the registries with the kinds of each block; and spec objects as plain values.
+
+MARKERS = Registry("marker", Disc, Sphere)   # in YAML: {kind: disc, radius: 0.02}, or the bare word where all has defaults
+marker: Annotated[Marker, MARKERS]
+"""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import functools
 import inspect
-from collections.abc import Callable, Collection, Mapping
+import sys
+import typing
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import pydantic
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from vstestbed.core.errors import ParameterError, nearest
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
+
+T = TypeVar("T")
 SPECS: list[type] = []
 """Every spec in the order of definition."""
-ROOMS: list[Room] = []  # every list of kinds
+REGISTRIES: list[Registry] = []
 
 
-class Room:
-    """A list of the kinds of one block; `core.spec.OneOf` is it for pydantic.
+class Registry:
+    """The kinds of one block of a scenario: a tagged union by `kind`, which plugins extend.
 
     Args:
-        what: the name of the field ("law").
+        what: the name of the field ("law"); plugins are found under the entry-point group `vstestbed.<what>s`.
+        members: the spec classes; each has `kind: Literal["..."] = "..."`.
         number: (kind, field) for which a bare number is a shorthand; None where numbers are refused.
         default: the kind of a block without `kind`; None where `kind` is required.
         fields: the kind of a block without `kind` that has the given field, by field.
-    members: the spec class of each kind.
+        contract: what each member must have; None where any spec class may be a member.
     """
 
-    def __init__(self, what: str, number: tuple[str, str] | None, default: str | None, fields: Mapping[str, str] | None):
-        self.what, self.number, self.default, self.fields = what, number, default, dict(fields or {})
-        self.members: dict[str, type] = {}
-        ROOMS.append(self)
+    def __init__(
+        self,
+        what: str,
+        *members: type,
+        number: tuple[str, str] | None = None,
+        default: str | None = None,
+        fields: Mapping[str, str] | None = None,
+        contract: Contract | None = None,
+    ):
+        self.what, self.number, self.default, self.fields, self.contract = what, number, default, dict(fields or {}), contract
+        self._members: dict[str, type] = {}
+        self._left_out: str | None = None
+        REGISTRIES.append(self)
+        for member in members:
+            self.add(member)
+
+    @property
+    def members(self) -> dict[str, type]:
+        """The spec class of each kind."""
+        if self._left_out is None:
+            return self._members
+        return {kind: member for kind, member in self._members.items() if kind != self._left_out}
+
+    def without(self, kind: str) -> Registry:
+        """The same registry for a field in the block of one of its kinds, which may not hold another of that kind."""
+        other = copy.copy(self)  # with the same members, also those that are added later
+        other._left_out = kind
+        return other
 
     @property
     def base(self) -> type | None:
@@ -50,10 +92,132 @@ class Room:
             return {"kind": self.number[0], self.number[1]: value}
         return {**value, "kind": value.get("kind", self.implied(value) or self.default)} if isinstance(value, dict) else value
 
+    def add(self, member: type[T]) -> type[T]:
+        """Register one more kind (usable as a decorator by a plugin).
+        Raises ParameterError: the class is no spec, its word is taken, or it breaks the contract of the registry.
+        """
+        self._check(member)
+        self.members[kind_of(member)] = member
+        return member
 
-def rooms_of(cls: type) -> list[Room]:
-    """The lists of kinds that a spec class is a member of."""
-    return [room for room in ROOMS if cls in room.members.values()]
+    def _check(self, member: type) -> None:
+        # By identity: a subclass of a spec is a dataclass, too, but without @spec its own fields would be ignored.
+        if not any(member is known for known in SPECS):
+            name = getattr(member, "__name__", repr(member))
+            raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
+        kind = kind_of(member)
+        if kind in self.members and self.members[kind] is not member and not _same_cell(self.members[kind], member):
+            home = self.members[kind].__module__
+            place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
+            taken = f"{kind!r} is already a {self.what} ({place})"
+            raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
+        if self.contract is not None and not member.__module__.startswith("vstestbed."):  # of those a test checks it once for all starts
+            self.contract.check(member)
+
+    def load_entry_points(self, installed: EntryPoints) -> bool:
+        """Register the classes that installed packages offer under `vstestbed.<what>s`; True if any was new."""
+        before = len(self.members)
+        for entry in installed.select(group=f"vstestbed.{self.what}s"):
+            self.add(entry.load())
+        return len(self.members) > before
+
+    def _made(self, value: Any) -> Any:
+        """A value as an object of the class of its kind; objects that are members already pass unchanged."""
+        if isinstance(value, tuple(self.members.values())):
+            return value
+        if not self.members:
+            words = f"must not be given: there is no kind of {self.what}; a plugin may add one (`--plugin FILE.py`)"
+            raise PydanticCustomError("block", "{words}", {"words": words})
+        block, words = self.expanded(value), ", ".join(sorted(self.members))
+        if not isinstance(block, dict):
+            raise PydanticCustomError("block", "must be a {what} block or one of the words: {words}", {"what": self.what, "words": words})
+        kind = block["kind"]
+        if kind is None:
+            needs = f"one of the fields {', '.join(self.fields)}, or a kind" if self.fields else "a kind"
+            raise PydanticCustomError("no_kind", "needs {words}", {"words": f"{needs}; valid kinds: {words}"})
+        if not isinstance(kind, str) or kind not in self.members:
+            raise PydanticCustomError("unknown_kind", "is no {what}; {hint}", {"what": self.what, "hint": f"valid kinds: {words}"})
+        return validator_of(self.members[kind]).validate_python(block)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        if not (_WHOLE and self.members):
+            return core_schema.no_info_plain_validator_function(self._made)
+        choices: dict[Any, CoreSchema] = {k: handler.generate_schema(m) for k, m in self.members.items()}
+        return core_schema.tagged_union_schema(choices, "kind")
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        if not self.members:
+            return {"not": {}}
+        blocks = handler(schema)["oneOf"]
+        # In the classes `kind` has a default and would be optional: without it, a block that needs a kind would pass the schema.
+        needs = {} if self.default or self.fields else {"required": ["kind"]}
+        choices: list[dict[str, Any]] = [block | needs for block in blocks]
+        # A bare word is a block of defaults only, so it needs a kind without required fields.
+        words = sorted(kind for kind, member in self.members.items() if not any(_is_needed(f) for f in dataclasses.fields(member)))
+        if words:
+            choices.append({"enum": words})
+        if self.number:
+            kind, field = self.number
+            hint = typing.get_type_hints(self.members[kind], include_extras=True)[field]
+            choices.append(pydantic.TypeAdapter(hint).json_schema())
+        return {"anyOf": choices}
+
+
+def is_kind(word: str) -> bool:
+    """Whether a word is a kind of some block."""
+    return any(word in registry.members for registry in REGISTRIES)
+
+
+def registries_of(cls: type) -> list[Registry]:
+    """The registries that a spec class is a member of."""
+    return [registry for registry in REGISTRIES if cls in registry.members.values()]
+
+
+def kind_of(cls: type) -> str:
+    """The `kind` of a spec class, the word for it in YAML; ParameterError where it has none."""
+    for own in dataclasses.fields(cls):
+        if own.name == "kind" and isinstance(own.default, str):
+            return own.default
+    raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
+
+
+def _same_cell(before: type, after: type) -> bool:
+    """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
+    return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
+
+
+@functools.cache
+def validator_of(cls: type) -> Any:
+    """Pydantic's validator of a spec class, built when it is first used. The kinds in a registry are looked up when a block is
+    validated, so that a validator stays valid when a plugin adds one.
+    """
+    return pydantic.TypeAdapter(cls).validator
+
+
+_WHOLE: list[bool] = []  # not empty while a schema is built with the blocks of all kinds in it
+
+
+def whole_adapter(hint: Any) -> pydantic.TypeAdapter[Any]:
+    """Pydantic's adapter of a type with the blocks of all kinds in it, from which it makes a JSON Schema."""
+    _WHOLE.append(True)
+    try:
+        return pydantic.TypeAdapter(hint)
+    finally:
+        _WHOLE.pop()
+
+
+@contextmanager
+def undone_on_error() -> Iterator[None]:
+    """Take back what was defined and registered within where an error ends it: a plugin is there as a whole, or not at all."""
+    specs, members = len(SPECS), [(registry, dict(registry.members)) for registry in REGISTRIES]
+    try:
+        yield
+    except BaseException:
+        del SPECS[specs:]
+        for registry, before in members:
+            registry.members.clear()
+            registry.members.update(before)
+        raise
 
 
 def to_mapping(value: Any) -> Any:
@@ -85,7 +249,7 @@ def _brief_block(value: Any) -> Any:
     block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
     if not hasattr(value, "kind"):
         return block
-    return _with_kind(value.kind, block, rooms_of(type(value)))
+    return _with_kind(value.kind, block, registries_of(type(value)))
 
 
 def _brief_part(value: Any, preset: Any) -> Any:
@@ -108,25 +272,29 @@ def _kept_fields(value: Any, preset: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _with_kind(kind: str, block: dict[str, Any], rooms: list[Room]) -> Any:
-    if rooms and all(room.implied(block) == kind for room in rooms):
+def _with_kind(kind: str, block: dict[str, Any], registries: list[Registry]) -> Any:
+    if registries and all(registry.implied(block) == kind for registry in registries):
         return block
-    for room in rooms:
-        if room.number and (kind, [*block]) == (room.number[0], [room.number[1]]):
-            return block[room.number[1]]
-    return {"kind": kind, **block} if block or not rooms else kind
+    for registry in registries:
+        if registry.number and (kind, [*block]) == (registry.number[0], [registry.number[1]]):
+            return block[registry.number[1]]
+    return {"kind": kind, **block} if block or not registries else kind
+
+
+def _is_needed(field: dataclasses.Field[Any]) -> bool:
+    return field.init and field.default is field.default_factory is dataclasses.MISSING
 
 
 def _default(field: dataclasses.Field[Any]) -> Any:
     return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
 
 
-# Contract: what each member of a `OneOf` must have, checked once, when the member is registered.
+# Contract: what each member of a registry must have, checked once, when the member is registered.
 #
 # A plugin that lacks a method would otherwise run until the loop first calls that method, and end with a traceback there.
 @dataclass(frozen=True)
 class Contract:
-    """What a class must have to be a member of a room: the public methods and attributes of `protocol`, which may have defaults.
+    """What a class must have to be a member of a registry: the public methods and attributes of `protocol`, which may have defaults.
     base: a class with defaults for most of them, or None. words: the valid items of attributes that are tuples of words, by name.
     """
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Collection
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Call = Callable[..., "Future[Any]"]
 """Calls a function with arguments, perhaps in another process: `call(function, *arguments)`."""
@@ -22,6 +24,8 @@ def some_done(futures: Collection[Future[Any]]) -> set[Future[Any]]:
     """Wait until at least one of them is done; returns those that are. It looks up every HEARD_S: without an end, a lock does not hear of
     Ctrl-C on Windows, nor anywhere once polars has installed its handler of SIGINT with SA_RESTART (its issue 21739).
     """
+    from concurrent.futures import FIRST_COMPLETED, wait  # here: `--help` imports this module
+
     done: set[Future[Any]] = set()
     while futures and not done:
         done = wait(futures, HEARD_S, FIRST_COMPLETED).done
@@ -36,6 +40,8 @@ def result_of(future: Future[Any]) -> Any:
 
 def at_once(function: Callable[..., Any], *arguments: Any) -> Future[Any]:
     """Call it now, in this process."""
+    from concurrent.futures import Future
+
     future: Future[Any] = Future()
     future.set_result(function(*arguments))
     return future

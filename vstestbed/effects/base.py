@@ -11,8 +11,7 @@ from annotated_types import Len
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Contract, Registry
 
 if TYPE_CHECKING:
     import mujoco
@@ -184,6 +183,6 @@ class Effect:
 
 
 EffectBase = Effect
-EFFECTS = OneOf("effect", contract=Contract(Effect, Effect))
+EFFECTS = Registry("effect", contract=Contract(Effect, Effect))
 """Kinds of further effects of a robot, in its list `effects`; those of the package are blocks of the robots that have them."""
 Further = Annotated[tuple[Annotated[Effect, EFFECTS], ...], Len(0, 20)]

@@ -2,8 +2,7 @@
 
 from dataclasses import fields
 
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Contract, Registry
 from vstestbed.features.base import Feature
 from vstestbed.features.line import LineFeature, Segment
 from vstestbed.features.moments import Ellipse, Moments
@@ -14,7 +13,7 @@ from vstestbed.features.pose import LogDepth, ThetaU, Translation
 
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
 _VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)
-FEATURES = OneOf(
+FEATURES = Registry(
     "feature",
     *(Point, Polar, Spherical, Polygon, LineFeature, Segment, Moments, Ellipse),
     default="point",

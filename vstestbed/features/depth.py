@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import PositiveLength, PositiveTime
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 
 NEAREST_M = 0.01
@@ -247,5 +248,5 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     return np.where(enough, middle / 2, np.nan)
 
 
-DEPTHS = OneOf("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, OracleDepth)
+DEPTHS = Registry("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, OracleDepth)
 Depth = Annotated[DepthSource, DEPTHS]

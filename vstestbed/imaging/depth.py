@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage
 from vstestbed.core.quantity import Distance, GainOrZero, Narrower, Pixels, PositiveLength
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 
 EDGE = 0.03
 """Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one surface is seen at over 85 degrees then."""
@@ -221,7 +222,7 @@ class TimeOfFlight(DepthSensor):
         return np.asarray(1e-3 * self.noise_scale * sigma, np.float32) if self.noise_scale else None
 
 
-DEPTH_SENSORS = OneOf("depth_sensor", Ideal, Stereo, StructuredLight, TimeOfFlight)
+DEPTH_SENSORS = Registry("depth_sensor", Ideal, Stereo, StructuredLight, TimeOfFlight)
 
 
 def incidence(z: DepthImage, xy: Array, f: float) -> DepthImage:

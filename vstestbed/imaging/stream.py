@@ -12,7 +12,8 @@ from annotated_types import Ge, Le
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Image
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 
 
 @spec
@@ -81,7 +82,7 @@ class H264Stream(VideoStream):
             raise ParameterError(field, "must be even for stream h264 with colours: half", size)
 
 
-STREAMS = OneOf("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})
+STREAMS = Registry("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})
 
 
 BUFFER_S = 0.5  # how far the average bit rate may be exceeded: the encoder's buffer [s]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 from vstestbed.features.depth import PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.feedforward import Estimator, NoFeedforward
@@ -105,7 +105,7 @@ class AdaptiveGain:
         return span * np.exp(-self.slope_at_zero / span * np.abs(error).max(axis=-1, keepdims=True)) + self.at_infinity
 
 
-GAINS = OneOf("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
+GAINS = Registry("gain", ConstantGain, AdaptiveGain, number=("constant", "value"))
 Gain = Annotated[ConstantGain | AdaptiveGain, GAINS]
 
 

@@ -26,7 +26,8 @@ from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Frequency, Narrower, PositiveGain
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.features.observation import EgoMotion
 from vstestbed.laws.solve import PSEUDO_INVERSE, Solve, least_squares
 
@@ -204,7 +205,7 @@ class Smith:
         return TargetEstimate(np.zeros((2, size)), np.zeros(size), np.zeros((2, 2)))
 
 
-FEEDFORWARDS = OneOf("feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none")
+FEEDFORWARDS = Registry("feedforward", NoFeedforward, Integral, AlphaBeta, KalmanCV, KalmanCA, Smith, default="none")
 Feedforward = Annotated[NoFeedforward | Integral | AlphaBeta | KalmanCV | KalmanCA | Smith, FEEDFORWARDS]
 Estimator = AlphaBeta | KalmanCV | KalmanCA | Smith
 

@@ -11,7 +11,8 @@ from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, LineFeature, Point
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
@@ -83,7 +84,7 @@ class Large:
         return (1 - share, classical), (share, basis @ solve.null_space(gradient[None]))
 
 
-PROJECTIONS = OneOf("projection", Classical, Large)
+PROJECTIONS = Registry("projection", Classical, Large)
 Projection = Annotated[Classical | Large, PROJECTIONS]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +14,11 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.error_law import ErrorLaw
 
 _THETA_U = ThetaU()
-_TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}
+
+
+@functools.cache
+def _translation(pose: Literal["cdMc", "cMcd", "cMo"]) -> Translation:
+    return Translation(pose=pose)
 
 
 @spec
@@ -46,7 +51,7 @@ class PBVS(ErrorLaw):
         """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and in the goal frame."""
         T_camera_target, T_goal_target = view.T_camera_target, goal.T_camera_target
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
+        t, R = _translation(self.translation), T_goal_camera[..., :3, :3]
         if self.translation == "cMo":
             pose, s_star = T_camera_target, T_goal_target[:3, 3]
         else:

@@ -16,7 +16,8 @@ from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
-from vstestbed.core.spec import kind_of, spec
+from vstestbed.core.registry import kind_of
+from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
 from vstestbed.features.observation import Goal, Observation, Sight
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law, TwistLimits

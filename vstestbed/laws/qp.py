@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.quantity import Angle, Distance, Pixels, PositiveGain, PositiveTime
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits, inputs_of
 from vstestbed.laws.constraints import (
@@ -128,7 +129,7 @@ class Manipulability:
         return np.eye(n), self.gain * gradient / size if size > 1e-9 else np.zeros(n)
 
 
-SECONDARY = OneOf("secondary", PosturePull, StraightPath, Manipulability)
+SECONDARY = Registry("secondary", PosturePull, StraightPath, Manipulability)
 Secondary = Annotated[PosturePull | StraightPath | Manipulability, SECONDARY]
 
 
@@ -183,7 +184,7 @@ def among_solutions(
     return replace(solution, x=np.clip(x + N @ found.x, low, high), bound=solution.bound or found.bound)
 
 
-SERVO = OneOf("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
+SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
 """Laws whose motion a quadratic program may take."""
 GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; those of joint position and joint speed never do."""

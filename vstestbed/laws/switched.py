@@ -14,7 +14,8 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_angle
 from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength, PositivePixels, Time, Within
-from vstestbed.core.spec import OneOf, Shorthand, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import Shorthand, spec
 from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth
 from vstestbed.features.observation import Goal, Observation
@@ -140,7 +141,7 @@ camera from the target at the start [m]; and the fields of an Observation that i
 
 
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
-LAWS = OneOf(
+LAWS = Registry(
     "law",
     IBVS,
     Partitioned,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -11,7 +11,8 @@ from annotated_types import Ge, Gt, Le
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels, PositiveTime, Time
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law
@@ -74,7 +75,7 @@ def _bounded(P: Array, most: float) -> Array:
     return np.asarray((V * np.minimum(w, most)[:, None, :]) @ V.mT)
 
 
-ESTIMATORS = OneOf("estimator", Broyden, RecursiveLeastSquares)
+ESTIMATORS = Registry("estimator", Broyden, RecursiveLeastSquares)
 Estimator = Annotated[Broyden | RecursiveLeastSquares, ESTIMATORS]
 
 
@@ -389,7 +390,7 @@ class Uncalibrated(Law[UncalibratedState]):
     gain: Gain = ConstantGain()
     estimator: Estimator = RecursiveLeastSquares()
     excitation: Excitation = Excitation()
-    solve: Solve = Solve(damping=0.01)
+    solve: Solve = field(default_factory=lambda: Solve(damping=0.01))  # made when it is needed: a start need not wait for it
     step_px: PositivePixels = 3.0
     most_pxps: PositivePixels = 200.0
     trust_px: PositivePixels = 1000.0

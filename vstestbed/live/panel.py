@@ -13,7 +13,7 @@ import viser
 
 from vstestbed.core.fields import Node, fields
 from vstestbed.core.quantity import GainOrZero, PositiveGain, SignedGain
-from vstestbed.core.spec import kind_of
+from vstestbed.core.registry import kind_of
 from vstestbed.live.run import Inbox, LiveRun, Sample, Transport
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import read_value
@@ -95,9 +95,9 @@ def fields_of(scenario: Scenario) -> list[Field]:
 
 
 def _kinds(path: str, node: Node, value: Any) -> list[Field]:
-    if node.room is None or len(node.room.members) < 2:
+    if node.registry is None or len(node.registry.members) < 2:
         return []
-    return [Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.room.members)))]
+    return [Field(path, "choice", kind_of(type(value)), choices=tuple(sorted(node.registry.members)))]
 
 
 def _inside(path: str, value: Any) -> Iterator[Field]:
@@ -116,7 +116,7 @@ def _of(path: str, node: Node, value: Any) -> Iterator[Field]:
         yield _number(path, value, node)
     elif dataclasses.is_dataclass(value):
         yield from _kinds(path, node, value)
-        kind, shorthand = (node.room and node.room.number) or ("", "")
+        kind, shorthand = (node.registry and node.registry.number) or ("", "")
         if getattr(value, "kind", None) == kind:
             yield _number(path, getattr(value, shorthand), fields(type(value))[shorthand].node)
         else:

@@ -23,7 +23,7 @@ from vstestbed.core.files import file_word, numbered, write_whole
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.named_files import FILE_FIELDS
 from vstestbed.core.outcome import Verdict
-from vstestbed.core.registry import ROOMS, SPECS, to_mapping
+from vstestbed.core.registry import REGISTRIES, SPECS, to_mapping
 from vstestbed.loop.session import Session
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.dump import given_text
@@ -80,7 +80,7 @@ class Settings:
             known = self._given | (
                 {f"{TEXTURE}{name}" for name in textures()}
                 if key in FILE_FIELDS
-                else _words(sum(len(room.members) for room in ROOMS), len(SPECS))
+                else _words(sum(len(registry.members) for registry in REGISTRIES), len(SPECS))
             )
             if text not in known:
                 hint = nearest(text, filter(str.isidentifier, known))
@@ -126,7 +126,7 @@ def _words(kinds: int, specs: int) -> frozenset[str]:
     """The kinds, and the words between which a field has the choice, of so many kinds and specs: a plugin adds some."""
     leaves = (leaf for cls in SPECS for field in fields(cls).values() for leaf in field.node.leaves())
     choices = {word for leaf in leaves for word in leaf.words if isinstance(word, str)}
-    return frozenset(choices | {kind for room in ROOMS for kind in room.members})
+    return frozenset(choices | {kind for registry in REGISTRIES for kind in registry.members})
 
 
 # What pages ask for, handed to the thread that runs the simulation; nothing else passes between the two.

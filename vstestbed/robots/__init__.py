@@ -2,8 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Contract, Registry
 from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.arm import Arm
 from vstestbed.robots.base import BodyFile, Onboard, Reading, Robot, RobotBase
@@ -15,7 +14,7 @@ from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.vehicle import Vehicle
 
-ROBOTS = OneOf("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
+ROBOTS = Registry("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
 VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}
 """Robots that can carry a target along a route (`Carried.by`)."""
 

@@ -10,7 +10,8 @@ import numpy as np
 from annotated_types import Gt, Le
 
 from vstestbed.core.quantity import GRAVITY, PositiveGain, PositiveTime, Sigma
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.effects.base import Vector
 from vstestbed.robots.attitude import Imu, Level, to_body, to_level
 from vstestbed.robots.flight import Instruments
@@ -65,7 +66,7 @@ class Filtered:
     tau_s: PositiveTime = 0.1
 
 
-VELOCITIES = OneOf("velocity", Flow, Filtered)
+VELOCITIES = Registry("velocity", Flow, Filtered)
 Source = Flow | Filtered
 VelocitySource = Annotated[Source, VELOCITIES]
 

@@ -2,38 +2,35 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import DataclassSchema
 
 from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
-from vstestbed.core.errors import ParameterError, ScenarioError, nearest
-from vstestbed.core.fields import fields, needed
-from vstestbed.core.named_files import PACKAGE, bundled_comparisons, bundled_scenarios
-from vstestbed.core.registry import Room
-from vstestbed.core.spec import kind_of, whole_adapter
+from vstestbed.core.errors import ParameterError, nearest
+from vstestbed.core.fields import Node, fields, needed
+from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
+from vstestbed.core.registry import Registry, kind_of, whole_adapter
 from vstestbed.scenario.dump import flow_text
-from vstestbed.scenario.load import load, text_of
-from vstestbed.scenario.validation import KINDS
-from vstestbed.scenario.yaml_marks import plain_mapping, read_value
+from vstestbed.scenario.plugins import HOMES, registry
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import bundled_mapping, read_value
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A block, or a list of kinds (its `cls` is None). room: the list of kinds that it is, or to which its kind belongs.
+    """A block, or a list of kinds (its `cls` is None). registry: the list of kinds that it is, or to which its kind belongs.
     field: the field that holds it, `NAME[]` where it is one of a list.
     """
 
     name: str
     cls: type | None
-    room: Room | None
+    registry: Registry | None
     field: str
 
 
@@ -44,23 +41,23 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     while waiting:
         owner, cls = waiting.popleft()
         kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        for at, listed, room, inner in _blocks_of(cls):
+        for at, listed, union, inner in _blocks_of(cls):
             place = f"{at}[]" if listed else at
-            if room is None:
+            if union is None:
                 name = _field_name(owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found)
             else:
-                name = f"{room.what}.{kind_of(inner)}"
-                found.setdefault(room.what, Entry(room.what, None, room, place))
+                name = f"{union.what}.{kind_of(inner)}"
+                found.setdefault(union.what, Entry(union.what, None, union, place))
             if name not in found:
-                found[name] = Entry(name, inner, room, place)
-                waiting.append((name if room is None else room.what, inner))
+                found[name] = Entry(name, inner, union, place)
+                waiting.append((name if union is None else union.what, inner))
     return found
 
 
-def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Room | None, type]]:
-    """Field, whether it is a list, room and class of each block that a block may hold."""
+def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Registry | None, type]]:
+    """Field, whether it is a list, registry and class of each block that a block may hold."""
     for each in fields(cls).values():
-        yield from ((each.name, each.node.is_list, room, inner) for room, inner in each.node.blocks())
+        yield from ((each.name, each.node.is_list, registry, inner) for registry, inner in each.node.blocks())
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
@@ -85,7 +82,7 @@ def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
         return entries[word]
     if "." in word:
         field, _, kind = word.rpartition(".")  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
-        inner = (f"{room.name}.{kind}" for room in _held_in(field, entries))
+        inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
         held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
         return held[0] if len(held) == 1 else None
     by_name = [entry for entry in entries.values() if named(entry) == word]
@@ -103,8 +100,8 @@ def named(entry: Entry) -> str:
     return entry.name.rpartition(".")[2]
 
 
-def _blocks_at(cls: type, field: str) -> list[tuple[Room | None, type]]:
-    """Room and class of the blocks that a field may hold; none of a class without it."""
+def _blocks_at(cls: type, field: str) -> list[tuple[Registry | None, type]]:
+    """Registry and class of the blocks that a field may hold; none of a class without it."""
     return list(fields(cls)[field].node.blocks()) if field in fields(cls) else []
 
 
@@ -116,14 +113,14 @@ def _held_in(path: str, entries: dict[str, Entry]) -> list[Entry]:
     holders = _kinds_of(entries[owner]) if owner in entries else []
     if not _alike(holders, field):
         return []
-    rooms = {room.what for cls in holders for room, _ in _blocks_at(cls, field) if room is not None}
-    return [entry for entry in entries.values() if entry.cls is None and entry.name in rooms]
+    registries = {registry.what for cls in holders for registry, _ in _blocks_at(cls, field) if registry is not None}
+    return [entry for entry in entries.values() if entry.cls is None and entry.name in registries]
 
 
 def _kinds_of(entry: Entry) -> list[type]:
     if entry.cls is not None:
         return [entry.cls]
-    return [] if entry.room is None else list(entry.room.members.values())
+    return [] if entry.registry is None else list(entry.registry.members.values())
 
 
 # Every field of a scenario by its dotted path: `camera.readout_s`, `robot.puma560.gears.damping_s`, `world.plates.0.pose`, `randomise`.
@@ -179,7 +176,7 @@ def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
         return FieldPlace(name, name, {"scenario": scenario}, True)
     for entry in entries.values():
         if entry.cls is not None and name in fields(entry.cls):
-            place = entry.name if entry.room is None else entry.room.what
+            place = entry.name if entry.registry is None else entry.registry.what
             held.setdefault(f"{place}.{name}", {})[entry.name] = entry.cls
     if len(held) == 1:
         path, owners = next(iter(held.items()))
@@ -201,7 +198,9 @@ def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
     scenario = _scenario(entries)
     if word in fields(scenario):
         return list(_within([scenario], word))
-    found = [e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.room is not None and e.room.what == word))]
+    found = [
+        e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.registry is not None and e.registry.what == word))
+    ]
     if not found:
         raise ParameterError(word, f"is no kind and no block of a scenario; {_nearest_of_all(word, entries)}")
     return found
@@ -268,21 +267,13 @@ class Uses:
 
 @functools.cache
 def bundled_uses() -> Uses:
-    """The uses in all bundled scenarios, and in comparisons of what no scenario has before. A scenario with an arm's file inside a package
-    is left out where that package is not installed.
-    """
+    """The uses in all bundled scenarios, and in comparisons of what no scenario has before."""
     uses = Uses()
     for name, path in bundled_scenarios().items():
-        try:
-            built = load(name)
-        except ScenarioError:
-            if PACKAGE in text_of(path):
-                continue
-            raise
-        for cls, key, written in _in_scenario("scenario", _plain(path), built):
+        for cls, key, written in _in_block(Scenario, "scenario", bundled_mapping(path)):
             uses.add(cls, name, key, written)
     for name, path in bundled_comparisons().items():
-        plain = _plain(path)
+        plain = bundled_mapping(path)
         uses.add_fields("Comparison", plain)  # by their names: their room is above this one
         for table in plain.get("tasks", {}).values():
             uses.add_fields("StartTable", table)
@@ -291,27 +282,28 @@ def bundled_uses() -> Uses:
     return uses
 
 
-def _plain(path: Path) -> dict[str, Any]:
-    return plain_mapping(text_of(path), str(path), "")[0]
+def _in_block(cls: type, key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
+    """Class, field and text of a block that is written in a scenario, and of the blocks in it."""
+    yield cls, key, written
+    for name, value in written.items() if isinstance(written, Mapping) else ():
+        if name in fields(cls):
+            yield from _in_field(fields(cls)[name].node, name, value)
 
 
-def _in_scenario(key: str, written: Any, built: Any) -> Iterator[tuple[type, str, Any]]:
-    """Class, field and text of each block that is written in a scenario, by the object that was built of it."""
-    if isinstance(written, list) and isinstance(built, tuple):
-        for one, made in zip(written, built, strict=False):
-            yield from _in_scenario(f"{key}[]", one, made)
-    elif dataclasses.is_dataclass(built):
-        yield type(built), key, written
-        for name, value in written.items() if isinstance(written, Mapping) else ():
-            yield from _in_scenario(name, value, getattr(built, name, None))
+def _in_field(node: Node, key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
+    if isinstance(written, list):
+        for item in written if node.is_list else ():
+            yield from _in_field(node.parts[0], f"{key}[]", item)
+    elif (block := node.block_of(written)) is not None:
+        yield from _in_block(block[0], key, written)
 
 
 def _in_comparison(key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     """The same of a comparison, whose blocks with a `kind` stand anywhere: under a dotted path, or in a list of values."""
     what, kind = key.rpartition(".")[2], written.get("kind") if isinstance(written, Mapping) else written
-    room = next((room for room in KINDS.values() if room.what == what), None)
-    if isinstance(kind, str) and room is not None and kind in room.members:
-        yield room.members[kind], what, written
+    members = registry(f"{what}s").members if f"{what}s" in HOMES else {}
+    if isinstance(kind, str) and kind in members:
+        yield members[kind], what, written
     if isinstance(written, Mapping):
         for name, value in written.items():
             yield from _in_comparison(str(name), value)
@@ -347,6 +339,8 @@ class _Described(GenerateJsonSchema):
         block["properties"] = {name: p for name, p in block["properties"].items() if name in words.fields}
         for name, rule in block["properties"].items():
             rule.pop("title", None)  # the name of the field once more
+            if not fields(cls)[name].needed:
+                rule.setdefault("default", fields(cls)[name].default)  # one that a function makes
             rule |= _annotations(cls, name, words, uses)
         return block
 

@@ -11,7 +11,7 @@ import numpy as np
 from vstestbed.camera import DEPTH_SENSORS, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, exp, lengths
-from vstestbed.core.spec import kind_of
+from vstestbed.core.registry import kind_of
 from vstestbed.features.depth import OnFloor, PnP
 from vstestbed.features.observation import Goal
 from vstestbed.laws import Law

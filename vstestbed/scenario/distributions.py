@@ -9,8 +9,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 
 NOT_DRAWN = "name", "description", "plugins", "seed", "randomise"
 """Blocks that no distribution may change: the seed decides what is drawn, and the others describe the experiment."""
@@ -179,7 +179,7 @@ class Chosen(DistributionBase):
         return list(value) if isinstance(value, tuple) else value
 
 
-DISTRIBUTIONS = OneOf(
+DISTRIBUTIONS = Registry(
     "distribution",
     Uniform,
     Gaussian,

@@ -17,11 +17,10 @@ from vstestbed.core.files import write_whole
 from vstestbed.core.named_files import absolute_file, bundled_scenarios, kept_at, module_of
 from vstestbed.core.registry import brief_mapping, to_mapping
 from vstestbed.robots import Robot
-from vstestbed.scenario.load import GIVEN, RESOLVED, load, parse, text_of
-from vstestbed.scenario.plugins import absolute, absolute_files, is_file_name, relative_files
+from vstestbed.scenario.load import GIVEN, RESOLVED, load, parse
+from vstestbed.scenario.plugins import HOMES, absolute, absolute_files, is_file_name, relative_files
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import KINDS
-from vstestbed.scenario.yaml_marks import plain_mapping
+from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 
 WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
 
@@ -174,7 +173,7 @@ def check_plugins(scenario: Scenario) -> None:
     if not foreign:
         return
     offered: Any = importlib.metadata.entry_points()
-    installed = {entry.module for room in KINDS for entry in offered.select(group=f"vstestbed.{room}")}
+    installed = {entry.module for name in HOMES for entry in offered.select(group=f"vstestbed.{name}")}
     for cls, field in foreign.items():
         if not _is_named(cls, scenario.plugins, installed):
             raise ParameterError(field, _how_to_name(cls))

@@ -14,10 +14,7 @@ from vstestbed.core.refusals import UNKNOWN
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build, put_over
-from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping, respelled
-
-MOST_BYTES = 100_000
-"""Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping, respelled, text_of
 
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""
@@ -66,26 +63,6 @@ def load(
         raise ScenarioError([Mistake(str(path), "", words)])
     scenario = parse(text_of(path), str(path), overrides, seed, places, plugins)
     return scenario if scenario.name else scenario.but(name=path.stem)
-
-
-def text_of(path: Path) -> str:
-    """The text of a UTF-8 file; ScenarioError where it cannot be read."""
-    try:
-        # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
-        with path.open("rb") as stream:
-            raw = stream.read(MOST_BYTES + 1)
-    except OSError as error:
-        raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
-    if len(raw) > MOST_BYTES:
-        words = f"has more than {MOST_BYTES // 1000} kB; a scenario needs far less"
-        raise ScenarioError([Mistake(f"{path}:1:1", "", words)])
-    try:
-        return raw.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
-        words = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save the file as UTF-8"
-        raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
 
 
 def parse(

@@ -10,7 +10,8 @@ from annotated_types import Ge, Lt
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Narrower, Pixels, Sigma
-from vstestbed.core.spec import kind_of, spec
+from vstestbed.core.registry import kind_of
+from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import Drift
 from vstestbed.targets import Target
 from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed

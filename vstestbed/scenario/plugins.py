@@ -16,25 +16,59 @@ from typing import Any
 
 from vstestbed.core.errors import PluginError
 from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, absolute_file, is_there, line_of, load_file, module_of
-from vstestbed.core.registry import ROOMS
-from vstestbed.core.spec import undone_on_error
-from vstestbed.scenario.validation import KINDS
+from vstestbed.core.registry import REGISTRIES, Registry, undone_on_error
 from vstestbed.scenario.yaml_marks import FROM_OPTION, FROM_PYTHON, Marks, place_of
 
-_installed: list[str] = []  # rooms whose entry points are loaded
+HOMES = {
+    "robots": "vstestbed.robots",
+    "cameras": "vstestbed.camera",
+    "effects": "vstestbed.effects",
+    "targets": "vstestbed.targets",
+    "markers": "vstestbed.targets.markers",
+    "motions": "vstestbed.targets.motion",
+    "detectors": "vstestbed.vision",
+    "keypoints": "vstestbed.vision",
+    "features": "vstestbed.features",
+    "laws": "vstestbed.laws",
+    "gains": "vstestbed.laws.base",
+    "depths": "vstestbed.features.depth",
+    "feedforwards": "vstestbed.laws.feedforward",
+    "projections": "vstestbed.laws.ibvs",
+    "goals": "vstestbed.tasks",
+    "views": "vstestbed.tasks",
+    "routes": "vstestbed.targets.route",
+    "metrics": "vstestbed.tasks.metrics",
+    "monitors": "vstestbed.tasks.monitors",
+    "perturbations": "vstestbed.vision.perturb",
+    "distributions": "vstestbed.scenario.distributions",
+}
+"""The module of each registry that plugins extend, in which it has its name in capitals; imported when somebody asks for it."""
+_installed: list[str] = []  # registries whose entry points are loaded
+
+
+def registry(name: str) -> Registry:
+    """The registry of a name: `laws`."""
+    return getattr(importlib.import_module(HOMES[name]), name.upper())
+
+
+def registries() -> dict[str, Registry]:
+    """All registries that plugins extend, by name."""
+    return {name: registry(name) for name in HOMES}
 
 
 def load_plugins(names: Sequence[str]) -> tuple[str, ...]:
     """Load plugins, which register their kinds, and the entry points of installed packages.
     names: files, relative to the current folder, and modules, searched on Python's path and in the current folder.
     Returns the names under which they are found again from any folder: absolute files, and modules.
-    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its room's contract.
+    Raises PluginError: a plugin is not there or cannot be imported, or a class breaks its registry's contract.
     """
     _load_installed()
     return _load_given(names)
 
 
 def _load_given(names: Sequence[str]) -> tuple[str, ...]:
+    if names:
+        registries()  # all are there before a plugin begins, which may fail: `undone_on_error`
     return tuple(dict.fromkeys(_loaded(name, Path.cwd(), "--plugin", ()) for name in names))
 
 
@@ -42,7 +76,7 @@ def load_named(plain: dict[str, Any], marks: Marks, file: str, given: Sequence[s
     """Load the plugins that a file's mapping names under `plugins`, and those given beside it, each of which also takes the place of a file
     of the same name that is not there any more; `plain["plugins"]` then holds them all. Raises PluginError: see `load_plugins`.
     """
-    if len(_installed) < len(KINDS):
+    if len(_installed) < len(HOMES):
         _load_installed()
     beside, named = _load_given(given), plain.get("plugins") or []
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
@@ -116,7 +150,7 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
 
 
 def _members() -> int:
-    return sum(len(room.members) for room in ROOMS)
+    return sum(len(registry.members) for registry in REGISTRIES)
 
 
 def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> str:
@@ -153,10 +187,11 @@ def _refuse(where: str, found: str, remedy: str, field: str) -> str:
 
 def _load_installed() -> None:
     offered: Any = importlib.metadata.entry_points()  # once: every call reads the metadata of all packages
-    for room, kinds in KINDS.items():
-        with _loading(f"an installed plugin of vstestbed.{room}", None), undone_on_error():
-            kinds.load_entry_points(offered)
-    _installed[:] = KINDS
+    if any(offered.select(group=f"vstestbed.{name}") for name in HOMES):
+        for name, kinds in registries().items():
+            with _loading(f"an installed plugin of vstestbed.{name}", None), undone_on_error():
+                kinds.load_entry_points(offered)
+    _installed[:] = HOMES
 
 
 @contextmanager

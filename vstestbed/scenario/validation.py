@@ -7,55 +7,12 @@ from typing import Any, TypeVar
 
 import pydantic
 
-from vstestbed.camera import CAMERAS
 from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.refusals import converted, findings
-from vstestbed.core.registry import ROOMS, to_mapping
-from vstestbed.core.spec import OneOf, validator_of
-from vstestbed.effects import EFFECTS
-from vstestbed.features import FEATURES
-from vstestbed.features.depth import DEPTHS
-from vstestbed.laws import LAWS
-from vstestbed.laws.base import GAINS
-from vstestbed.laws.feedforward import FEEDFORWARDS
-from vstestbed.laws.ibvs import PROJECTIONS
-from vstestbed.robots import ROBOTS
-from vstestbed.scenario.distributions import DISTRIBUTIONS
+from vstestbed.core.registry import to_mapping, validator_of
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, override, place_of
-from vstestbed.targets import TARGETS
-from vstestbed.targets.markers import MARKERS
-from vstestbed.targets.motion import MOTIONS
-from vstestbed.targets.route import ROUTES
-from vstestbed.tasks import GOALS, VIEWS
-from vstestbed.tasks.metrics import METRICS
-from vstestbed.tasks.monitors import MONITORS
-from vstestbed.vision import DETECTORS, KEYPOINTS
-from vstestbed.vision.perturb import PERTURBATIONS
 
 T = TypeVar("T")
-KINDS: dict[str, OneOf] = {
-    "robots": ROBOTS,
-    "cameras": CAMERAS,
-    "effects": EFFECTS,
-    "targets": TARGETS,
-    "markers": MARKERS,
-    "motions": MOTIONS,
-    "detectors": DETECTORS,
-    "keypoints": KEYPOINTS,
-    "features": FEATURES,
-    "laws": LAWS,
-    "gains": GAINS,
-    "depths": DEPTHS,
-    "feedforwards": FEEDFORWARDS,
-    "projections": PROJECTIONS,
-    "goals": GOALS,
-    "views": VIEWS,
-    "routes": ROUTES,
-    "metrics": METRICS,
-    "monitors": MONITORS,
-    "perturbations": PERTURBATIONS,
-    "distributions": DISTRIBUTIONS,
-}
 
 
 def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
@@ -84,4 +41,4 @@ def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, 
     changed. places: of the values, and of the keys in them. Raises ScenarioError: see `override`.
     """
     for path, value in values.items():
-        override(plain, path, value, marks, lambda word: any(word in room.members for room in ROOMS), places.get(path, FROM_PYTHON))
+        override(plain, path, value, marks, places.get(path, FROM_PYTHON))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import copy
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
+from vstestbed.core.registry import is_kind
 
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]
@@ -22,6 +24,30 @@ FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
 DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
 "billion laughs") cannot fill the memory."""
+
+
+MOST_BYTES = 100_000
+"""Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
+
+
+def text_of(path: Path) -> str:
+    """The text of a UTF-8 file; ScenarioError where it cannot be read."""
+    try:
+        # Bytes first: the position of a bad byte is its line and column only while nothing is decoded.
+        with path.open("rb") as stream:
+            raw = stream.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ScenarioError([Mistake(str(path), "", f"cannot be read ({error.strerror})")]) from None
+    if len(raw) > MOST_BYTES:
+        words = f"has more than {MOST_BYTES // 1000} kB; a scenario needs far less"
+        raise ScenarioError([Mistake(f"{path}:1:1", "", words)])
+    try:
+        return raw.decode("utf-8-sig")  # editors on Windows begin a file with a byte order mark
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        col = error.start - (raw.rfind(b"\n", 0, error.start) + 1) + 1
+        words = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save the file as UTF-8"
+        raise ScenarioError([Mistake(f"{path}:{line}:{col}", "", words)]) from None
 
 
 def plain_mapping(text: str, file: str, needs: str) -> tuple[dict[str, Any], Marks]:
@@ -44,21 +70,27 @@ def _mapping(text: str, file: str) -> tuple[dict[str, Any] | None, Marks] | None
     if tree is None or tree.kind != "mapping":
         return None if tree is None or (tree.kind == "scalar" and _scalar(tree, file) is None) else (None, {})
     marks: Marks = {}
-    return _plain(tree, (), marks, file), marks
+    _mark(tree, (), marks, file)
+    return _value(tree, file), marks
 
 
-@dataclass
+@dataclass(slots=True)
 class _Node:
-    """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start, end: in the text, in characters."""
+    """A node of YAML text. parts: of a list its items, of a mapping keys and values in turn. start, end: the parser's marks."""
 
     kind: Literal["scalar", "list", "mapping"]
-    place: str
-    start: int
-    end: int
+    file: str
+    start: Any = None
+    end: Any = None
     tag: str = ""
     text: str = ""
     quoted: bool = False
     parts: list[_Node] = field(default_factory=list)
+
+    @property
+    def place(self) -> str:
+        """Its position, FILE:LINE:COL."""
+        return _place(self.start, self.file)
 
     def pairs(self) -> Iterator[tuple[_Node, _Node]]:
         """Key and value of each field of a mapping."""
@@ -74,14 +106,13 @@ def _tree(text: str, file: str) -> _Node | None:
     except yaml.MarkedYAMLError as error:
         mark, words = error.problem_mark, error.problem or error.context or ""
         got = f", got {text[mark.index]!r}" if mark and mark.index < len(text) else ""
-        raise ScenarioError([Mistake(_place(mark, file), "", f"is not YAML: {words}{got}")]) from None
+        raise _not_yaml(_place(mark, file), f"{words}{got}") from None
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         where = f"{file}:{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
-        words = f"is not YAML: unacceptable character #x{error.character:04x}; delete it"
-        raise ScenarioError([Mistake(where, "", words)]) from None
+        raise _not_yaml(where, f"unacceptable character #x{error.character:04x}; delete it") from None
     except UnicodeEncodeError as error:
-        raise ScenarioError([Mistake(f"{file}:1:1", "", f"is not YAML: {error.reason}")]) from None
+        raise _not_yaml(f"{file}:1:1", error.reason) from None
 
 
 def _place(mark: Any, file: str) -> str:
@@ -89,34 +120,36 @@ def _place(mark: Any, file: str) -> str:
 
 
 def _node_of(events: Iterable[Any], file: str) -> _Node | None:
-    whole = _Node("list", "", 0, 0)
+    whole = _Node("list", file)
     open_nodes, anchors = [whole], dict[str, _Node]()
     for event in events:
-        place = _place(event.start_mark, file)
-        if isinstance(event, yaml.DocumentStartEvent) and whole.parts:
-            raise ScenarioError([Mistake(place, "", "is not YAML: but found another document")])
-        if isinstance(event, yaml.CollectionEndEvent):
-            open_nodes.pop()
-        if not isinstance(event, yaml.NodeEvent):
-            continue
-        if len(open_nodes) > DEEPEST:
-            raise ScenarioError([Mistake(place, "", f"is nested more than {DEEPEST} deep; a scenario needs far less")])
-        if isinstance(event, yaml.AliasEvent):
-            if event.anchor not in anchors:
-                raise ScenarioError([Mistake(place, "", f"is not YAML: found undefined alias {event.anchor!r}")])
-            open_nodes[-1].parts.append(anchors[event.anchor])
-            continue
-        node = _Node("scalar", place, event.start_mark.index, event.end_mark.index, getattr(event, "tag", "") or "")
         if isinstance(event, yaml.ScalarEvent):
-            node.text, node.quoted = event.value, not event.implicit[0]
+            node = _Node("scalar", file, event.start_mark, event.end_mark, event.tag or "", event.value, not event.implicit[0])
+        elif isinstance(event, yaml.CollectionStartEvent):
+            kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
+            node = _Node(kind, file, event.start_mark, event.end_mark, event.tag or "")
+        elif isinstance(event, yaml.AliasEvent):
+            if event.anchor not in anchors:
+                raise _not_yaml(_place(event.start_mark, file), f"found undefined alias {event.anchor!r}")
+            node = anchors[event.anchor]
         else:
-            node.kind = "mapping" if isinstance(event, yaml.MappingStartEvent) else "list"
+            if isinstance(event, yaml.CollectionEndEvent):
+                open_nodes.pop()
+            elif isinstance(event, yaml.DocumentStartEvent) and whole.parts:
+                raise _not_yaml(_place(event.start_mark, file), "but found another document")
+            continue
         open_nodes[-1].parts.append(node)
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_nodes.append(node)
+            if len(open_nodes) > DEEPEST + 1:
+                raise ScenarioError([Mistake(node.place, "", f"is nested more than {DEEPEST} deep; a scenario needs far less")])
         if event.anchor:
             anchors[event.anchor] = node
-        if node.kind != "scalar":
-            open_nodes.append(node)
     return whole.parts[0] if whole.parts else None
+
+
+def _not_yaml(where: str, words: str) -> ScenarioError:
+    return ScenarioError([Mistake(where, "", f"is not YAML: {words}")])
 
 
 def _scalar(node: _Node, file: str) -> Any:
@@ -132,7 +165,7 @@ def _scalar(node: _Node, file: str) -> Any:
         found = re.fullmatch(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?", text)
         return float(text) if found else text
     except ValueError as error:
-        raise ScenarioError([Mistake(node.place, "", f"is not YAML: {' '.join(str(error).split())}")]) from None
+        raise _not_yaml(node.place, " ".join(str(error).split())) from None
 
 
 _CORE = "tag:yaml.org,2002:"
@@ -142,29 +175,44 @@ _WORDS |= {sign + word: float(sign + "inf") for sign in ("", "+", "-") for word 
 _WORDS |= dict.fromkeys((".nan", ".NaN", ".NAN"), float("nan"))
 
 
-def _plain(node: _Node, key: Key, marks: Marks, file: str) -> Any:
-    """A tree as plain dicts, lists and scalars; the position of each is added to `marks`."""
-    _check_size(key, marks, file)
+def _mark(node: _Node, key: Key, marks: Marks, file: str) -> None:
+    """Add the positions of a node and of all in it to `marks`. Raises ScenarioError: it is larger than any scenario, or has a tag."""
+    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
+        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
+        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
     if node.tag and node.tag not in (_CORE + kind for kind in ("str", "int", "float", "bool", "null", "seq", "map")):
         words = f"has the tag {node.tag}; a scenario holds plain values only"
         raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key)), words)])
     if node.kind == "scalar":
-        return _scalar(node, file)
+        return
     marks.setdefault(key, node.place)
+    inner = _fields(node, file) if node.kind == "mapping" else {i: (item.place, item) for i, item in enumerate(node.parts)}
+    marks.update({(*key, name): place or marks[key] for name, (place, _) in inner.items()})
+    for name, (_, item) in inner.items():
+        _mark(item, (*key, name), marks, file)
+
+
+def _value(node: _Node, file: str) -> Any:
+    """A node as plain dicts, lists and scalars."""
+    if node.kind == "scalar":
+        return _scalar(node, file)
     if node.kind == "list":
-        marks.update({(*key, i): item.place for i, item in enumerate(node.parts)})
-        return [_plain(item, (*key, i), marks, file) for i, item in enumerate(node.parts)]
-    found = _fields(node, file)
-    marks.update({(*key, name): place or marks[key] for name, (place, _) in found.items()})
-    return {name: _plain(value, (*key, name), marks, file) for name, (_, value) in found.items()}
+        return [_value(item, file) for item in node.parts]
+    return {name: _value(value, file) for name, (_, value) in _fields(node, file).items()}
+
+
+def bundled_mapping(path: Path) -> dict[str, Any]:
+    """The mapping in one of the files of the installation, which needs no check and no position; {} of an empty file."""
+    tree = _tree(path.read_text(encoding="utf-8"), str(path))
+    return {} if tree is None else _value(tree, str(path))
 
 
 def _fields(node: _Node, file: str) -> dict[str, tuple[str, _Node]]:
     """The fields of a mapping, each with its place and node; those from a merge key (`<<`), which stand elsewhere, have none."""
     merged, own = dict[str, tuple[str, _Node]](), dict[str, tuple[str, _Node]]()
     for name, value in node.pairs():
-        sources = value.parts if value.kind == "list" else [value]
-        if name.kind != "scalar" or (name.text == "<<" and any(source.kind != "mapping" for source in sources)):
+        sources = (value.parts if value.kind == "list" else [value]) if name.text == "<<" else []
+        if name.kind != "scalar" or any(source.kind != "mapping" for source in sources):
             raise ScenarioError([Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")])
         if name.text == "<<":
             for source in sources:
@@ -194,28 +242,23 @@ def _changed(node: _Node, value: Any, file: str) -> Iterator[tuple[tuple[int, in
         for inner, one in zip(node.parts, value, strict=False):
             yield from _changed(inner, one, file)
     elif isinstance(value, str) and value != node.text:
-        yield (node.start, node.end), value
-
-
-def _check_size(key: Key, marks: Marks, file: str) -> None:
-    if len(key) > DEEPEST or len(marks) > MOST_VALUES:
-        words = f"is nested more than {DEEPEST} deep" if len(key) > DEEPEST else f"brings the file to more than {MOST_VALUES} values"
-        raise ScenarioError([Mistake(place_of(key, marks, file), ".".join(map(str, key[:3])), f"{words}; a scenario needs far less")])
+        yield (node.start.index, node.end.index), value
 
 
 def read_value(text: str) -> object:
     """The value of YAML text (`1e-3`, `[1, 2]`, `{kind: oracle}`, `raw`), for `--set`."""
     try:
         tree = _tree(text, "")
-        return None if tree is None else _plain(tree, (), {}, "")
+        if tree is None:
+            return None
+        _mark(tree, (), {}, "")
+        return _value(tree, "")
     except ScenarioError as error:
         raise ParameterError("--set", f"value {error.mistakes[0].sentence}", text) from None
 
 
-def override(
-    plain: dict[str, Any], dotted: str, value: object, marks: Marks, is_kind: Callable[[str], bool], own: Mapping[Key, str] = FROM_PYTHON
-) -> None:
-    """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare kind (`is_kind`) becomes a block.
+def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, own: Mapping[Key, str] = FROM_PYTHON) -> None:
+    """Set the value at a dotted path of a mapping; missing blocks on the path are created, a bare kind becomes a block.
     marks: positions of the keys, which are changed, too. own: of the value, and of the keys in it relative to it.
     Raises ScenarioError: the path goes through a value, or to an item that a list does not have.
     """

@@ -27,10 +27,10 @@ from vstestbed.core.spec import spec
 from vstestbed.features import Point
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import run, uninterrupted
-from vstestbed.scenario.load import load, text_of
+from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
-from vstestbed.scenario.yaml_marks import plain_mapping
+from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.speed_baseline import BaselineCost, measure_baseline
 from vstestbed.studies.batch import fly

@@ -14,7 +14,7 @@ import numpy as np
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, ScenarioError
 from vstestbed.core.files import read_file, write_json
-from vstestbed.core.registry import rooms_of
+from vstestbed.core.registry import registries_of
 from vstestbed.scenario.dump import flow_text
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, changed, controllers
@@ -215,7 +215,7 @@ def _value_at(scenario: Scenario, path: str) -> object:
     value: Any = scenario
     for part in path.split("."):
         value = getattr(value, part, None)
-    numbers = [room.number for room in rooms_of(type(value)) if room.number]
+    numbers = [room.number for room in registries_of(type(value)) if room.number]
     return next((getattr(value, name) for kind, name in numbers if value.kind == kind), value)
 
 

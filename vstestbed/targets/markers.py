@@ -11,7 +11,8 @@ from annotated_types import Ge, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Narrower, PositiveLength
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 
 # fmt: off
 Family = Literal[
@@ -219,7 +220,7 @@ class Stripe(Marker):
         return self.width_m / 2
 
 
-MARKERS = OneOf("marker", Disc, Sphere, Tag, default="disc")
+MARKERS = Registry("marker", Disc, Sphere, Tag, default="disc")
 
 
 @spec

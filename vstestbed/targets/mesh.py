@@ -15,7 +15,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.quantity import Coefficient, PositiveLength
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import HIDDEN_M, Disc, Marker, Sphere
 
@@ -144,7 +145,7 @@ FLAT_M = 1e-3  # largest distance of a disc's rim from the surface [m]
 RIM = 12
 Channel = Annotated[float, Ge(0), Le(1)]
 LARGEST_M = 100.0  # largest size of a solid [m]: a part of 0.1 m or more whose millimetres were taken for metres is larger
-SOLID_MARKERS = OneOf("marker", Disc, Sphere, default="disc")
+SOLID_MARKERS = Registry("marker", Disc, Sphere, default="disc")
 
 
 @spec

@@ -25,7 +25,8 @@ from vstestbed.core.quantity import (
     Time,
     Velocity,
 )
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.targets.route import AnyRoute
 
 Path = Callable[[float], Array]  # displacement (4, 4) at a time [s]
@@ -225,7 +226,7 @@ class RandomWalk(MotionBase):
 
 
 OWN_MOTIONS = (Still, Line, Circle, Sinusoid, Lissajous, RandomWalk)
-PLATE_MOTIONS = OneOf("motion", *OWN_MOTIONS, default="still")
+PLATE_MOTIONS = Registry("motion", *OWN_MOTIONS, default="still")
 
 
 @spec
@@ -275,4 +276,4 @@ class Held(MotionBase):
         return pose
 
 
-MOTIONS = OneOf("motion", *OWN_MOTIONS, Carried, Held, default="still")
+MOTIONS = Registry("motion", *OWN_MOTIONS, Carried, Held, default="still")

@@ -14,7 +14,8 @@ from annotated_types import Ge, Le, Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Angle, Length, PositiveLength
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 from vstestbed.targets.base import Body, Target
 from vstestbed.targets.markers import Outline
 
@@ -286,7 +287,7 @@ WHALE = (
 # fmt: on
 """Points on the outline of a whale of length 1 that swims to the right, clockwise as seen (y down)."""
 
-FIGURES = OneOf("figure", Whale, LShape, PolygonFigure, DiscFigure)
+FIGURES = Registry("figure", Whale, LShape, PolygonFigure, DiscFigure)
 
 
 def _smooth(points: Array, parts: int) -> Array:

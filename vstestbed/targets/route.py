@@ -13,7 +13,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose
 from vstestbed.core.quantity import Angle, Length, Narrower, PositiveLength
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import spec
 
 SPACING_M = 0.01  # distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um
 
@@ -250,5 +251,5 @@ def _joined(pieces: list[tuple[float, float]]) -> Samples:
     return np.concatenate(s), np.concatenate(xy), np.concatenate(heading), np.concatenate(curvature)
 
 
-ROUTES = OneOf("route", Straight, CircularRoute, FigureEight, Track)
+ROUTES = Registry("route", Straight, CircularRoute, FigureEight, Track)
 AnyRoute = Annotated[Route, ROUTES]

@@ -1,7 +1,6 @@
 """Tasks, one file for each kind of goal: the reference frame by frame, and when the task is completed or failed."""
 
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Contract, Registry
 from vstestbed.tasks.base import Task, TaskBase
 from vstestbed.tasks.following import GoalGap, GoalLine
 from vstestbed.tasks.landing import GoalLanding
@@ -21,7 +20,7 @@ FIELDS = {
 }
 """The kind of a goal block without `kind`, recognised by one of its fields."""
 KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack
-GOALS = OneOf("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=Task))
+GOALS = Registry("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=Task))
 
 __all__ = [
     "GOALS",

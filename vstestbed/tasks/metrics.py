@@ -12,8 +12,8 @@ from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import Within
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 from vstestbed.tasks.base import Log
 from vstestbed.tasks.monitor import Setup
 
@@ -250,7 +250,7 @@ class ErrorGrowth:
         return dict(zip(self.titles, grew.tolist(), strict=True))
 
 
-METRICS = OneOf("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
+METRICS = Registry("metric", ErrorIntegrals, CommandVariation, ErrorGrowth, StartShares, contract=Contract(MetricContract))
 
 
 def own_metrics() -> dict[str, Metric]:

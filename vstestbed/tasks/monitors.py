@@ -13,8 +13,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rigid_error
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.quantity import Position, PositiveAngle, PositiveLength, PositiveRateDeg, PositiveSpeed
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.monitor import Setup
 
@@ -247,7 +247,7 @@ class KeepOut:
         return Outcome.collided, f"the camera entered the forbidden box at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
 
 
-MONITORS = OneOf("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
+MONITORS = Registry("monitor", KeepOut, Settles, AfterPictures, contract=Contract(MonitorContract))
 
 
 def checked(kind: str, verdict: Verdict | None) -> Verdict | None:

@@ -11,7 +11,8 @@ from annotated_types import Ge, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, rigid_error
 from vstestbed.core.planar import GroundPose
-from vstestbed.core.spec import OneOf, Shorthand, spec
+from vstestbed.core.registry import Registry
+from vstestbed.core.spec import Shorthand, spec
 from vstestbed.features.observation import Goal
 from vstestbed.robots import Mount
 from vstestbed.robots.base import Base
@@ -110,7 +111,7 @@ class GoalViewFrom(Task):
         """Nothing: all markers count."""
 
 
-VIEWS = OneOf("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})
+VIEWS = Registry("view", GoalView, GoalViewFrom, fields={"T_camera_target": "view", "view_from": "view_from"})
 
 
 # Docking at a place: a vehicle drives to a pose on the floor, by landmarks.

@@ -5,8 +5,7 @@ OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores
 
 import cv2
 
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf
+from vstestbed.core.registry import Contract, Registry
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
 from vstestbed.vision.blobs import Blobs, centre_bias
 from vstestbed.vision.keypoints import Keypoints
@@ -22,7 +21,7 @@ from vstestbed.vision.tags import Tags
 cv2.setNumThreads(1)
 
 _KINDS = Blobs, Tags, Lines, Keypoints, PatchDetector, RegionDetector, Oracle, NoDetector
-DETECTORS = OneOf("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
+DETECTORS = Registry("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))
 
 __all__ = [
     "DETECTORS",

@@ -14,7 +14,8 @@ from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import PositivePixels
-from vstestbed.core.spec import OneOf, kind_of, spec
+from vstestbed.core.registry import Registry, kind_of
+from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, goal_of_points, points_of
@@ -55,7 +56,7 @@ class Klt:
     astray_px: PositivePixels = 0.5
 
 
-TRACKS = OneOf("track", NoTracking, Klt, default="none")
+TRACKS = Registry("track", NoTracking, Klt, default="none")
 Tracking = Annotated[NoTracking | Klt, TRACKS]
 
 

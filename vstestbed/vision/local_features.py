@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 
 Descriptors = NDArray[Any]  # (M, D): floats, compared by their Euclidean distance, or uint8, whose bits are compared (Hamming distance)
 Most = Annotated[int, Ge(10), Le(10_000)]
@@ -192,7 +192,7 @@ def _refuse(features: Features, method: str, words: str, got: object) -> None:
     raise ParameterError("detector.features", f"must give {words}, from {method} of {features.kind}", got)
 
 
-KEYPOINTS = OneOf("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))
+KEYPOINTS = Registry("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))
 """The kinds of local features; plugins are found under the entry-point group `vstestbed.keypoints`."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -138,8 +139,12 @@ def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
 
 
 LONGEST_PX = 640  # longest side of the template in which keypoints are detected [px]: a picture shows no finer ones
-SIFT = Sift(most=800, contrast=0.01)
-"""Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
+
+
+@functools.cache
+def _sift() -> Sift:
+    """Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
+    return Sift(most=800, contrast=0.01)
 
 
 def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
@@ -148,7 +153,7 @@ def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descripto
     share = min(1.0, LONGEST_PX / max(height, width))
     w, h = round(width * share), round(height * share)
     small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
-    px, descriptors = SIFT.extract(np.asarray(small, np.uint8))
+    px, descriptors = _sift().extract(np.asarray(small, np.uint8))
     return ((px + 0.5) / [w, h] * 2 - 1) * half, descriptors
 
 
@@ -437,7 +442,7 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
 
 def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDArray[np.intp]]:
     """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the template's, and its number (M,)."""
-    px, descriptors = SIFT.extract(image)
+    px, descriptors = _sift().extract(image)
     mine, number, _ = mutual_matches(descriptors, template.features[1], RATIO)
     rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
     known = np.isfinite(rays).all(axis=1)

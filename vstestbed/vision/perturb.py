@@ -11,8 +11,8 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Image, Images
 from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime
-from vstestbed.core.registry import Contract
-from vstestbed.core.spec import OneOf, spec
+from vstestbed.core.registry import Contract, Registry
+from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import GREY
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # weights of red, green and blue in the grey of a colour (ITU-R BT.601)
@@ -191,7 +191,7 @@ class Outliers(PerturbationBase):
 
 
 CONTRACT = Contract(PerturbationBase, base=PerturbationBase, words={"changes": ("picture", "pixels")})
-PERTURBATIONS = OneOf("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
+PERTURBATIONS = Registry("perturbation", Erasing, ColorJitter, Shadow, Outliers, contract=CONTRACT)
 
 
 class Perturbed:

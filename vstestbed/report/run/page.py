@@ -75,7 +75,8 @@ def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: 
         ScenarioError, PluginError: its scenario cannot be loaded. OutputError: the page cannot be written.
     """
     from vstestbed.scenario.dump import load_run  # here: the figures themselves need no scenario
-    from vstestbed.scenario.load import GIVEN, RESOLVED, text_of
+    from vstestbed.scenario.load import GIVEN, RESOLVED
+    from vstestbed.scenario.yaml_marks import text_of
 
     texts = {name: text_of(run_dir / name) for name in (GIVEN, RESOLVED) if name == GIVEN or (run_dir / name).is_file()}
     summary = _summary(run_dir)

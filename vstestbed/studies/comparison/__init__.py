@@ -12,7 +12,7 @@ import polars as pl
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError, RunFolderError
 from vstestbed.core.files import write_json, write_table
 from vstestbed.core.planar import block_of
-from vstestbed.core.registry import ROOMS
+from vstestbed.core.registry import REGISTRIES
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
@@ -150,7 +150,7 @@ def prepared(
 def _check_workers_find(found: Variants) -> None:
     """Refuse kinds that are defined in a notebook alone, which no worker process can read; a script's are imported by workers."""
     typed_in = not hasattr(sys.modules["__main__"], "__file__")
-    if typed_in and any(cls.__module__ == "__main__" for room in ROOMS for cls in room.members.values()):
+    if typed_in and any(cls.__module__ == "__main__" for room in REGISTRIES for cls in room.members.values()):
         for variant in found:
             check_plugins(variant.scenario)
 

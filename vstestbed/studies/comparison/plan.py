@@ -21,11 +21,11 @@ from vstestbed.core.geometry import Pose
 from vstestbed.core.named_files import bundled_comparisons, is_there, place_of_file
 from vstestbed.core.quantity import Narrower, Seed
 from vstestbed.core.spec import spec
-from vstestbed.scenario.load import find, load, seeded, text_of
+from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
-from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping
+from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping, text_of
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, comparable, own_metrics
 
 
