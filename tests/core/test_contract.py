@@ -177,6 +177,6 @@ def test_features_and_detectors_have_contracts() -> None:
 
     with pytest.raises(ParameterError, match=r"^Feature\.inputs has no valid word 'depht'; did you mean 'depth'"):
         FEATURES.add(Feature)
-    with pytest.raises(ParameterError, match=r"^Seer lacks needs_image, .*detect\(memory, picture, view, camera, target, rng\)"):
+    with pytest.raises(ParameterError, match=r"^Seer lacks needs_image, .*detect\(state, picture, view, camera, target, rng\)"):
         DETECTORS.add(Seer)
     assert "own" not in FEATURES.members and "seer" not in DETECTORS.members

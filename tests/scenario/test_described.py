@@ -11,13 +11,12 @@ import pytest
 from tests.scenario.schemas import whole_schema
 from tests.scenario.test_load import conforms
 from vstestbed.core.docstrings import class_text, unit_in
-from vstestbed.core.errors import Mistake, ScenarioError
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.spec import spec
 from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.pbvs import PBVS
-from vstestbed.scenario.catalogue import bundled_uses, examples_of, schema_of
-from vstestbed.scenario.load import for_another_folder, load
+from vstestbed.scenario.catalogue import bundled_uses, examples_of
+from vstestbed.scenario.load import for_another_folder
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison import Comparison
 from vstestbed.tasks.landing import GoalLanding
@@ -93,21 +92,6 @@ def test_the_schema_beside_the_bundled_files_is_the_present_one(cls: type) -> No
         first = path.read_text(encoding="utf-8").splitlines()[0]
         assert first.startswith("# yaml-language-server: $schema="), path
         assert (path.parent / first.partition("=")[2]).resolve() == there.resolve()
-
-
-def test_it_is_the_same_without_the_packages_of_arms(monkeypatch: pytest.MonkeyPatch) -> None:
-    def load_others(name: str) -> Scenario:
-        if name == "arm_panda":
-            raise ScenarioError(
-                [Mistake("arm_panda.yaml:12:3", "robot.file", "names the package dm_robotics.panda, which is not installed")]
-            )
-        return load(name)
-
-    monkeypatch.setattr("vstestbed.scenario.catalogue.load", load_others)
-    without = bundled_uses.__wrapped__()
-    assert "arm_panda" not in str(without.files) and "arm_jaco" in str(without.files)
-    monkeypatch.setattr("vstestbed.scenario.catalogue.bundled_uses", lambda: without)
-    assert json.loads(json.dumps(schema_of(Scenario))) == whole_schema(Scenario)
 
 
 def test_a_copy_elsewhere_names_no_schema() -> None:
