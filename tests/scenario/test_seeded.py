@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.shortcuts import one_quick
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.loop.session import run
@@ -75,7 +76,7 @@ def test_a_seed_of_nothing_random_is_refused() -> None:
         seeded(load("arm_ibvs", {"robot.start.random": None, "detector": "oracle", "robot.payload": {"mass_kg": 1.0}}), 7)
 
 
-@pytest.mark.parametrize(("name", "settings"), SETTINGS, ids=str)
+@pytest.mark.parametrize(("name", "settings"), one_quick(*SETTINGS, every=3), ids=str)
 def test_a_scenario_draws_where_two_seeds_give_two_runs(name: str, settings: dict[str, Any]) -> None:
     scenario = load(name, {"robot.start.random": None, "stop.duration_s": 0.12, **settings})
     assert scenario.draws is not same_runs(scenario)
