@@ -13,7 +13,7 @@ from vstestbed.core.planar import moved
 from vstestbed.laws.pose_controller import polar_law
 from vstestbed.robots.allocation import Mount
 from vstestbed.robots.base import Reading
-from vstestbed.robots.car import BUGGY, Car, CarLimits, CarServos, drive
+from vstestbed.robots.car import BUGGY, Car, CarLimits, drive
 
 MODELS = Path(__file__).parents[2] / "models"
 G = 9.81
@@ -43,7 +43,7 @@ class Driver:
 
     def __post_init__(self) -> None:
         self.data = mujoco.MjData(self.model)
-        self.memory: CarServos = self.car.begin()
+        self.memory = self.car.begin()
         self.q = [self.model.joint(f"robot/{name}").qposadr[0] for name in self.car.joints]
         self.qd = [self.model.joint(f"robot/{name}").dofadr[0] for name in self.car.joints]
         mujoco.mj_forward(self.model, self.data)

@@ -89,7 +89,7 @@ class TestDriveLag:
         for k in range(100):  # wheels that are as told: nothing for the integral
             told = min(3.0, (k + 1) * dt) / 0.15
             memory, ctrl = car.actuate(memory, np.array([3.0, 0.0]), Reading(np.zeros(7), np.array([0, 0, 0, told, told, 0, 0])), dt)
-        behind = memory.speed / 0.15 - ctrl[0]
+        behind = memory[0] / 0.15 - ctrl[0]
         # The lag acts from the period on in which it is told: half a period less than in continuous time.
         assert behind == pytest.approx(1.0 / 0.15 * (0.08 - dt / 2), rel=0.01)
 

@@ -332,14 +332,8 @@ class CarLimits:
 Limits = BicycleLimits | CarLimits
 
 
-@dataclass(frozen=True, slots=True)
-class CarServos:
-    """State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's integral [rad/s], the drive [rad/s]."""
-
-    speed: float = 0.0
-    steering: float = 0.0
-    integral: float = 0.0
-    drive: float = 0.0
+Servos = tuple[float, float, float, float]
+"""State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's integral [rad/s], the drive [rad/s]."""
 
 
 CAR: Mapping[Level, Mapping[str, object]] = {
@@ -528,26 +522,26 @@ class Car(Vehicle, Onboard):
         """No speed, on the same arc: its speed servo slows it down within `limits.acceleration_mps2`."""
         return np.array([0.0, setpoint[1]])
 
-    def begin(self) -> CarServos:
+    def begin(self) -> Servos:
         """At rest, wheels straight."""
-        return CarServos()
+        return 0.0, 0.0, 0.0, 0.0
 
-    def actuate(self, memory: CarServos, setpoint: Array, reading: Reading, dt: float) -> tuple[CarServos, Array]:
+    def actuate(self, memory: Servos, setpoint: Array, reading: Reading, dt: float) -> tuple[Servos, Array]:
         """One period dt [s] of the speed and steering servos: the next state, and ctrl (2,): wheels [rad/s], steering [rad].
 
         Both setpoints are approached within their rate limits. The speed loop has integral action on the rear wheels' mean speed.
         """
-        limits = self.limits
+        limits, (speed, steering, integral, drive) = self.limits, memory
         v, angle = setpoint.tolist()
-        speed = memory.speed + _within(_within(v, limits.speed_mps) - memory.speed, limits.acceleration_mps2 * dt)
-        turn = _within(angle, limits.steering_rad) - memory.steering
-        steering = memory.steering + _within(turn, limits.steering_rate_radps * dt)
+        speed = speed + _within(_within(v, limits.speed_mps) - speed, limits.acceleration_mps2 * dt)
+        turn = _within(angle, limits.steering_rad) - steering
+        steering = steering + _within(turn, limits.steering_rate_radps * dt)
         wheels = speed / self.believed_radius
         error = wheels - sum(reading.qd[_REAR].tolist()) / 2
         # None at rest: the motor loop alone holds a standing car, and an integral would creep it after a residual error.
-        integral = _within(memory.integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
-        drive = self.lagged(memory.drive, wheels + integral, dt)
-        return CarServos(speed, steering, integral, drive), np.array([drive, steering])
+        integral = _within(integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
+        drive = self.lagged(drive, wheels + integral, dt)
+        return (speed, steering, integral, drive), np.array([drive, steering])
 
 
 def _within(x: float, most: float) -> float:

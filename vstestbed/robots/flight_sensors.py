@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt, Le
@@ -71,12 +71,9 @@ Source = Flow | Filtered
 VelocitySource = Annotated[Source, VELOCITIES]
 
 
-class Groundspeed(NamedTuple):
-    """Estimated `velocity` (3,) [m/s] and `offset` d (3,) [m/s^2] in the level frame, and `acceleration` (3,) [m/s^2] in body axes."""
-
-    velocity: Vector = (0.0, 0.0, 0.0)
-    offset: Vector = (0.0, 0.0, 0.0)
-    acceleration: Vector = (0.0, 0.0, 0.0)
+Groundspeed = tuple[Vector, Vector, Vector]
+"""Estimated velocity [m/s] and offset d [m/s^2] in the level frame, and acceleration [m/s^2] in body axes, (3,) each."""
+AT_REST: Groundspeed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
@@ -93,14 +90,14 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
         ax, ay, az = k * ix, k * iy, k * iz
         # v relaxes in the turning frame itself; only the acceleration handed on needs the frame's rotation, r z x v.
         v = vx + ax * dt, vy + ay * dt, vz + az * dt
-        return Groundspeed(v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az)))
+        return v, (dx, dy, dz), to_body(R, (ax - yaw_rate * vy, ay + yaw_rate * vx, az))
     fx, fy, fz = to_level(R, force)
     w = source.bandwidth
     # Gains 2 w and w^2: the error's characteristic polynomial is (s + w)^2, critically damped.
     k, j = 2.0 * w, w * w * dt
     ax, ay, az = fx + k * ix + dx, fy + k * iy + dy, fz - GRAVITY + k * iz + dz
     v = vx + (ax + yaw_rate * vy) * dt, vy + (ay - yaw_rate * vx) * dt, vz + az * dt
-    return Groundspeed(v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az)))
+    return v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az))
 
 
 READINGS_AHEAD = 64  # for how many readings noise is drawn at once

@@ -1,9 +1,9 @@
 """Quadrotor: a craft, of 4 kg by default, with velocity setpoints in its level frame, flown by its onboard sensors.
 
 A setpoint is (vx, vy, vz, wz) of the level frame: x the heading, z up, wz the heading's rate. On board, at 1 kHz: attitude from the IMU
-(`attitude`), velocity from its sensor (`groundspeed`), the control loops (`flight`), the rotors (`rotors`). All of it reads `Instruments`
-alone, after `measured` has added noise and bias. The failsafe that may override the law is in `failsafe`. Its body and sensors are in
-`models/quadrotor.xml`, which `parameters` changes (`rotors.QuadrotorParameters`).
+(`attitude`), velocity from its sensor (`flight_sensors`), the control loops and the failsafe (`flight`), the rotors (`rotors`). All of it
+reads `Instruments` alone, after `instruments` has added noise and bias. Its body and sensors are in `models/quadrotor.xml`, which
+`parameters` changes (`rotors.QuadrotorParameters`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from vstestbed.robots.flight import (
     Loops,
     fly,
 )
-from vstestbed.robots.flight_sensors import Flow, Groundspeed, VelocitySource, drawn_noise, instruments
+from vstestbed.robots.flight_sensors import AT_REST, Flow, Groundspeed, VelocitySource, drawn_noise, instruments
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level, Realistic
 from vstestbed.robots.rotors import X4, QuadrotorParameters, mix, speed_control
@@ -159,7 +159,7 @@ class Flight(NamedTuple):
     """Onboard state: estimates, flight loops, squared rotor speeds W, `armed`, and for how long a rotor has been at its limit [s]."""
 
     attitude: Attitude = Attitude()
-    ground: Groundspeed = Groundspeed()
+    ground: Groundspeed = AT_REST
     loops: Loops = Loops()
     W: Four = (X4.hover, X4.hover, X4.hover, X4.hover)
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -354,7 +354,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         if not math.isfinite(vx + vy + vz + wz):
             vx = vy = vz = wz = 0.0
         # The filters in turn: the last velocity estimate's rate levels the accelerometer, and the new attitude the new velocity.
-        known = STILL if self.attitude.acceleration == "imu" else ground.acceleration
+        known = STILL if self.attitude.acceleration == "imu" else ground[2]
         attitude = attitude_step(attitude, gyro, force, known, self.attitude, dt)
         R = level(attitude.up)
         (gx, gy, gz), (bx, by, bz) = gyro, attitude.bias
@@ -363,7 +363,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         if not armed:  # for good: nothing sets `armed` again
             W, orders = speed_control(W, (0.0, 0.0, 0.0, 0.0), gains.rotor_s, dt, craft)
             return Flight(attitude, ground, Loops(), W, rates, False), orders
-        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground.velocity, R, rates, gains, craft, dt)
+        loops, thrust, torque = fly(loops, (vx, vy, vz), wz, ground[0], R, rates, gains, craft, dt)
         reference, cut = mix(thrust, torque, craft)
         W, orders = speed_control(W, reference, gains.rotor_s, dt, craft)
         return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), orders
@@ -377,7 +377,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
         near = reading.range_m < STANDING_M + STANDING_MARGIN_M
         # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
-        stopped = memory.armed and memory.ground.velocity[2] - memory.loops.model[2] > STOPPED_MPS
+        stopped = memory.armed and memory.ground[0][2] - memory.loops.model[2] > STOPPED_MPS
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)
 
     def reported(self, memory: Flight, reading: Instruments) -> FlightReading:
@@ -385,7 +385,7 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         attitude = memory.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(
-            velocity=np.array(to_body(level(attitude.up), memory.ground.velocity)),
+            velocity=np.array(to_body(level(attitude.up), memory.ground[0])),
             rates=np.array(memory.rates),
             ref_tilt=np.array(memory.loops.tilt),
             ref_rates=np.array(memory.loops.ref_rates),
