@@ -80,7 +80,7 @@ class TestOneMistake:
                 "gain: {kind: constant, slope_at_zero: 1}",
                 "law.gain.slope_at_zero: is an unknown field of constant; adaptive has it",
             ),
-            ("q_deg: [", "qdeg: [", "s.yaml:3:21: robot.start.nominal.qdeg: is an unknown field; did you mean 'q_deg'?"),
+            ("rate_hz: 25", "ratehz: 25", "s.yaml:4:10: camera.ratehz: is an unknown field; did you mean 'rate_hz'?"),
             ("side: 0.5", "side: wide", "s.yaml:7:3: target.side: must be a number, got 'wide'"),
             ("side: 0.5", 'side: "0.5"', "s.yaml:7:3: target.side: must be a number, got '0.5'"),
             ("side: 0.5", "side: true", "s.yaml:7:3: target.side: must be a number, got True"),
@@ -110,7 +110,7 @@ class TestOneMistake:
             ("depth: pnp", "depth: oracle", "s.yaml:9:30: law.depth: may be oracle only with detector: {kind: oracle}"),
             ("side: 0.5", "side: 0.5\n  marker: {radius: -1}", "s.yaml:8:12: target.marker.radius: must be > 0, got -1"),
             ("side: 0.5", "side: 0.5\n  marker: {radius: 0.3}", "target.marker.radius: must be under half of the smallest gap"),
-            ("45, -180, 0", "45, 180, 0", "s.yaml:3:36: robot.start.nominal.q_deg.2: must be within joint 3's limits -225 to 45 deg"),
+            ("45, -180, 0", "45, 180, 0", "s.yaml:3:36: robot.start.nominal.q_deg.2: must be within joint_3's range, -225 to 45 deg"),
             ("xyz: [0, 0, 1]", "xyz: [0, 0, -1]", "s.yaml:10:8: goal.T_camera_target: is a view in which markers 0, 1, 2, 3 are behind"),
             ("xyz: [0, 0, 1]", "xyz: [0.6, 0, 1]", "is a view in which markers 1, 2 are outside the 640 x 480 picture; move the goal back"),
             (
@@ -152,7 +152,7 @@ class TestOneMistake:
         for random, line in (
             ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
             ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
-            ("{nominal: {qdeg: 1}}", "s.yaml:3:30: robot.start.random.nominal.qdeg: is an unknown field; did you mean 'q_deg'?"),
+            ("{nominal: {q_deg: [0], qdg: 1}}", "s.yaml:3:42: robot.start.random.nominal.qdg: is an unknown field; did you mean 'q_deg'?"),
             ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping) of xyz, rpy_deg, got 3"),
         ):
             robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
@@ -302,7 +302,7 @@ class TestSet:
             ("robot.start.nominal.q_deg.6", 1, "there is no item 6 in a list of 6 (the first is item 0)"),
             ("robot.start.nominal.q_deg.x", 1, "there is no item x in a list of 6 (the first is item 0)"),
             ("robot.start.nominal.q_deg.-1", 1, "there is no item -1 in a list of 6"),
-            ("robot.start.nominal.q_deg.2", 180, "robot.start.nominal.q_deg.2: must be within joint 3's limits -225 to 45 deg"),
+            ("robot.start.nominal.q_deg.2", 180, "robot.start.nominal.q_deg.2: must be within joint_3's range, -225 to 45 deg"),
             ("law.", 1, "overrides: law.: is no path to a field, such as law.gain"),
             ("", 1, "is no path to a field, such as law.gain"),
         ):
