@@ -40,8 +40,10 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     chosen = {"auto": int(direction_to(start, goal)), "forward": 1, "reverse": -1}[law.direction]
     limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
 
+    gains = law.k_rho, law.k_alpha, law.k_beta
+
     def command(place: Array) -> tuple[Array, Array]:
-        return polar_law(place, goal, np.array(chosen), law.gains, law.speed_mps, law.rest_m)
+        return polar_law(place, goal, np.array(chosen), gains, law.speed_mps, law.rest_m)
 
     way = drive(command, start, robot.parameters.wheelbase_m, limits, scenario.stop.duration_s, scenario.camera.period).place[:, :2]
     return way[: int(np.argmin(np.linalg.norm(way - goal[:2], axis=1))) + 1]
