@@ -178,6 +178,7 @@ def _size(text: str | None) -> tuple[int, int] | None:
 
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
+    figures: Annotated[bool, typer.Option("--figures", help="A comparison's figures for a paper, too: PDF and PNG.")] = False,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
@@ -190,7 +191,7 @@ def report(
         if (folder / "comparison.yaml").is_file():
             from vstestbed.studies.comparison import report_again
 
-            page = report_again(folder, plugin or [])
+            page = report_again(folder, plugin or [], figures)
         elif (folder / "tuning.yaml").is_file():
             from vstestbed.studies.tuning import report_again
 

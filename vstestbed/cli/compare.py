@@ -41,6 +41,7 @@ def compare(
     tolerance: Annotated[
         float | None, typer.Option(min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]")
     ] = None,
+    figures: Annotated[bool, typer.Option("--figures", help="The page's figures for a paper, too: PDF and PNG.")] = False,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
@@ -59,7 +60,7 @@ def compare(
         plan,
     ):
         show_notes(not quiet)
-        table = _carried_out(campaign, plan, jobs, executor, before, shown)
+        table = _carried_out(campaign, plan, jobs, executor, before, shown, figures)
     if as_json:
         runs, changed = table.write_json(), table.baseline
         sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
@@ -82,7 +83,7 @@ def _judge(changes: BaselineChanges, tolerance: float | None, fail: bool, shown:
 
 
 def _carried_out(
-    campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool
+    campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool, figures: bool
 ) -> ComparisonTable:
     from vstestbed.cli.progress import Counter
     from vstestbed.studies.comparison import carry_out
@@ -90,7 +91,7 @@ def _carried_out(
     total = len(campaign.jobs)
     try:
         with Counter(total, campaign.done, shown) as counter:
-            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline)
+            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline, figures=figures)
     except KeyboardInterrupt:
         # counted in the folder: finished runs are there in full, others not at all
         words = f"interrupted: {campaign.done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}"

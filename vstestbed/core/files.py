@@ -41,6 +41,20 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place") from error
 
 
+_flushed = True
+
+
+@contextmanager
+def unflushed() -> Iterator[None]:
+    """Files that are written meanwhile are not flushed to the disk: those of a temporary folder need not outlive a power failure."""
+    global _flushed
+    before, _flushed = _flushed, False
+    try:
+        yield
+    finally:
+        _flushed = before
+
+
 class PartFile:
     """A file that grows under a temporary name until `keep` gives it its own; a context manager, which keeps or, on an error, discards."""
 
@@ -51,7 +65,8 @@ class PartFile:
     def keep(self) -> None:
         """Flush the file to the disk, and rename it: it appears whole or not at all, also if the machine loses power."""
         self.file.flush()
-        os.fsync(self.file.fileno())  # else the rename could reach the disk before the content
+        if _flushed:
+            os.fsync(self.file.fileno())  # else the rename could reach the disk before the content
         self.file.close()
         self.part.replace(self.path)
 

@@ -24,6 +24,7 @@ from vstestbed.report.studies import ConvergenceMap, write_sweep
 from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
+from vstestbed.studies.comparison.runs import is_light
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4  # runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms
@@ -71,16 +72,19 @@ class MapRequest:
 
     Attributes:
         folder: identifies the request. plugins: of the scenarios. packed: the scenarios, pickled: they may be of classes of plugins.
+        light: as of `Request`.
     """
 
     folder: str
     plugins: tuple[str, ...]
     packed: bytes
+    light: bool = False
 
     @classmethod
     def of(cls, folder: str, scenarios: Sequence[Scenario]) -> MapRequest:
         """The request for scenarios."""
-        return cls(folder, tuple(dict.fromkeys(name for one in scenarios for name in one.plugins)), pickle.dumps(scenarios))
+        plugins = tuple(dict.fromkeys(name for one in scenarios for name in one.plugins))
+        return cls(folder, plugins, pickle.dumps(scenarios), all(map(is_light, scenarios)))
 
     def perform(self, place: str | None = None) -> list[RunEnding]:
         """Do the runs; errors as of `run_one`."""

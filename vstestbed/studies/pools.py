@@ -10,6 +10,7 @@ import shutil
 import signal
 import tempfile
 import threading
+import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
@@ -32,6 +33,11 @@ class Request(Protocol[Done_co]):
     @property
     def folder(self) -> str:
         """Identifies it: of a single run of a comparison its path below the comparison's folder."""
+        ...
+
+    @property
+    def light(self) -> bool:
+        """Whether it may be done in the study's own process: in some hundredths of a second, and by code of this package alone."""
         ...
 
     def perform(self, place: str | None = None) -> Done_co:
@@ -69,6 +75,8 @@ Of = TypeVar("Of")
 Asked = TypeVar("Asked", bound=Request[Any])
 MOST_TRIES = 2
 """Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+HERE_S = 3.0
+"""Processor time of light runs after which workers are started for the rest: two of them need about as much to start [s]."""
 RUNNING = ".running"  # folder of the workers' temporary files in a study's folder
 
 
@@ -203,7 +211,7 @@ def clear(folder: Path) -> Path:
 
 
 class LocalPool:
-    """Processes of this machine, each with one OpenGL context and one core.
+    """Processes of this machine, each with one OpenGL context and one core, which start when this process has enough work for them.
 
     Args:
         jobs: number of processes.
@@ -212,27 +220,33 @@ class LocalPool:
     """
 
     def __init__(self, jobs: int, folder: Path):
-        self.room = jobs
+        self.room, self._here_s = jobs, 0.0
         place = clear(folder)
         with writing(folder):
             place.mkdir(exist_ok=True)
             self._place = tempfile.mkdtemp(dir=place)  # another one each time: a worker of a killed process may live a moment longer
         self._slots: list[_Slot] = []
+        self._free: list[_Slot] = []
         self._tries: dict[str, int] = {}
         self._callers = ThreadPoolExecutor(jobs)
         self._closed = False
-        try:
-            for _ in range(jobs):
-                self._slots.append(_Slot(self._place))
-        except BaseException:  # Ctrl-C while they start
-            self.close()
-            raise
-        self._free = list(self._slots)
+
+    def _start(self) -> None:
+        """Start the workers, unless they are there."""
+        while len(self._slots) < self.room:
+            self._slots.append(slot := _Slot(self._place))
+            self._free.append(slot)
 
     def submit(self, request: Request[Done]) -> Future[Done]:
-        """Start a run in a free worker."""
-        slot = self._free.pop()
+        """Start a run in a free worker; do a light one in this process, while they have not taken HERE_S together."""
         self._tries[request.folder] = self._tries.get(request.folder, 0) + 1
+        if request.light and self._here_s < HERE_S:
+            began = time.process_time()
+            done = at_once(request.perform, self._place)
+            self._here_s += time.process_time() - began
+            return done
+        self._start()
+        slot = self._free.pop()
         outer: Future[Done] = Future()  # not the executor's own: the slot must be free before the future is done
         outer.set_running_or_notify_cancel()
         slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
@@ -255,8 +269,8 @@ class LocalPool:
         return self._tries.get(request.folder, 0)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Call it in a worker as soon as one is free; a single worker leaves it to this process, which has loaded more of the package."""
-        return at_once(function, *arguments) if self.room == 1 else self._callers.submit(self._called, function, arguments)
+        """Call it in a worker as soon as one is free; in this process, which has loaded more of the package, if there is one at most."""
+        return at_once(function, *arguments) if len(self._slots) < 2 else self._callers.submit(self._called, function, arguments)
 
     def _called(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         slot = self._free.pop()  # there is one: as many threads as slots call

@@ -164,8 +164,8 @@ def store(place: Path, files: Files, shared: Path, attempts: int) -> dict[str, A
             shutil.rmtree(left, ignore_errors=True)
         part = temporary(place)
         part.mkdir(parents=True)
+        files = files | {SUMMARY: _summary(summary)}
         put(part, {name: content for name, content in files.items() if not _linked(part / name, name, content, shared)})
-        put(part, {SUMMARY: _summary(summary)})
         flush_entries(part)
         if place.exists():  # left incomplete: a complete one is never stored again
             shutil.rmtree(place)

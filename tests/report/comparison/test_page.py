@@ -43,7 +43,13 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pl.DataFrame]
     (folder / "runs/slow/base/0/end.png").write_bytes(b"\x89PNG picture")
     (folder / "comparison.mp4").write_bytes(b"a film")
     path = write_comparison_report(
-        folder, frame, (), description="Two <gains>.", command="vstestbed compare slow fast --seeds 12", film=folder / "comparison.mp4"
+        folder,
+        frame,
+        (),
+        description="Two <gains>.",
+        command="vstestbed compare slow fast --seeds 12",
+        film=folder / "comparison.mp4",
+        paper=True,
     )
     assert path == folder / "report.html"
     return folder, frame
@@ -52,12 +58,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pl.DataFrame]
 @pytest.fixture(scope="module")
 def page(built: tuple[Path, pl.DataFrame]) -> str:
     return (built[0] / "report.html").read_text(encoding="utf-8")
-
-
-@pytest.fixture
-def no_papers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures on the page alone, where a test is not about the files for papers."""
-    monkeypatch.setattr(comparison_page, "_paper", lambda *_: None)
 
 
 def test_the_page_stands_alone_and_has_it_all(page: str) -> None:
@@ -184,7 +184,7 @@ def test_the_same_comparison_gives_the_same_bytes(built: tuple[Path, pl.DataFram
 
 
 @pytest.mark.filterwarnings("error")
-def test_nothing_but_crashes_still_has_a_report(tmp_path: Path, no_papers: None) -> None:
+def test_nothing_but_crashes_still_has_a_report(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0, "b": 2.0}, 2, {(n, k): "crashed" for n in "ab" for k in range(2)})
     reader = checked(write_comparison_report(tmp_path, frame, ()).read_text())
     assert reader.figures == FIGURES[:4]  # there is nothing else to draw
@@ -216,7 +216,6 @@ def test_of_many_controllers_the_page_has_the_grid_or_the_first(
         return ""
 
     monkeypatch.setattr(comparison_page, "_on_page", note)
-    monkeypatch.setattr(comparison_page, "_paper", lambda data, plot, place: None)
     rows = [
         {"scenario": "s", "effect": f"e{effect}", "law": f"l{law}", "seed": seed, "folder": "none", "outcome": "converged", "success": True}
         | {"time_to_converge_s": 5.0 + effect + seed, "reason": "", "sim_time_s": 9.0, "attempts": 1}
@@ -229,7 +228,7 @@ def test_of_many_controllers_the_page_has_the_grid_or_the_first(
     assert drawn == ([("grid", 26)] if effects > 2 else [(plot[0], 24) for plot in comparison_page.PLOTS])
 
 
-def test_text_is_escaped(tmp_path: Path, no_papers: None) -> None:
+def test_text_is_escaped(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0}, 2, {("a", 0): "timed_out"}).with_columns(
         pl.lit("<b>$x_1$</b>").alias("scenario"), pl.lit("<i>gone</i>").alias("reason")
     )

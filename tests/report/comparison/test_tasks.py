@@ -48,7 +48,6 @@ def test_eleven_laws_have_eleven_marks_and_each_point_its_value() -> None:
 
 def test_each_table_says_which_runs_its_numbers_are_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Errors at the end are those of all runs, also where none arrived; lengths of paths those of the runs that did."""
-    monkeypatch.setattr(tasks, "_paper", lambda *_: None)
     metrics = ("final_position_error_m", "path_ratio")
     none = table().filter(pl.col("law").is_in(LAWS[:2])).with_columns(success=False, final_position_error_m=1.037, path_ratio=1.5)
     page = checked(tasks.write_task_report(tmp_path, none, ("law", "task"), metrics, "", "").read_text(encoding="utf-8")).text

@@ -1,4 +1,4 @@
-"""Writes `report.html` and `figures/` of a comparison from its table and the logs in its folder."""
+"""Writes the page of a comparison, and its figures for a paper, from its table and the logs in its folder."""
 
 from __future__ import annotations
 
@@ -142,19 +142,21 @@ def write_comparison_report(
     film: Path | Future[Path | None] | None = None,
     plugins: Sequence[str] = (),
     call: Call = at_once,
+    paper: bool = False,
 ) -> Path:
-    """Write `report.html`, `figures/` and the tables `controllers` and `pairs` into a comparison's folder; returns the page's path.
+    """Write `report.html` and the tables `controllers` and `pairs` into a comparison's folder; returns the page's path.
 
     Args:
         folder, table: of the comparison; one row per run, as in `comparison.parquet`. axes: the varied fields, each a column.
         metrics: keys of `summary.json` to show; one that no run has shows as dashes. description: what is compared, in a few words.
         command: the command line that repeats it. film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
-        plugins: as in `scenario.load.load`. call: draws the figures.
+        plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them for a paper, too (`figures/`).
     """
     comparison = ComparisonResults(table, axes, metrics, description)
     all_pairs, means = pairs(comparison), interquartiles(comparison)
     write_records(folder, comparison, means, all_pairs)
-    drawn = _all_figures(folder, comparison, all_pairs, plugins, call)
+    place = make_folder(folder / "figures") if paper else None
+    drawn = _all_figures(folder, comparison, all_pairs, plugins, call, place)
     filmed = result_of(film) if isinstance(film, Future) else film
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
@@ -207,10 +209,12 @@ def _on_page(data: Data, plot: int) -> str:
         drawn = draw(data, columns * WIDTH_IN)
         return "" if drawn is None else to_svg(drawn, key, title)
 
+    place = make_folder(folder / "figures") if paper else None
+
 
 def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> dict[str, Any]:
     """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
-    n, place = len(comparison.controllers), make_folder(folder / "figures")
+    n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
         words = f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."
         return _figures(Data(comparison, all_pairs), (GRID,), place, call, [words])
@@ -223,9 +227,9 @@ def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pa
     return _figures(data, range(len(PLOTS)), place, call, notes)
 
 
-def _figures(data: Data, numbers: Sequence[int], place: Path, call: Call, notes: list[str]) -> dict[str, Any]:
-    """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`."""
-    on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers]
+def _figures(data: Data, numbers: Sequence[int], place: Path | None, call: Call, notes: list[str]) -> dict[str, Any]:
+    """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`, if there is one."""
+    on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers if place is not None]
     drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(made))) for i, made in zip(numbers, on_page, strict=True)]
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
     for paper in papers:

@@ -176,19 +176,27 @@ def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
 
 
 def write_task_report(
-    folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...], description: str, command: str, call: Call = at_once
+    folder: Path,
+    table: pl.DataFrame,
+    axes: tuple[str, ...],
+    metrics: tuple[str, ...],
+    description: str,
+    command: str,
+    call: Call = at_once,
+    paper: bool = False,
 ) -> Path:
-    """Write `report.html`, `tasks.md`, `figures/tasks.*`, `controllers.*` and `pairs.*` into a comparison's folder; returns the page.
+    """Write `report.html`, `tasks.md`, `controllers.*` and `pairs.*` into a comparison's folder, with `paper` also `figures/tasks.*`.
 
     As `page.write_comparison_report`; the table has the columns `task` and `amount`, and the first three metrics are drawn.
     """
     found, laws = cells(table, axes), over_all_tasks(table, axes, metrics)
-    drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics)
+    drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics) if paper else None
     write_whole(folder / "tasks.md", markdown(found, metrics))
     all_pairs, means = pairs(laws), interquartiles(laws)
     write_records(folder, laws, means, all_pairs)
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
-    result_of(drawn[1])
+    if drawn[1] is not None:
+        result_of(drawn[1])
     return write_page(
         folder,
         "tasks.html",

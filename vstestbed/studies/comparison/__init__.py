@@ -42,6 +42,7 @@ def compare(
     force: bool = False,
     baseline: str | Path | None = None,
     limit: int | None = None,
+    figures: bool = False,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -53,10 +54,11 @@ def compare(
         jobs: worker processes; None: one per core. executor: `local` or `dask://HOST:PORT`.
         out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
         set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
-        film: whether to film the first seed. report: whether to write the page and the figures.
+        film: whether to film the first seed. report: whether to write the page.
         on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
+        figures: whether to draw the page's figures for a paper as well, as PDF and PNG in `figures/`.
 
     Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
     of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
@@ -69,7 +71,7 @@ def compare(
         campaign,
         comparison,
     ):
-        return carry_out(campaign, comparison, jobs, executor, on_done, report=report, baseline=earlier)
+        return carry_out(campaign, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
 
 
 def carry_out(
@@ -81,6 +83,7 @@ def carry_out(
     stage: Callable[[str], None] = lambda words: None,
     report: bool = True,
     baseline: Baseline | None = None,
+    figures: bool = False,
 ) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
     Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
@@ -105,7 +108,7 @@ def carry_out(
             changes = baseline.changes(comparison, table, campaign.folder)
             write_json(campaign.folder / FILE, changes.plain())  # before the page, which reads it
         if report:
-            finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call)
+            finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call, figures)
     return ComparisonTable.of(table, campaign.folder, comparison, changes)
 
 
@@ -176,11 +179,13 @@ def _essence(c: Variant) -> tuple[object, ...]:
     return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
 
 
-def report_again(folder: Path, plugins: Sequence[str] = ()) -> Path:
-    """Make table, film and report of a comparison's folder again from its runs; `plugins`: besides those that it remembers."""
+def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = False) -> Path:
+    """Make table, film and report of a comparison's folder again from its runs.
+    plugins: besides those that it remembers. figures: as of `compare`.
+    """
     comparison, table, _ = stored(folder, plugins)
     write_table(folder / "comparison", table, GROUP)
-    finish(folder, comparison, table, lambda words: None)
+    finish(folder, comparison, table, lambda words: None, paper=figures)
     return folder / "report.html"
 
 

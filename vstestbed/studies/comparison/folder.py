@@ -136,15 +136,17 @@ FILM = "comparison.mp4"
 FILMS = ("overview.mp4", "camera.mp4")  # films of a run, from top to bottom of its column
 
 
-def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call | None = None) -> None:
+def finish(
+    folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Callable[[str], None], call: Call = at_once, paper: bool = False
+) -> None:
     """Make film and report of the finished runs; nothing if there is none.
 
     folder: the comparison's. comparison: its plan. table: of its runs. stage: called with what is being done. call: does shares of the work
-    at the same time, in other processes. Raises OutputError, EnvironmentLackError: a file cannot be written.
+    at the same time, in other processes. paper: whether to draw the figures for a paper as well. Raises OutputError, EnvironmentLackError:
+    a file cannot be written.
     """
     from vstestbed.report.comparison.page import write_comparison_report
 
-    call = call or at_once
     if table.is_empty():
         return
     axes = comparison.varied
@@ -152,13 +154,13 @@ def finish(folder: Path, comparison: Comparison, table: pl.DataFrame, stage: Cal
         from vstestbed.report.comparison.tasks import write_task_report
 
         stage("writing the report")
-        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison), call)
+        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison), call, paper)
         return
     stage("joining the films")
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
     metrics, command = comparison.metrics or shown_by_default(table), command_of(comparison)
-    write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call)
+    write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call, paper)
 
 
 def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:

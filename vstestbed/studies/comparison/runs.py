@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from vstestbed.core.errors import EnvironmentLackError, UnreachableError, VstestbedError
+from vstestbed.core.files import unflushed
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.log_file import Log
+from vstestbed.loop.session import uninterrupted
 from vstestbed.scenario.dump import given_text
 from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
@@ -31,12 +33,18 @@ class RunRequest:
 
     Attributes:
         folder: path of the run below the comparison's folder, which identifies it. text: the scenario as given.
-        filmed: whether to make films.
+        filmed: whether to make films. light: as of `Request`.
     """
 
     folder: str
     text: str
     filmed: bool
+    light: bool = False
+
+    @classmethod
+    def of(cls, folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
+        """The request for a scenario."""
+        return cls(folder, given_text(scenario), filmed, not filmed and is_light(scenario))
 
     def perform(self, place: str | None = None) -> Files:
         """Run the scenario and return its folder, which is made in `place` (None: where TMPDIR says).
@@ -47,11 +55,11 @@ class RunRequest:
         """
         scenario = parse(self.text, GIVEN)
         # the run's folder is local: the worker may be on a machine without access to the comparison's folder
-        with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made:
+        with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made, unflushed():
             folder = Path(made) / "run"
             folder.mkdir()
             try:
-                recording = run_into(folder, scenario, "both" if self.filmed else "none", report=False, tile_px=TILE_PX)
+                recording = uninterrupted(run_into(folder, scenario, "both" if self.filmed else "none", report=False, tile_px=TILE_PX))
                 # a picture of every failure for the report's gallery; films are made of the first seed only
                 if not recording.outcome.success and len(recording.rows):
                     picture_of_the_end(recording.scenario, recording.rows, folder)
@@ -62,6 +70,12 @@ class RunRequest:
             except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
                 return files_of_failure(self.text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
             return files_in(folder)
+
+
+def is_light(scenario: Scenario) -> bool:
+    """Whether its runs take some hundredths of a second, by code of this package alone: of an ideal camera without pictures or plugins."""
+    package = type(scenario.law).__module__.startswith("vstestbed.") and scenario.law.kind != "policy" and not scenario.plugins
+    return package and scenario.robot.model is None and not scenario.detector.needs_image
 
 
 def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
@@ -130,7 +144,7 @@ class Campaign:
             except VstestbedError as error:
                 self._store(job, _without_start(job, error), 1, on_done)
             else:
-                yield job, RunRequest(job.folder, given_text(scenario), job.seed in self.filmed)
+                yield job, RunRequest.of(job.folder, scenario, job.seed in self.filmed)
 
 
 def _without_start(job: Job, error: VstestbedError) -> Files:
