@@ -209,10 +209,10 @@ def _on_page(data: Data, plot: int) -> str:
         drawn = draw(data, columns * WIDTH_IN)
         return "" if drawn is None else to_svg(drawn, key, title)
 
-    place = make_folder(folder / "figures") if paper else None
 
-
-def _all_figures(folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call) -> dict[str, Any]:
+def _all_figures(
+    folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call, place: Path | None
+) -> dict[str, Any]:
     """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
     n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
