@@ -26,7 +26,7 @@ from vstestbed.cli.compare import vary_of
 from vstestbed.cli.ending import exit_code
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
-from vstestbed.studies.comparison import Campaign, Job, prepared
+from vstestbed.studies.comparison import Job, Runner, prepared
 from vstestbed.studies.comparison.folder import PLAN, table_of
 from vstestbed.studies.comparison.plan import AMOUNT
 from vstestbed.studies.pools import pool_of
@@ -62,7 +62,7 @@ def _go_on(asked: argparse.Namespace) -> None:
             done = [job for job, _ in first if (out / job.folder).is_dir()]
             jobs = [*done, *(job for job, i in first if i < asked.starts and _key_of(job) not in kept and job not in done)]
             try:
-                _run(Campaign(out, jobs, ()), asked.jobs)
+                _run(Runner(out, jobs, ()), asked.jobs)
             finally:
                 rows = json.loads(json.dumps(table_of(out, jobs).to_dicts()))
                 kept |= {_key(row): row for row in map(steady, rows)}
@@ -97,11 +97,11 @@ def _in_order(jobs: Iterable[Job]) -> list[tuple[Job, int]]:
     return sorted(((job, place.get(job.seed, 0)) for job in every), key=lambda found: found[1])
 
 
-def _run(campaign: Campaign, processes: int) -> None:
-    if campaign.done == len(campaign.jobs):
+def _run(runner: Runner, processes: int) -> None:
+    if runner.done == len(runner.jobs):
         return
-    with closing(pool_of("local", processes, campaign.folder)) as pool:
-        campaign.run(pool, lambda job, summary: print(job.folder, summary.get("outcome"), file=sys.stderr, flush=True))
+    with closing(pool_of("local", processes, runner.folder)) as pool:
+        runner.run(pool, lambda job, summary: print(job.folder, summary.get("outcome"), file=sys.stderr, flush=True))
 
 
 def _kept(command: str) -> list[Row]:

@@ -9,7 +9,6 @@ from vstestbed.cli import doctor
 from vstestbed.cli.doctor import Finding, examine
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.sim import gl_probe as gl
-from vstestbed.sim.render.pixel_check import PixelCheck
 
 
 @pytest.fixture
@@ -18,7 +17,7 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
     import vstestbed.sim.render.pixel_check
 
     def set_(errors: np.ndarray) -> None:
-        monkeypatch.setattr(vstestbed.sim.render.pixel_check, "pixel_convention", lambda renderer: PixelCheck(errors, "a renderer"))
+        monkeypatch.setattr(vstestbed.sim.render.pixel_check, "pixel_convention", lambda renderer: (errors, "a renderer"))
 
     return set_
 

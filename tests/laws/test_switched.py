@@ -22,7 +22,7 @@ from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
 from vstestbed.report.run.page import rows
 from vstestbed.report.run.tracks import Setting, Tracks
-from vstestbed.studies.batch import fly, start_of
+from vstestbed.studies.batch import simulate_batch, start_of
 from vstestbed.targets.base import Square
 from vstestbed.tasks.metrics import ErrorGrowth
 
@@ -198,7 +198,7 @@ def test_a_law_of_ones_own_may_be_one_of_them(tmp_path: Path):
 
 def test_a_batch_flies_it_as_a_run_does():
     scenario = half_turned(RETREAT, **{"stop.duration_s": 20, "camera.latency_s": 0, "detector.field_of_view": "unlimited"})
-    flown = fly(scenario, start_of(scenario)[None])
+    flown = simulate_batch(scenario, start_of(scenario)[None])
     alone = vs.run(scenario)
     assert flown.outcome[0] is alone.outcome is vs.Outcome.converged
     assert flown.steps[0] / 25 == pytest.approx(alone["t"][-1])

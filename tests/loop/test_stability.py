@@ -8,7 +8,7 @@ from tests.shortcuts import one_quick
 from vstestbed.core.outcome import Outcome
 from vstestbed.loop.stability import FEWEST, LastPart, closed_form, grows, period, reversal, swing, swing_frames, swings, to_and_fro
 from vstestbed.report.run.page import sentences
-from vstestbed.studies.batch import fly, start_of
+from vstestbed.studies.batch import simulate_batch, start_of
 from vstestbed.tasks.metrics import TWIST
 
 PERIOD_S = 0.04
@@ -61,7 +61,7 @@ def test_a_run_that_converged_says_for_how_long_its_command_swung():
 @pytest.mark.parametrize("share", [0.9, 1.02])
 def test_a_batch_ends_as_a_run(share: float, limit: float | None):
     recording = flown(share, 0, **{"law.limits.speed_mps": limit, "stop.duration_s": 10})
-    batch = fly(recording.scenario, np.array([start_of(recording.scenario)] * 2))
+    batch = simulate_batch(recording.scenario, np.array([start_of(recording.scenario)] * 2))
     assert batch.outcome.tolist() == [recording.outcome] * 2
     assert batch.unstable[1] == (recording.reason if share > 1 else "")
     assert (recording.outcome is Outcome.unstable) is (share > 1)

@@ -164,12 +164,12 @@ def test_jaco_from_an_installed_package_takes_its_meshes_along(tmp_path: Path) -
     jaco = ROBOTS.members["mjcf"](**{k: v for k, v in robot.items() if k != "kind"})
     s = written(tmp_path, "jaco", robot, square_before(jaco, *SEEN["square"]), {"xyz": [0, 0, 0.6]})
     assert np.isinf(s.robot.body.limits[0]).all() and s.robot.body.limits[1] == pytest.approx([0.820305, 5.462881])
-    scene = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
-    assert sum(name.endswith(".stl") for name in scene.assets) == 5
-    for name, content in scene.assets.items():
+    xml, assets = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
+    assert sum(name.endswith(".stl") for name in assets) == 5
+    for name, content in assets.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(content)
-    (tmp_path / "model.xml").write_text(scene.xml)
+    (tmp_path / "model.xml").write_text(xml)
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml")).nmesh >= 5
 
 

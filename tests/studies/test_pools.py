@@ -156,6 +156,7 @@ def test_workers_end_with_a_killed_study(start: Start, later_s: float):
 def test_shares_of_a_closed_pool_are_not_done_here(tmp_path: Path):
     """An interrupted report: the process waited at its end for the figures that its killed workers had begun."""
     with closing(LocalPool(2, tmp_path)) as pool:
+        pool._start()
         [slot.pid.result() for slot in pool._slots]
         share = pool.call(time.sleep, 60)
         wait_for(lambda: len(pool._free) < 2)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from polars import DataFrame
 
     from vstestbed.report.comparison.baseline import BaselineChanges
-    from vstestbed.studies.comparison import Baseline, Campaign, Comparison, ComparisonTable
+    from vstestbed.studies.comparison import Baseline, Comparison, ComparisonTable, Runner
 
 
 def compare(
@@ -56,16 +56,16 @@ def compare(
         raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit) as (
-        campaign,
+        runner,
         plan,
     ):
         show_notes(not quiet)
-        table = _carried_out(campaign, plan, jobs, executor, before, shown, figures)
+        table = _carried_out(runner, plan, jobs, executor, before, shown, figures)
     if as_json:
         runs, changed = table.write_json(), table.baseline
         sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
     elif not quiet:
-        typer.echo(_summary_text(table, campaign.folder), err=True)
+        typer.echo(_summary_text(table, runner.folder), err=True)
     if table.baseline is not None:
         _judge(table.baseline, tolerance, fail, shown)
 
@@ -83,18 +83,18 @@ def _judge(changes: BaselineChanges, tolerance: float | None, fail: bool, shown:
 
 
 def _carried_out(
-    campaign: Campaign, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool, figures: bool
+    runner: Runner, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool, figures: bool
 ) -> ComparisonTable:
     from vstestbed.cli.progress import Counter
     from vstestbed.studies.comparison import carry_out
 
-    total = len(campaign.jobs)
+    total = len(runner.jobs)
     try:
-        with Counter(total, campaign.done, shown) as counter:
-            return carry_out(campaign, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline, figures=figures)
+        with Counter(total, runner.done, shown) as counter:
+            return carry_out(runner, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline, figures=figures)
     except KeyboardInterrupt:
         # counted in the folder: finished runs are there in full, others not at all
-        words = f"interrupted: {campaign.done} of {total} runs are done; go on with: vstestbed compare --resume --out {campaign.folder}"
+        words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
         typer.echo(words, err=True)
         raise typer.Exit(INTERRUPTED) from None
 

@@ -110,15 +110,15 @@ def _pictures() -> Iterator[Finding]:
     from vstestbed.sim.render.pixel_check import pixel_convention
 
     try:
-        check = pixel_convention("gl")
+        errors, renderer = pixel_convention("gl")
     except (VstestbedError, ImportError) as error:
         lack = gl.explain(error) if isinstance(error, ImportError) else error
         problem, _, remedy = str(lack or error).partition("; ")  # the form of every message of this package
         yield Finding("OpenGL", False, f"{problem}; {gl.RAYS_INSTEAD}", remedy)
-        check = pixel_convention("rays")
+        errors, renderer = pixel_convention("rays")
     else:
-        yield Finding("OpenGL", True, check.renderer)
-    yield _pixels(check.errors, check.renderer)
+        yield Finding("OpenGL", True, renderer)
+    yield _pixels(errors, renderer)
 
 
 def _pixels(errors: Array, renderer: str) -> Finding:

@@ -7,8 +7,9 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sized
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -313,11 +314,6 @@ def _text(result: TuningResult) -> str:
     return "\n".join([*lines, RESULTS.format(result.folder)])
 
 
-class _Result(Protocol):
-    def as_dict(self) -> dict[str, object]: ...
-    def as_text(self) -> str: ...
-
-
 def bench(
     scenario: Annotated[
         str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]", autocompletion=complete.scenarios)
@@ -338,22 +334,26 @@ def bench(
         raise ParameterError("--ideal, --all and --compare", "each measure fixed scenarios: give one of them, without SCENARIO and --set")
     left: list[str] = []
     if earlier is not None:
-        from vstestbed.studies.bench import SpeedChanges, read_saved
+        from vstestbed.studies.bench import changes_text, read_saved, speed_changes
 
         before = read_saved(earlier).timings  # read first: a wrong file should not cost minutes
         suite, left = _suite(repeats, tuple(before), quiet=as_json)
-        result: _Result = SpeedChanges.between(before, suite.timings)
+        changes = speed_changes(before, suite.timings)
+        plain, text = {name: asdict(change) for name, change in changes.items()}, changes_text(changes)
     elif every:
-        result, left = _suite(repeats, (), quiet=as_json)
+        suite, left = _suite(repeats, (), quiet=as_json)
+        plain, text = asdict(suite), suite.as_text()
     elif ideal:
         from vstestbed.studies.bench import measure_ideal
 
-        result = measure_ideal(repeats)
+        found = measure_ideal(repeats)
+        plain, text = asdict(found), found.as_text()
     else:
         from vstestbed.studies.bench import measure
 
-        result = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
-    typer.echo(json.dumps(result.as_dict(), indent=1) if as_json else result.as_text())
+        one = measure(load_scenario(scenario or "arm_ibvs", set_, plugin), repeats)
+        plain, text = asdict(one), one.as_text()
+    typer.echo(json.dumps(plain, indent=1) if as_json else text)
     if left:
         typer.echo(f"interrupted: {', '.join(left)} not measured", err=True)
         raise typer.Exit(INTERRUPTED)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -105,6 +104,7 @@ class Plant(ABC):
     ):
         robot = parts.robot
         self._parts, self._stage, self._eye, self._path, self._target = parts, stage, eye, path, parts.target
+        self._own_path = path  # without what `move_target` has shifted
         self.step_s, self.steps_per_frame, self._steps = parts.step, steps_per_frame, 0
         self._setpoints = SetpointBuffer(
             robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator
@@ -199,9 +199,10 @@ class Plant(ABC):
         """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where it is carried."""
         if self._target.on_gripper or self._parts.leader is not None:
             raise ParameterError("target", "is carried, and goes where its carrier goes")
-        start, path = self._parts.T_world_target, self._path
-        own = path.own if isinstance(path, Displaced) else path or (lambda _: start)
-        self._path = Displaced(own, T_world_target @ inverse(own(self._t)))
+        start = self._parts.T_world_target
+        own = self._own_path or (lambda _: start)
+        shift = T_world_target @ inverse(own(self._t))
+        self._path = lambda t: shift @ own(t)
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
@@ -215,18 +216,6 @@ class Plant(ABC):
         """Free pictures and physics."""
         if self._stage is not None:
             self._stage.close()
-
-
-@dataclass(frozen=True)
-class Displaced:
-    """A path that is moved as a whole: shift (4, 4) times its own pose."""
-
-    own: Path
-    shift: Array
-
-    def __call__(self, t: float) -> Array:
-        """The pose (4, 4) at a time [s]."""
-        return self.shift @ self.own(t)
 
 
 POSTURES = 12

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,18 +99,12 @@ def _may_hide(target: Target, world: World) -> bool:
     return world.hides or (target.body is not None and not target.outlined)
 
 
-@dataclass(frozen=True, slots=True)
-class SceneFiles:
-    """A self-contained scene: its MJCF, and the asset files that it names, by their paths relative to it."""
-
-    xml: str
-    assets: dict[str, bytes]
-
-
 def scene_files(
     robot: Robot, camera: Camera, target: Target, world: World, clock: Clock, sights: tuple[tuple[float, float, float], ...] = ()
-) -> SceneFiles:
-    """The compiled scene; its keyframe `start` is the nominal start. sights: points that the outside view must show [m]."""
+) -> tuple[str, dict[str, bytes]]:
+    """The compiled scene as MJCF, and the asset files that it names, by their paths relative to it.
+    Its keyframe `start` is the nominal start. sights: points that the outside view must show [m].
+    """
     from vstestbed.core.geometry import quaternion_wxyz
     from vstestbed.sim.scene.compose import Parts, compose
     from vstestbed.sim.scene.stage import Stage
@@ -127,4 +120,4 @@ def scene_files(
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
-    return SceneFiles(spec.to_xml(), dict(spec.assets))
+    return spec.to_xml(), dict(spec.assets)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 
 import mujoco
 
@@ -13,21 +12,10 @@ from vstestbed.sim.scene.compose import Parts
 from vstestbed.sim.scene.stage import Stage
 
 
-@dataclass(frozen=True)
-class BaselineCost:
-    """Wall time of a run's bare physics and bare images [s]."""
-
-    physics_s: float
-    render_s: float
-
-    @property
-    def total_s(self) -> float:
-        """Both together [s]."""
-        return self.physics_s + self.render_s
-
-
-def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool) -> BaselineCost:
-    """Replay a recorded run's controls with plain `mj_step`, and its views with plain renders.
+def measure_baseline(
+    parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool
+) -> tuple[float, float]:
+    """Wall times of a recorded run's controls with plain `mj_step`, and of its views with plain renders [s].
 
     Ray casting renders whole images here, so that a run, which renders windows, may cost less.
 
@@ -59,4 +47,4 @@ def measure_baseline(parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, 
             physics += time.perf_counter() - rendered
         render += rendered - began
     stage.close()
-    return BaselineCost(physics, render)
+    return physics, render

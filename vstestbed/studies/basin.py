@@ -21,7 +21,7 @@ from vstestbed.core.outcome import Outcome
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.batch import Batch, BatchSetup, fly, ideal, start_of, started_at
+from vstestbed.studies.batch import Batch, BatchSetup, ideal, simulate_batch, start_of, started_at
 from vstestbed.studies.comparison.plan import Comparison, changed, controllers
 from vstestbed.vision import Oracle
 
@@ -241,7 +241,7 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
     """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `run`."""
     poses = starts(scenario, x, y, at or {})
     began = time.process_time()
-    batch = fly(scenario, poses)
+    batch = simulate_batch(scenario, poses)
     mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
     if not check:
         return mapped
@@ -265,7 +265,7 @@ def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:
     turns = rotation_from_rpy(np.radians([[0.0, 0.0, turn] for turn in ON_AXIS_DEG]))
     poses = np.tile(np.eye(4), (len(turns), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = turns, [0.0, 0.0, distance] - turns @ middle
-    for i, batch, full in _different(scenario, poses, fly(scenario, poses).outcome.tolist()):
+    for i, batch, full in _different(scenario, poses, simulate_batch(scenario, poses).outcome.tolist()):
         yield Disagreement(None, None, batch, full, ON_AXIS_DEG[i])
 
 

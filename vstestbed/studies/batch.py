@@ -283,7 +283,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Instant:
+class BatchFrame:
     """One frame of the m runs that go on.
 
     Attributes:
@@ -301,7 +301,7 @@ class Instant:
     ended: NDArray[np.int_]
 
 
-def fly(scenario: Scenario, start: Array) -> Batch:
+def simulate_batch(scenario: Scenario, start: Array) -> Batch:
     """Simulate ideal cameras from their own starts, each until it ends as a single run would (`run`, `loop.termination.Termination`).
 
     T_camera_target <- exp(-v period) T_camera_target, with the twist v of the law. A run that has ended leaves the batch. Markers that a
@@ -314,7 +314,7 @@ def fly(scenario: Scenario, start: Array) -> Batch:
     setup = BatchSetup(scenario)
     # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
-    parts = [_fly(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
+    parts = [_simulate(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
     return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
 
@@ -334,7 +334,7 @@ class _Runs:
         return _Runs(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
-def _fly(setup: BatchSetup, start: Array) -> Batch:
+def _simulate(setup: BatchSetup, start: Array) -> Batch:
     m, stop = len(start), setup.scenario.stop
     last = setup.frames(stop.duration_s)
     runs = _Runs(np.arange(m), start, np.full((m, setup.law.state_size), np.nan), np.zeros(m, int), np.zeros(m, int), np.zeros(m))
@@ -378,14 +378,14 @@ class _LastHalf:
         self._first, self._T = np.empty(0), np.empty((0, 4, 4))
         self._kept: list[tuple[NDArray[np.int_], Array, Array]] = []
 
-    def add(self, now: Instant) -> None:
+    def add(self, now: BatchFrame) -> None:
         if now.step == 0:
             self._first = now.error
         if now.step >= self._from:
             self._T = self._T if self._kept else now.T
             self._kept.append((now.index, now.twist, now.error))
 
-    def unstable(self, now: Instant) -> NDArray[np.object_]:
+    def unstable(self, now: BatchFrame) -> NDArray[np.object_]:
         """The words of each run of the last frame (m,); "" of those that have not timed out."""
         s, out = self._scenario, np.full(len(now.index), "", dtype=object)
         over = np.flatnonzero(now.code == _CODE[Outcome.timed_out])
@@ -404,7 +404,7 @@ class _LastHalf:
         return out
 
 
-def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Instant:
+def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> BatchFrame:
     """One frame of all runs with their commands and outcomes.
 
     The precedence of outcomes is that of `Termination.verdict`. Without a target the law commands rest, and in a static world the target
@@ -436,7 +436,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> In
         if which.any():  # later entries overwrite earlier ones: they take precedence
             code[which] = _CODE[how]
             ended[which] = min(gone, last) if which is lost else step
-    return Instant(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended)
+    return BatchFrame(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended)
 
 
 def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -32,8 +32,8 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.speed_baseline import BaselineCost, measure_baseline
-from vstestbed.studies.batch import fly
+from vstestbed.sim.speed_baseline import measure_baseline
+from vstestbed.studies.batch import simulate_batch
 from vstestbed.studies.comparison import compare
 from vstestbed.studies.run_folder import Films, run_into
 from vstestbed.tasks.stop import Stop
@@ -43,16 +43,8 @@ BATCH_STEPS = 60
 """Steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps."""
 
 
-class Result:
-    """What a benchmark has found."""
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)  # pyright: ignore[reportArgumentType] - each is a dataclass
-
-
 @dataclass(frozen=True)
-class IdealBench(Result):
+class IdealBench:
     """Medians over several repeats.
 
     Attributes:
@@ -145,7 +137,7 @@ def _batch(scenario: Scenario, start: Array) -> tuple[int, float]:
     """Steps of all runs of a batch together, and its run-steps a second."""
     stop = Stop(duration_s=BATCH_STEPS * scenario.camera.period, converged=scenario.stop.converged)
     began = time.perf_counter()
-    run_steps = fly(replace(scenario, stop=stop), start).run_steps
+    run_steps = simulate_batch(replace(scenario, stop=stop), start).run_steps
     return run_steps, run_steps / (time.perf_counter() - began)
 
 
@@ -165,7 +157,7 @@ def _one_core() -> Iterator[None]:
 
 # Speed of a run: computing time by part, and the ratio to its floor, the same physics steps and images and nothing else.
 @dataclass(frozen=True)
-class Bench(Result):
+class Bench:
     """Medians over several runs, each measured beside its own floor.
 
     Attributes:
@@ -208,7 +200,7 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     pairs = [_pair(scenario) for _ in range(repeats + 1)][1:]  # the first pair warms up
     recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
     # the ratio of each pair, not of the medians: both share the load of the machine at that time
-    ratios = [r.loop_s / f.total_s for r, f in pairs]
+    ratios = [r.loop_s / sum(f) for r, f in pairs]
     return Bench(
         scenario=scenario.name,
         frames=len(recordings[0].table),
@@ -224,15 +216,15 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     )
 
 
-def _pair(scenario: Scenario) -> tuple[Recording, BaselineCost]:
-    """A run, and at once its floor, so that both meet the same load of the machine."""
+def _pair(scenario: Scenario) -> tuple[Recording, tuple[float, float]]:
+    """A run, and at once its floor (physics, pictures) [s], so that both meet the same load of the machine."""
     recording = uninterrupted(run(scenario))
     return recording, _floor(recording)
 
 
 def _loop_and_floor(scenario: Scenario) -> tuple[float, float]:
     recording, floor = _pair(scenario)
-    return recording.loop_s, floor.total_s
+    return recording.loop_s, sum(floor)
 
 
 def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
@@ -243,17 +235,17 @@ def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
     return parts | {"other": whole - sum(parts.values()), "whole": whole}
 
 
-def _floor_ms(floors: list[BaselineCost], frames: int) -> dict[str, float]:
-    physics, render = (statistics.median(1e3 * getattr(f, name) / frames for f in floors) for name in ("physics_s", "render_s"))
+def _floor_ms(floors: list[tuple[float, float]], frames: int) -> dict[str, float]:
+    physics, render = (statistics.median(1e3 * f[part] / frames for f in floors) for part in (0, 1))
     return {"physics": physics, "render": render, "whole": physics + render}
 
 
-def _floor(recording: Recording) -> BaselineCost:
+def _floor(recording: Recording) -> tuple[float, float]:
     """The floor of a recorded run: its actuator inputs stepped and its camera poses rendered again, without the loop."""
     scenario = recording.scenario
     step, steps_per_frame = scenario.clock
-    parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step)
     robot = scenario.robot
+    parts = Parts(robot, scenario.camera, scenario.target, scenario.world, step)
 
     def joined(kind: str, names: tuple[str, ...]) -> Array:
         columns = [recording[f"{kind}_{name}"] for name in names]
@@ -332,29 +324,17 @@ class SpeedChange:
         return cls(before.ratio, after.ratio, share, verdict)
 
 
-@dataclass(frozen=True, slots=True)
-class SpeedChanges:
-    """The changes of several benchmarks, by their names."""
+def speed_changes(before: Mapping[str, BesideFloor], after: Mapping[str, BesideFloor]) -> dict[str, SpeedChange]:
+    """The change of every benchmark that both measurements have, by name."""
+    return {name: SpeedChange.of(before[name], one) for name, one in after.items() if name in before}
 
-    changes: dict[str, SpeedChange]
 
-    @classmethod
-    def between(cls, before: Mapping[str, BesideFloor], after: Mapping[str, BesideFloor]) -> SpeedChanges:
-        """The change of every benchmark that both measurements have."""
-        return cls({name: SpeedChange.of(before[name], one) for name, one in after.items() if name in before})
-
-    def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)["changes"]
-
-    def as_text(self) -> str:
-        """A table for the terminal, and a sentence on what became slower."""
-        lines = [f"{'ratio to the floor':18}{'before':>8}{'now':>8}{'change':>9}"]
-        lines += [
-            f"{name:18}{c.before:8.2f}{c.after:8.2f}{100 * c.share:+7.0f} %  {c.verdict}".rstrip() for name, c in self.changes.items()
-        ]
-        slower = ", ".join(name for name, c in self.changes.items() if c.verdict == "slower")
-        return "\n".join([*lines, "", f"slower beyond the noise: {slower or 'nothing'}"])
+def changes_text(changes: Mapping[str, SpeedChange]) -> str:
+    """A table for the terminal, and a sentence on what became slower."""
+    lines = [f"{'ratio to the floor':18}{'before':>8}{'now':>8}{'change':>9}"]
+    lines += [f"{name:18}{c.before:8.2f}{c.after:8.2f}{100 * c.share:+7.0f} %  {c.verdict}".rstrip() for name, c in changes.items()]
+    slower = ", ".join(name for name, c in changes.items() if c.verdict == "slower")
+    return "\n".join([*lines, "", f"slower beyond the noise: {slower or 'nothing'}"])
 
 
 ROBOTS = ("arm_ibvs", "omni_ibvs", "car_pbvs", "quadrotor_hover")
@@ -377,7 +357,7 @@ Pair = Callable[[], tuple[float, float]]
 
 
 @spec
-class Suite(Result):
+class Suite:
     """Benchmarks that were measured on one machine, by their names; what `bench --all --json` prints.
 
     Args:

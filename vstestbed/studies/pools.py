@@ -80,33 +80,6 @@ HERE_S = 3.0
 RUNNING = ".running"  # folder of the workers' temporary files in a study's folder
 
 
-class Pool(Protocol):
-    """Takes requests, at most `room` at a time, and returns futures of their results.
-
-    A future whose worker died raises WorkerLostError; by then the pool has replaced the worker.
-    """
-
-    @property
-    def room(self) -> int:
-        """How many runs may be in progress now."""
-        ...
-
-    def submit(self, request: Request[Done]) -> Future[Done]:
-        """Start a run."""
-        ...
-
-    def tries(self, request: Request[Any]) -> int:
-        """How often a run has been started."""
-        ...
-
-    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Call a function on this machine when all runs are done, at the same time as others where there are several workers."""
-        ...
-
-    def close(self) -> None:
-        """Stop all workers at once."""
-
-
 class WorkerLostError(Exception):
     """The worker process of a run has died: killed, out of memory, or a crash in a library."""
 
@@ -359,7 +332,7 @@ class DaskPool:
         return outer
 
     def _hand_over(self, inner: Any, outer: Future[Done]) -> None:
-        """Complete `outer` with the result or the error of `inner`, in every case: the campaign waits for it."""
+        """Complete `outer` with the result or the error of `inner`, in every case: the runner waits for it."""
         from distributed.scheduler import KilledWorker
 
         try:
@@ -418,6 +391,11 @@ def workers(requested: int | None, runs: int) -> int:
     # the cores that this process may use, which in a container can be fewer than the machine has
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(requested or cores, runs))
+
+
+Pool = LocalPool | DaskPool
+"""Takes requests, at most `room` at a time, and returns futures of their results; that of a request whose worker died raises
+WorkerLostError, and by then the pool has replaced the worker."""
 
 
 def pool_of(executor: str, workers: int, folder: Path) -> Pool:

@@ -29,7 +29,7 @@ from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.studies.comparison.folder import summary_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
-from vstestbed.studies.comparison.runs import Campaign
+from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.folder import RESUMABLE, plan_in, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
 from vstestbed.studies.search_space import (
@@ -221,7 +221,7 @@ class Search:
 
     def carry_out(self) -> tuple[Trial, Trial] | None:
         """Do all trials, and the check; returns the best one and the scenario as it is on the fresh starts, None without any. Raises
-        ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Campaign.run`.
+        ParameterError: no run has the metric; the first trials are all refused. EnvironmentLackError, OutputError: see `Runner.run`.
         """
         with ExitStack() as stack:
             self._stack = stack
@@ -281,13 +281,13 @@ class Search:
         """The summaries of runs from the seeds `first` to `seeds` - 1, by name of the setting; those that are missing are done."""
         comparison = self._comparison(settings, seeds if self.plan.seeds else None)
         wanted = [job for job in Jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
-        campaign = Campaign(self.folder, wanted)
-        self.listener.were_done(campaign.done)
-        if self.stored_alone and campaign.done < len(wanted):
+        runner = Runner(self.folder, wanted)
+        self.listener.were_done(runner.done)
+        if self.stored_alone and runner.done < len(wanted):
             works = f"`vstestbed tune --resume --out {self.folder}` does what is missing"
             raise RunFolderError(self.folder, "holds a search that is not finished", works)
-        if campaign.done < len(wanted):
-            campaign.run(self._pool, self.listener.run_done)
+        if runner.done < len(wanted):
+            runner.run(self._pool, self.listener.run_done)
         found: dict[str, list[dict[str, Any]]] = {name: [] for name in settings}
         for job in wanted:
             found[str(job.controller.values[CASE])].append(summary_of(self.folder, job))

@@ -240,7 +240,7 @@ def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     frame = build(tmp_path, {"a": 1.0}, 1)
     (tmp_path / "figures").write_text("a file in the way")
     with pytest.raises(OutputError, match="figures"):
-        write_comparison_report(tmp_path, frame, ())
+        write_comparison_report(tmp_path, frame, (), paper=True)
     assert not (tmp_path / "report.html").exists()
 
 

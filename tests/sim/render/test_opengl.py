@@ -44,7 +44,7 @@ def free_parts(camera: Perspective, target: Target) -> Parts:
     ids=["fovy", "principal", "focal", "distorted"],
 )
 def test_rendered_balls_lie_where_the_camera_projects_them(camera: Perspective):
-    errors = pixel_convention("gl", camera).errors
+    errors, _ = pixel_convention("gl", camera)
     assert errors.shape == (12, 2)
     # The project's promise with multisampling; half a pixel of convention or a flipped offset would be 5 times that.
     assert np.abs(errors).max() < 0.1

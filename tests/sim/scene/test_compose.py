@@ -46,7 +46,7 @@ def pose_of(xpos: np.ndarray, xmat: np.ndarray) -> np.ndarray:
 def test_model_xml_loads_alone(name: str, nu: int, nq: int, tmp_path: Path):
     s = vs.load(name, {"camera.mount": MOUNT, "target.pose": TILTED, "goal.T_camera_target": {"xyz": [0, 0, 1.2]}})
     file = tmp_path / "model.xml"
-    file.write_text(scene_files(s.robot, s.camera, s.target, s.world, s.physics).xml)
+    file.write_text(scene_files(s.robot, s.camera, s.target, s.world, s.physics)[0])
     alone, composed = mujoco.MjModel.from_xml_path(str(file)), compiled(s)
     for model in (alone, composed):
         assert (model.nq, model.nu, model.ncam) == (nq, nu, 2)

@@ -137,12 +137,12 @@ def test_a_scenario_names_it_relative_to_its_own_file_and_the_run_carries_its_te
     s = vs.load(str(scenario))
     assert s.world.scenery is not None and s.world.scenery.file == str(file)
     assert str(file) in for_another_folder(scenario)
-    scene = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
+    xml, assets = scene_files(s.robot, s.camera, s.target, s.world, s.physics)
     out = tmp_path / "elsewhere"
-    for name, content in scene.assets.items():
+    for name, content in assets.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)
         (out / name).write_bytes(content)
-    (out / "model.xml").write_text(scene.xml)
+    (out / "model.xml").write_text(xml)
     (folder / "cloth.png").unlink()
     again = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
     assert "scenery/c" in [again.texture(i).name for i in range(again.ntex)]

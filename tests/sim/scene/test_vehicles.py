@@ -40,8 +40,8 @@ def test_it_starts_at_rest_where_it_is_told(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_written_model_loads_alone_and_starts_there(name, tmp_path):
     s = vs.load(name)
-    files = scene_files(s.robot, s.camera, s.target, s.world, s.physics, s.sights)
-    (tmp_path / "model.xml").write_text(files.xml)
+    xml, _ = scene_files(s.robot, s.camera, s.target, s.world, s.physics, s.sights)
+    (tmp_path / "model.xml").write_text(xml)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)

@@ -27,7 +27,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.batch import fly, ideal, start_of, started_at
+from vstestbed.studies.batch import ideal, simulate_batch, start_of, started_at
 from vstestbed.targets import Target
 from vstestbed.targets.base import Points, Square
 from vstestbed.tasks import GoalView
@@ -82,7 +82,7 @@ def test_golden_rows_at_once(law: str, interaction: str):
     # There a camera behind the target's plane flies on, here it has lost its target (tests/test_golden_loops.py).
     rows = [r for r in rows if (r["scenario"], law, interaction) != ("book_sph", "ibvs_polar", "DESIRED")]
     starts = from_(*(pose(STARTS[r["scenario"]]["wtc0"], STARTS[r["scenario"]]["wqc0_xyzw"]) for r in rows))
-    found = fly(scenario(law_of(law, interaction), duration_s=SET["max_iterations"] * SET["dt"]), starts)
+    found = simulate_batch(scenario(law_of(law, interaction), duration_s=SET["max_iterations"] * SET["dt"]), starts)
     assert len(rows) >= 4
     for i, row in enumerate(rows):
         expected = {"target_plane_crossed_or_behind": "target_lost", "diverged_dist>200m": "diverged"}.get(row["status"], row["status"])
@@ -141,7 +141,7 @@ def test_every_law_with_the_other_field_of_view_ends_as_in_the_time_loop(name: s
 
 def must_end_as_in_the_time_loop(name: str, limited: bool, picked: slice) -> None:
     s, starts = scenario(EVERY[name], limited=limited, error_px=0.2, hold_s=0.5), drawn(3)[picked]
-    found = fly(s, starts)
+    found = simulate_batch(s, starts)
     for i, start in enumerate(starts):
         r = vs.run(started_at(s, start))
         last = len(r["t"]) - 1
@@ -167,7 +167,7 @@ DISC = Points(at=tuple((0.2 * float(np.cos(i)), 0.2 * float(np.sin(i)), 0.0) for
 def test_features_of_all_markers_end_as_in_the_time_loop(feature: Feature, target: Points):
     law = IBVS(gain=FAST, feature=feature, interaction="mean", redundant=not isinstance(feature, Moments))
     s, starts = scenario(law, error_px=0.2, hold_s=0.1, target=target), drawn(1, yaw=40)
-    found = fly(s, starts)
+    found = simulate_batch(s, starts)
     for i, start in enumerate(starts):
         r = vs.run(started_at(s, start))
         # Where motions are left open, the features reach their goal, and the camera rests beside its own.
@@ -182,7 +182,7 @@ def test_features_of_all_markers_end_as_in_the_time_loop(feature: Feature, targe
 def test_a_half_turn_ends_as_in_the_time_loop(interaction: str, outcome: str):
     s = scenario(IBVS(interaction=interaction, depth=OracleDepth()))  # pyright: ignore[reportArgumentType]
     start = from_(Pose(xyz=(0, 0, -1), rpy_deg=(0, 0, 180)))
-    found = fly(s, start)
+    found = simulate_batch(s, start)
     r = vs.run(started_at(s, start[0]))
     assert found.outcome[0].name == outcome == r.outcome.name
     assert bool(found.crossed[0]) is (interaction == "desired")
@@ -195,7 +195,7 @@ def test_where_neither_rest_nor_loss_is_an_end_a_half_turn_goes_on(interaction: 
     s = scenario(IBVS(interaction=interaction, depth=OracleDepth()), duration_s=4.0)  # pyright: ignore[reportArgumentType]
     s = replace(s, stop=replace(s.stop, lost_after_s=None, lost_after_m=None, rest_after_s=None))
     start = from_(Pose(xyz=(0, 0, -1), rpy_deg=(0, 0, 180)))
-    found, r = fly(s, start), vs.run(started_at(s, start[0]))
+    found, r = simulate_batch(s, start), vs.run(started_at(s, start[0]))
     assert found.outcome[0] is r.outcome is vs.Outcome.timed_out
     assert found.steps[0] == len(r["t"]) - 1 == 4 * 25
 
@@ -204,7 +204,7 @@ def test_markers_that_leave_the_picture_end_a_run_where_the_time_loop_ends_it():
     s = scenario(PBVS(gain=FAST), limited=True)
     # 35 degrees off: two markers outside from the start, too few for a pose. 10: three, which tell no first pose, or four.
     starts = from_(*(Pose(xyz=(0, 0, -1), rpy_deg=(0, a, b)) for a, b in ((35.0, 0.0), (18.0, 40.0), (10.0, 0.0))))
-    found = fly(s, starts)
+    found = simulate_batch(s, starts)
     assert [o.name for o in found.outcome] == [vs.run(started_at(s, start)).outcome.name for start in starts]
     assert [o.name for o in found.outcome] == ["target_lost", "target_lost", "converged"]
     assert not found.crossed.any()
@@ -213,9 +213,9 @@ def test_markers_that_leave_the_picture_end_a_run_where_the_time_loop_ends_it():
 
 def test_runs_do_not_know_of_one_another():
     s, starts = scenario(IBVS(feature=LineFeature(), interaction="mean", gain=FAST), error_px=0.1), drawn(20)
-    together = fly(s, starts)
+    together = simulate_batch(s, starts)
     for i in range(0, 20, 7):
-        alone = fly(s, starts[i : i + 1])
+        alone = simulate_batch(s, starts[i : i + 1])
         assert (alone.outcome[0], alone.steps[0]) == (together.outcome[i], together.steps[i])
         assert alone.T_camera_target[0] == pytest.approx(together.T_camera_target[i], abs=1e-9)
     assert together.run_steps == together.steps.sum()
@@ -223,25 +223,25 @@ def test_runs_do_not_know_of_one_another():
 
 def test_many_more_than_fly_at_once_keep_their_order(monkeypatch: pytest.MonkeyPatch):
     s, starts = scenario(PBVS(gain=FAST)), drawn(30)
-    whole = fly(s, starts)
+    whole = simulate_batch(s, starts)
     monkeypatch.setattr("vstestbed.studies.batch.AT_ONCE", 7)
-    parts = fly(s, starts)
+    parts = simulate_batch(s, starts)
     assert (parts.steps == whole.steps).all() and parts.run_steps == whole.run_steps
 
 
 def test_what_a_batch_cannot_fly_is_refused_with_what_it_can():
     start = drawn(1)
     with pytest.raises(ParameterError, match=r"law.visibility.margin_px must be 0"):
-        fly(scenario(IBVS(visibility=Visibility(margin_px=20))), start)
+        simulate_batch(scenario(IBVS(visibility=Visibility(margin_px=20))), start)
     with pytest.raises(ParameterError, match=r"law.depth may not be estimate.*valid: pnp, constant, goal, oracle"):
-        fly(scenario(IBVS(depth=Estimate())), start)
+        simulate_batch(scenario(IBVS(depth=Estimate())), start)
     with pytest.raises(ParameterError, match=r"stop.converged must be judged by error_px alone"):
-        fly(replace(scenario(IBVS()), stop=Stop(converged=Converged(position_m=0.01))), start)
+        simulate_batch(replace(scenario(IBVS()), stop=Stop(converged=Converged(position_m=0.01))), start)
     omni = next(name for name in bundled_scenarios() if name.startswith("omni"))
     with pytest.raises(ParameterError, match=r"robot.kind moves its camera in 3 directions.*use free or puma560"):
         ideal(vs.load(omni))
     with pytest.raises(ParameterError, match=r"`basin.setup.ideal` makes it so"):
-        fly(replace(scenario(IBVS()), noise=Noise(pixel_sigma_px=0.1)), start)
+        simulate_batch(replace(scenario(IBVS()), noise=Noise(pixel_sigma_px=0.1)), start)
 
 
 def test_the_ideal_camera_starts_where_the_arm_holds_it():
@@ -251,12 +251,12 @@ def test_the_ideal_camera_starts_where_the_arm_holds_it():
     assert isinstance(made.detector, Oracle) and made.detector.field_of_view == "limited"
     other = from_(Pose(xyz=(0.2, 0.1, -1.5), rpy_deg=(5, 10, 40)))[0]
     assert start_of(started_at(made, other)) == pytest.approx(other, abs=1e-12)
-    assert fly(made, start_of(made)).outcome[0] is vs.run(made).outcome is vs.Outcome.converged
+    assert simulate_batch(made, start_of(made)).outcome[0] is vs.run(made).outcome is vs.Outcome.converged
 
 
 def test_polar_features_wrapped_alone_fly_too():
     s, starts = scenario(IBVS(feature=Polar(together=False), interaction="mean", gain=FAST)), drawn(3, yaw=60)
-    assert [o.name for o in fly(s, starts).outcome] == [vs.run(started_at(s, start)).outcome.name for start in starts]
+    assert [o.name for o in simulate_batch(s, starts).outcome] == [vs.run(started_at(s, start)).outcome.name for start in starts]
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def test_a_law_that_leaves_motions_open_does_not_make_them(law: IBVS, markers: i
     corners = ((-0.25, -0.25, 0.0), (0.25, -0.25, 0.0), (0.25, 0.25, 0.0), (-0.25, 0.25, 0.0))
     s = replace(scenario(law, duration_s=4.0), target=Points(at=corners[:markers], pose=Pose()))
     starts = drawn(4, yaw=60)
-    found = fly(s, starts)
+    found = simulate_batch(s, starts)
     for i, start in enumerate(starts):
         r = vs.run(started_at(s, start))
         assert (found.outcome[i], found.steps[i]) == (r.outcome, len(r["t"]) - 1)
@@ -288,7 +288,7 @@ def test_a_law_that_fails_in_one_run_ends_that_run_alone(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(Predictive, "step", failing)
     starts = from_(Pose(xyz=(0.1, 0, -1)), Pose(xyz=(0.1, 0, -2)), Pose(xyz=(-0.1, 0.1, -1.2)))
-    found = fly(scenario(Predictive()), starts)
+    found = simulate_batch(scenario(Predictive()), starts)
     assert list(found.outcome) == [vs.Outcome.converged, vs.Outcome.law_failed, vs.Outcome.converged] and found.steps[1] == 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from vstestbed.core.errors import ScenarioError
-from vstestbed.studies.bench import BesideFloor, SpeedChange, SpeedChanges, read_saved
+from vstestbed.studies.bench import BesideFloor, SpeedChange, changes_text, read_saved, speed_changes
 
 
 def timing(*ratios: float) -> BesideFloor:
@@ -35,10 +35,10 @@ def test_a_change_is_one_beyond_the_noise():
 
 
 def test_only_what_both_measured_is_compared():
-    both = SpeedChanges.between({"arm": timing(2.0), "old": timing(1.0)}, {"arm": timing(3.0), "new": timing(1.0)})
-    assert list(both.changes) == ["arm"]
-    assert both.as_text().splitlines()[1].split() == ["arm", "2.00", "3.00", "+50", "%", "slower"]
-    assert both.as_text().endswith("slower beyond the noise: arm")
+    both = speed_changes({"arm": timing(2.0), "old": timing(1.0)}, {"arm": timing(3.0), "new": timing(1.0)})
+    assert list(both) == ["arm"]
+    assert changes_text(both).splitlines()[1].split() == ["arm", "2.00", "3.00", "+50", "%", "slower"]
+    assert changes_text(both).endswith("slower beyond the noise: arm")
 
 
 def test_a_file_that_is_no_measurement(tmp_path: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from vstestbed.studies.bench import read_saved
 def test_what_is_printed_is_read_again(tmp_path: Path):
     measured = bench.Suite.of({"run folder": bench.measure_one(*bench.benchmarks()["run folder"], repeats=2)})
     assert len(measured.timings["run folder"].seconds) == 2
-    (tmp_path / "old.json").write_text(json.dumps(measured.as_dict()), encoding="utf-8")
+    (tmp_path / "old.json").write_text(json.dumps(asdict(measured)), encoding="utf-8")
     assert read_saved(tmp_path / "old.json").timings == measured.timings
 
 

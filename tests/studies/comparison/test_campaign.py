@@ -23,13 +23,22 @@ from tests.shortcuts import Here, run_here
 from vstestbed.core.errors import EnvironmentLackError, OutputError, ParameterError
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.scenario.dump import given_text
-from vstestbed.studies.comparison import Campaign, Comparison, Job, Jobs, compare, controllers
+from vstestbed.studies import pools
+from vstestbed.studies.comparison import Comparison, Job, Jobs, Runner, compare, controllers
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.runs import RunRequest
 from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
 from vstestbed.studies.run_folder import files_of_failure, store
 
 GAINS = {"law.gain": (3.0, 6.0)}
+
+
+@pytest.fixture(autouse=True)
+def by_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also light runs are done by worker processes."""
+    monkeypatch.setattr(pools, "HERE_S", 0.0)
+
+
 BROKEN = '''
 """Laws that fail: one raises, one kills its worker, the first time or always."""
 
@@ -177,9 +186,10 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 @pytest.mark.process
 @pytest.mark.study
 def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
-    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     request = RunRequest("runs/a", given_text(vs.load(quick)), False)
     with closing(LocalPool(1, tmp_path)) as pool:
+        pool._start()
         slot = pool._free[0]
         before = slot.pid.result()
         future = pool.submit(request)
@@ -193,28 +203,30 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothin
         assert pool.call(os.getpid).result() == os.getpid()  # one worker leaves shares of the report to this process
         os.kill(slot.pid.result(), signal.SIGKILL)
         gone(slot.pid.result())
-        campaign.run(pool)  # before the pool hears of it
-    assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
+        runner.run(pool)  # before the pool hears of it
+    assert table_of(tmp_path, runner.jobs)["outcome"].to_list() == ["converged", "converged"]
 
 
 @pytest.mark.process
 @pytest.mark.study
 @pytest.mark.parametrize("later_s", [0.0, 1.0])  # before its pool hears of it, and after
 def test_a_worker_that_dies_while_it_has_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path, later_s: float):
-    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     with closing(LocalPool(1, tmp_path)) as pool:
+        pool._start()
         pid = pool._slots[0].pid.result()
         os.kill(pid, signal.SIGKILL)
         gone(pid)
         time.sleep(later_s)
-        campaign.run(pool)
-    assert table_of(tmp_path, campaign.jobs)["outcome"].to_list() == ["converged", "converged"]
+        runner.run(pool)
+    assert table_of(tmp_path, runner.jobs)["outcome"].to_list() == ["converged", "converged"]
 
 
 @pytest.mark.process
 @pytest.mark.study
 def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(quick: Path, tmp_path: Path):
     with closing(LocalPool(2, tmp_path)) as pool:
+        pool._start()
         first, second = (slot.pid.result() for slot in pool._slots)
         assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {first, second}
         os.kill(first, signal.SIGKILL)
@@ -355,11 +367,11 @@ def test_ctrl_c_between_the_storing_of_a_run_and_its_count_counts_it(quick: Path
         store(*given)
         raise KeyboardInterrupt
 
-    campaign = Campaign(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
+    runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
     monkeypatch.setattr("vstestbed.studies.comparison.runs.store", stored_then_interrupted)
     with pytest.raises(KeyboardInterrupt):
-        campaign.run(Here())
-    assert campaign.done == 1
+        runner.run(Here())
+    assert runner.done == 1
 
 
 @pytest.mark.parametrize("keep", [0, 2])
@@ -432,10 +444,10 @@ def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypat
 def test_a_start_that_cannot_be_drawn_is_a_run_that_crashed(quick: Path, tmp_path: Path):
     away = {"robot.start.random": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}, "robot.start.nominal.xyz": [3, 0, 0]}
     comparison = Comparison(base=(str(quick),), set=away, seeds=2)
-    campaign = Campaign(tmp_path, Jobs(controllers(comparison), 2))
+    runner = Runner(tmp_path, Jobs(controllers(comparison), 2))
     told: list[Any] = []
-    campaign.run(Here(), lambda job, summary: told.append((job.seed, summary["outcome"])))
-    table = table_of(tmp_path, campaign.jobs)
+    runner.run(Here(), lambda job, summary: told.append((job.seed, summary["outcome"])))
+    table = table_of(tmp_path, runner.jobs)
     assert table["outcome"].to_list() == ["crashed", "crashed"]
     assert told == [(0, "crashed"), (1, "crashed")]
     assert "has the whole target in view" in table["reason"][0]

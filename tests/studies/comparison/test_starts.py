@@ -18,7 +18,7 @@ from tests.shortcuts import draw_one_figure, one_quick, run_here
 from vstestbed.core.errors import ParameterError, ScenarioError, UnreachableError
 from vstestbed.core.geometry import Pose, inverse, rigid_error, rotation_angle
 from vstestbed.core.named_files import bundled_comparisons
-from vstestbed.studies.comparison import Campaign, Comparison, Jobs, Variant, chosen, compare, controllers
+from vstestbed.studies.comparison import Comparison, Jobs, Runner, Variant, chosen, compare, controllers
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import StartTable, merged
 from vstestbed.studies.pools import LocalPool
@@ -313,17 +313,17 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
     task = StartTable(camera_from_goal=(Pose(xyz=(0, 0, 0.01)), Pose(xyz=(0, 0, 5))), amounts=(0.01, 5), unit="m")
     settings = {"detector": {"kind": "oracle"}, "stop.duration_s": 5, "stop.converged.error_px": 3}
     made = controllers(Comparison(base=("arm_jaco",), set=settings, tasks={"ahead": task}))
-    campaign = Campaign(tmp_path, Jobs(made, None))
+    runner = Runner(tmp_path, Jobs(made, None))
     with closing(LocalPool(1, tmp_path)) as pool:
-        campaign.run(pool)
-    table = table_of(tmp_path, campaign.jobs)
+        runner.run(pool)
+    table = table_of(tmp_path, runner.jobs)
     assert table["outcome"].to_list() == ["converged", "unreachable"] and table["success"].to_list() == [True, False]
     assert table["seed"].to_list() == [0, 1]  # also of a start that cannot be drawn
     assert "is out of its reach: it stays" in table["reason"][1]
     meshes = list((tmp_path / table["folder"][0] / "assets").iterdir())
     assert len(meshes) == 5 and all(mesh.stat().st_nlink == 2 for mesh in meshes)  # one copy for all runs
     with pytest.raises(UnreachableError):
-        campaign.jobs[1].scenario()
+        runner.jobs[1].scenario()
 
 
 def test_the_ideal_camera_of_realism_starts_where_the_arm_does():

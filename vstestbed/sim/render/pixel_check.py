@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -23,16 +23,8 @@ BALLS = tuple((x, y, z) for z, y in ((0.0, -0.35), (0.3, 0.0), (-0.2, 0.35)) for
 """Twelve balls over the whole image at several depths, in the target frame [m]."""
 
 
-@dataclass(frozen=True)
-class PixelCheck:
-    """Measured minus predicted pixels (N, 2) [px], and the renderer's name."""
-
-    errors: Array
-    renderer: str
-
-
-def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> PixelCheck:
-    """Render twelve balls, detect them, and compare with the projection of their centres.
+def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: Camera | None = None) -> tuple[Array, str]:
+    """Render twelve balls and detect them: measured minus predicted pixels of their centres (N, 2) [px], and the renderer's name.
 
     Raises EnvironmentLackError: renderer is gl, and OpenGL does not work here.
     """
@@ -50,4 +42,4 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
         _, found = detector.detect(detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
     finally:
         stage.close()
-    return PixelCheck(found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name)
+    return found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name

@@ -18,11 +18,11 @@ from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
 from vstestbed.studies.comparison.folder import GROUP, PLAN, Baseline, ComparisonTable, finish, table_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
-from vstestbed.studies.comparison.runs import Campaign, OnDone
+from vstestbed.studies.comparison.runs import OnDone, Runner
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
-__all__ = ["PLAN", "Baseline", "Campaign", "Comparison", "ComparisonTable", "Job", "Jobs", "Variant"]
+__all__ = ["PLAN", "Baseline", "Comparison", "ComparisonTable", "Job", "Jobs", "Runner", "Variant"]
 __all__ += ["chosen", "compare", "controllers", "must_be_known"]
 
 
@@ -68,14 +68,14 @@ def compare(
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
     with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier, limit) as (
-        campaign,
+        runner,
         comparison,
     ):
-        return carry_out(campaign, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
+        return carry_out(runner, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
 
 
 def carry_out(
-    campaign: Campaign,
+    runner: Runner,
     comparison: Comparison,
     jobs: int | None = None,
     executor: str = "local",
@@ -91,25 +91,25 @@ def carry_out(
     with ExitStack() as stack:
         pool = None
         try:
-            if left := len(campaign.jobs) - campaign.done:
-                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), campaign.folder)))
-                campaign.run(pool, on_done)
+            if left := len(runner.jobs) - runner.done:
+                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), runner.folder)))
+                runner.run(pool, on_done)
             else:
-                clear(campaign.folder)  # of a process that was killed while it wrote the report
+                clear(runner.folder)  # of a process that was killed while it wrote the report
         finally:  # also an interrupted comparison has its table
-            table = table_of(campaign.folder, campaign.jobs)
-            write_table(campaign.folder / "comparison", table, GROUP)
-        if lost := len(campaign.jobs) - len(table):
-            words = f"{lost} of {len(campaign.jobs)} runs are not there any more, though each was stored when it was done"
+            table = table_of(runner.folder, runner.jobs)
+            write_table(runner.folder / "comparison", table, GROUP)
+        if lost := len(runner.jobs) - len(table):
+            words = f"{lost} of {len(runner.jobs)} runs are not there any more, though each was stored when it was done"
             advice = "see what else writes there, then do them again with --resume"
-            raise OutputError(campaign.folder, words, advice, EnvironmentLackError.exit_code)
+            raise OutputError(runner.folder, words, advice, EnvironmentLackError.exit_code)
         changes = None
         if baseline is not None:
-            changes = baseline.changes(comparison, table, campaign.folder)
-            write_json(campaign.folder / FILE, changes.plain())  # before the page, which reads it
+            changes = baseline.changes(comparison, table, runner.folder)
+            write_json(runner.folder / FILE, changes.plain())  # before the page, which reads it
         if report:
-            finish(campaign.folder, comparison, table, stage, at_once if pool is None else pool.call, figures)
-    return ComparisonTable.of(table, campaign.folder, comparison, changes)
+            finish(runner.folder, comparison, table, stage, at_once if pool is None else pool.call, figures)
+    return ComparisonTable.of(table, runner.folder, comparison, changes)
 
 
 @contextmanager
@@ -125,7 +125,7 @@ def prepared(
     force: bool = False,
     baseline: Baseline | None = None,
     limit: int | None = None,
-) -> Iterator[tuple[Campaign, Comparison]]:
+) -> Iterator[tuple[Runner, Comparison]]:
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
     requested = None
     if scenarios:
@@ -147,7 +147,7 @@ def prepared(
             write_plan(folder / PLAN, comparison, "base")
         first = 0 if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-        yield Campaign(folder, Jobs(found, comparison.seeds), filmed), comparison
+        yield Runner(folder, Jobs(found, comparison.seeds), filmed), comparison
 
 
 def _check_workers_find(found: Variants) -> None:
@@ -176,7 +176,7 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
 
 
 def _essence(c: Variant) -> tuple[object, ...]:
-    return tuple(dump(s, defaults=True) for s in c.starts or (c.scenario,)), c.folder, c.runs
+    return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
 
 def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = False) -> Path:

@@ -329,26 +329,8 @@ class Lazy(Sequence[T]):
         return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
 
-class Starts(Lazy[Scenario]):
-    """The scenarios of a task's runs, each made when it is asked for.
-
-    Args:
-        make: the scenario of run i, and why the robot cannot stand where it begins, "" where it can. runs: how many there are.
-    """
-
-    def __init__(self, make: Callable[[int], tuple[Scenario, str]], runs: int):
-        self._made, self._runs = functools.lru_cache(maxsize=STARTS_KEPT)(make), runs
-
-    def __len__(self) -> int:
-        return self._runs
-
-    def item(self, i: int) -> Scenario:
-        """The scenario of run i; one that cannot begin as it is without its displacement."""
-        return self._made(i)[0]
-
-    def why_not(self, i: int) -> str:
-        """Why the robot cannot stand where run i begins; "" where it can."""
-        return self._made(i)[1]
+Start = Callable[[int], tuple[Scenario, str]]
+"""The scenario of run i of a task, and why the robot cannot stand where it begins: "" where it can, else it is not displaced."""
 
 
 AS_IT_IS = "as_it_is"  # name of the variant of a scenario where nothing is varied
@@ -367,11 +349,8 @@ def among(number: int, of: int, name: str = "") -> str:
     return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
-class Placed(NamedTuple):
-    """A value for a dotted path, and the positions of it and of what is inside it, by key relative to the path."""
-
-    value: object
-    marks: Marks
+Placed = tuple[object, Marks]
+"""A value with position: for a dotted path, and the positions of it and of what is inside it, by key relative to the path."""
 
 
 @dataclass(frozen=True)
@@ -384,8 +363,8 @@ class Variant:
     """Folder of its runs, below the comparison's folder."""
     draws: bool
     """Whether a seed draws anything."""
-    starts: Starts | None = None
-    """The scenario of each run of a task; None if a seed draws it."""
+    start: Start | None = None
+    """Makes the scenario of each run of a task; None if a seed draws it."""
     amounts: tuple[str, ...] = ()
     """Labels of the runs of a task: `20 deg`."""
     runs: int | None = None
@@ -394,8 +373,12 @@ class Variant:
     @property
     def unreachable(self) -> Mapping[int, str]:
         """Why the robot cannot stand where a run of a task begins, by the run's number."""
-        every = range(0 if self.starts is None else len(self.starts))
-        return {i: why for i in every if self.starts is not None and (why := self.starts.why_not(i))}
+        return {} if self.start is None else {i: why for i in range(self.runs or 0) if (why := self.start(i)[1])}
+
+    @property
+    def starts(self) -> list[Scenario]:
+        """The scenario of each run of a task that has a list of them, also where it is `unreachable`."""
+        return [] if self.start is None else [self.start(i)[0] for i in range(self.runs or 0)]
 
 
 @dataclass(frozen=True)
@@ -417,10 +400,11 @@ class Job:
         Raises UnreachableError: the robot cannot stand there. ParameterError: no start can be drawn.
         """
         found = self.controller
-        if found.starts is not None and self.seed is not None:
-            if why := found.starts.why_not(self.seed):
+        if found.start is not None and self.seed is not None:
+            scenario, why = found.start(self.seed)
+            if why:
                 raise UnreachableError("robot.start", why)
-            return found.starts[self.seed].with_seed(self.seed)
+            return scenario.with_seed(self.seed)
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
 
 
@@ -451,12 +435,12 @@ class Variants(Lazy[Variant]):
         task = list(c.tasks)[varied[-1]] if c.tasks else None
         cases = {name: list(those)[place] for (name, those), place in zip(c.cases.items(), of_cases, strict=True)}
         axes = {
-            path: Placed(those[place], marks_under(("axes", path, place), c.places))
+            path: (those[place], marks_under(("axes", path, place), c.places))
             for (path, those), place in zip(c.axes.items(), of_axes, strict=True)
         }
         blocks = [_settings(c, c.set, ("set",))]
         blocks += [_settings(c, c.cases[name][case], ("cases", name, case)) for name, case in cases.items()]
-        values = cases | {path: setting.value for path, setting in axes.items()} | ({TASK: task} if task else {})
+        values = cases | {path: value for path, (value, _) in axes.items()} | ({TASK: task} if task else {})
         words = [words[place] for words, place in zip(self._words, varied, strict=False)]  # without tasks the last place has no word
         # paths of fields are words of files, but the name of a case may be anything
         variant = allowed(",".join(f"{file_word(name, 150)}={word}" for name, word in zip(values, words, strict=True)) or AS_IT_IS)
@@ -475,7 +459,7 @@ class Variants(Lazy[Variant]):
 
 
 def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Placed]:
-    return {path: Placed(value, marks_under((*key, path), c.places)) for path, value in block.items()}
+    return {path: (value, marks_under((*key, path), c.places)) for path, value in block.items()}
 
 
 def controllers(comparison: Comparison, force: bool = False) -> Variants:
@@ -523,11 +507,11 @@ def _controller(
         scenario = _load(c, name, settings)
         return Variant(scenario, values, folder, _seeds_draw(scenario, task.runs), None, task.labels(), task.runs)
     scenario = _load(c, name, merged(settings, _setting(c, task_name, task, 0)))
-    starts = Starts(functools.partial(_start, c, scenario, name, settings, task_name), task.runs)
+    start = functools.lru_cache(maxsize=STARTS_KEPT)(functools.partial(_start, c, scenario, name, settings, task_name))
     if task.file is None:  # written by hand: mistakes are told before anything runs
-        for _ in starts:
-            pass
-    return Variant(scenario, values, folder, scenario.draws, starts, task.labels(), task.runs)
+        for i in range(task.runs):
+            start(i)
+    return Variant(scenario, values, folder, scenario.draws, start, task.labels(), task.runs)
 
 
 def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Placed], task_name: str, i: int) -> tuple[Scenario, str]:
@@ -544,12 +528,12 @@ def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Pla
 
 def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
     each = task.lists.each.items()
-    return {path: Placed(values[i], marks_under(("tasks", name, "each", path, i), c.places)) for path, values in each}
+    return {path: (values[i], marks_under(("tasks", name, "each", path, i), c.places)) for path, values in each}
 
 
 def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
-    values = {path: setting.value for path, setting in settings.items()}
-    return load(name, values, places={path: setting.marks for path, setting in settings.items()}, plugins=c.plugins)
+    values = {path: value for path, (value, _) in settings.items()}
+    return load(name, values, places={path: marks for path, (_, marks) in settings.items()}, plugins=c.plugins)
 
 
 def _seeds_draw(scenario: Scenario, runs: int) -> bool:
