@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -36,14 +35,6 @@ PLACES = 400  # points of the trail: when there are more, every other one is dro
 PLATE_GREY = (115, 115, 120)
 
 
-@dataclass
-class _Placed:
-    """The parts of one body, under one frame, and where it was put last."""
-
-    frame: viser.FrameHandle
-    at: tuple[Array, Array]
-
-
 class SceneView:
     """Shows samples of one run; a scenario with another scene needs another view. reach_m: a length that suits the scene [m]."""
 
@@ -57,6 +48,7 @@ class SceneView:
         self._light()
         self._floor()
         self._bodies = self._solids()
+        self._poses: Array | None = None  # of all bodies as they were put last (B, 7)
         self._trail, self._spacing = np.zeros((0, 3)), self.reach_m / 12
         self._trail_lines = self._scene.add_line_segments("/trail", np.zeros((1, 2, 3)), OWN, thickness=2.5, thickness_units="screen")
         self._eye = self._frustum("/camera", OWN)
@@ -69,10 +61,11 @@ class SceneView:
         """Put everything where it is in a sample. image: the camera's picture for its frustum, if there is a new one."""
         film = sample.film
         xpos, xquat = self._replay.body_poses(film.t, film.T_world_target, film.q, film.T_world_camera)
-        for body, placed in self._bodies.items():
-            if not (np.array_equal(xpos[body], placed.at[0]) and np.array_equal(xquat[body], placed.at[1])):
-                placed.at = xpos[body].copy(), xquat[body].copy()
-                placed.frame.position, placed.frame.wxyz = placed.at
+        poses = np.hstack([xpos, xquat])
+        for body, frame in self._bodies.items():
+            if self._poses is None or not np.array_equal(poses[body], self._poses[body]):
+                frame.position, frame.wxyz = poses[body, :3], poses[body, 3:]
+        self._poses = poses
         _put(self._eye, film.T_world_camera)
         if image is not None:
             self._eye.image = image
@@ -119,12 +112,12 @@ class SceneView:
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
         self._scene.add_grid("/grid", GRID_M, GRID_M, plane="xy", position=(0, 0, z - LAYER_M), **grid)
 
-    def _solids(self) -> dict[int, _Placed]:
-        bodies: dict[int, _Placed] = {}
-        nowhere = np.full(3, np.nan), np.full(4, np.nan)
+    def _solids(self) -> dict[int, viser.FrameHandle]:
+        """A frame for each body that has something to be seen, by number, with its solids and panes below it."""
+        bodies: dict[int, viser.FrameHandle] = {}
         solids, panes = self._replay.solids, self._replay.panes
         for body in dict.fromkeys(part.body for part in (*solids, *panes)):
-            bodies[body] = _Placed(self._scene.add_frame(f"/body_{body}", show_axes=False), nowhere)
+            bodies[body] = self._scene.add_frame(f"/body_{body}", show_axes=False)
         for i, solid in enumerate(solids):
             look = {"color": np.rint(255 * np.array(solid.rgb)).astype(np.uint8), "side": "double", "flat_shading": True}
             self._scene.add_mesh_simple(f"/body_{solid.body}/{i}", solid.vertices, solid.faces, **look)
