@@ -13,20 +13,20 @@ from tests.sim.two_mass import ROTOR, arm, frequency, inertia, plant_of, stage_o
 from vstestbed.core.geometry import Array
 from vstestbed.effects.joints import Gears
 from vstestbed.effects.strain_wave import CURVES, StrainWave
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 K = 2000.0
 """[Nm/rad]: 8 Hz before a rotor that stands, 14 Hz before a free one."""
 
 
-def loose(folder: Path, step_s: float | None = None, **gears: float | tuple[float, ...]) -> Stage:
+def loose(folder: Path, step_s: float | None = None, **gears: float | tuple[float, ...]) -> Scene:
     """The joint with elastic gears, its servos off."""
     stage = stage_of(arm(folder, gears=Gears(**{"stiffness_nmprad": (K, 0.0), **gears})), step_s)  # type: ignore[arg-type] - of dict values
     stage.model.actuator_gainprm[:], stage.model.actuator_biasprm[:] = 0.0, 0.0
     return stage
 
 
-def swing(stage: Stage, seconds: float, wind: float = 0.001, locked: bool = False) -> tuple[Array, Array]:
+def swing(stage: Scene, seconds: float, wind: float = 0.001, locked: bool = False) -> tuple[Array, Array]:
     """Times and angles of the spring, let go at a deflection [rad]."""
     model, data, at = stage.model, stage.data, stage.at
     if locked:

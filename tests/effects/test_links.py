@@ -17,8 +17,8 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, adjoint, inverse, log
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.robots import Puma560
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 JOINTS = np.radians([[0, 45, -180, 0, 45, -45], [30, -20, -60, 80, -40, 100], [-100, 120, -10, -50, 70, 10]])
 
@@ -26,7 +26,7 @@ JOINTS = np.radians([[0, 45, -180, 0, 45, -45], [30, -20, -60, 80, -40, 100], [-
 def true_pose(robot: Puma560, q: Array) -> Array:
     """T_world_flange (4, 4) by MuJoCo."""
     s = vs.load("arm_ibvs")
-    stage = Stage(Parts(robot, s.camera, s.target, s.world, step=0.002))
+    stage = Scene(SceneDescription(robot, s.camera, s.target, s.world, step=0.002))
     stage.place(0.0, s.target.T_world_start, q)
     T = stage.camera_pose() @ inverse(s.camera.mount.T)
     stage.close()

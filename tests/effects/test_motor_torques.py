@@ -13,12 +13,12 @@ from tests.sim.two_mass import MASS, REACH, arm, plant_of, stage_of
 from vstestbed.core.geometry import Array
 from vstestbed.effects.joints import CurrentLoops, MotorTorques, Ripple
 from vstestbed.sim.plant import settle
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 KP = 2000.0
 
 
-def held(stage: Stage) -> MotorTorques:
+def held(stage: Scene) -> MotorTorques:
     """The motors of an arm whose joints are held, so that the servo's torque is what the test says."""
     settle(stage)
     stage.model.dof_damping[:] = 1e9
@@ -28,7 +28,7 @@ def held(stage: Stage) -> MotorTorques:
     return motors
 
 
-def torques(stage: Stage, motors: MotorTorques, wind: Array) -> Array:
+def torques(stage: Scene, motors: MotorTorques, wind: Array) -> Array:
     """Torque of the first motor in each step, as its servo's reference is wound up by so much [rad]."""
     h, data, out = stage.model.opt.timestep, stage.data, []
     rest = data.act[0]

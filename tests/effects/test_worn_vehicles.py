@@ -21,8 +21,8 @@ from vstestbed.robots.vehicle import GroundStart
 from vstestbed.sim.base import Truth
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 
 G, STEP = 9.81, 0.002
@@ -36,7 +36,7 @@ class Drive:
     def __init__(self, robot: Car | Omni, floor_friction: float | None = None):
         s = vs.load("car_pbvs")
         self.robot = robot
-        self.stage = Stage(Parts(robot, s.camera, s.target, World(floor_friction=floor_friction), STEP))
+        self.stage = Scene(SceneDescription(robot, s.camera, s.target, World(floor_friction=floor_friction), STEP))
         self.plant = MujocoPlant(self.stage, 20, None, False, np.random.default_rng(0))
         self.model, self.data = self.stage.model, self.stage.data
 

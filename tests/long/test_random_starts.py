@@ -9,7 +9,7 @@ import vstestbed as vs
 from tests.shortcuts import jacobian
 from vstestbed.core.geometry import Array
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.compose import SceneDescription, compose
 
 SEEDS = 20
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
@@ -38,7 +38,7 @@ def line(seed: int, scenario: Scenario, nominal: Array, r: vs.Recording) -> str:
 def dead_band(scenario: Scenario) -> Array:
     """Joint speeds (6,) that each servo may be told without moving its joint: frictionloss / kv [rad/s]."""
     s = scenario
-    model = compose(Parts(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
+    model = compose(SceneDescription(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
     return model.dof_frictionloss / model.actuator_gainprm[:, 0]
 
 

@@ -36,14 +36,14 @@ from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.sim.base import Truth
 from vstestbed.sim.ideal import IdealPlant
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.tasks import Task
 from vstestbed.tasks.frame import Frame
 from vstestbed.vision.base import TruthView
 from vstestbed.vision.observe import Observer
 
 ROOMS = ("laws", "robots", "vision", "features", "camera", "targets")
-TRUE = (Truth, TruthView, RobotState, Frame, MujocoPlant, IdealPlant, Stage, mujoco.MjData, mujoco.MjModel)
+TRUE = (Truth, TruthView, RobotState, Frame, MujocoPlant, IdealPlant, Scene, mujoco.MjData, mujoco.MjModel)
 """Types that hold the truth, or the simulator's state."""
 
 

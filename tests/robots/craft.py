@@ -14,8 +14,8 @@ from vstestbed.robots.flight import HOLD
 from vstestbed.robots.quadrotor import FlightPose, FlightStart, Quadrotor
 from vstestbed.robots.rotors import X4
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.base import Pad
 
 WEIGHT = X4.mass_kg * 9.81
@@ -34,7 +34,7 @@ class Craft:
         # The target is put aside: what is below the craft is the floor, or the pad.
         pose = replace(scenario.target.pose, xyz=pad_at or (0.0, 50.0, 0.13))
         target = replace(scenario.target, pose=pose, pad=Pad(side=0.9) if pad_at else None)
-        self.stage = Stage(Parts(self.robot, scenario.camera, target, scenario.world, 0.001))
+        self.stage = Scene(SceneDescription(self.robot, scenario.camera, target, scenario.world, 0.001))
         self.plant = MujocoPlant(self.stage, 40, None, False, np.random.default_rng(3))
         self.data, self.model = self.stage.data, self.stage.model
 

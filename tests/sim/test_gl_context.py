@@ -12,21 +12,21 @@ import vstestbed as vs
 from vstestbed.sim import gl_context as contexts
 from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 NAMES = ("arm_ibvs", "arm_tags", "spherical_book")
-Scene = tuple[Stage, Callable[[], np.ndarray]]
+Made = tuple[Scene, Callable[[], np.ndarray]]
 
 
 @pytest.fixture
-def scene() -> Iterator[Callable[..., Scene]]:
+def scene() -> Iterator[Callable[..., Made]]:
     """scene(name, outside): a bundled scenario's start with what draws it, by its own camera or from outside (with shadows)."""
-    stages: list[Stage] = []
+    stages: list[Scene] = []
 
-    def make(name: str, outside: bool = False) -> Scene:
+    def make(name: str, outside: bool = False) -> Made:
         s = vs.load(name)
-        stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002), samples=4 if outside else 0)
+        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002), samples=4 if outside else 0)
         flange = s.robot.flange_pose(s.robot.configuration())
         stage.place(0.0, s.target.pose.T, s.robot.configuration() if s.robot.body else np.zeros(0), flange @ s.camera.mount.T)
         stages.append(stage)
@@ -39,7 +39,7 @@ def scene() -> Iterator[Callable[..., Scene]]:
         stage.close()
 
 
-def test_scenes_in_turn_look_as_they_do_alone(scene: Callable[..., Scene]):
+def test_scenes_in_turn_look_as_they_do_alone(scene: Callable[..., Made]):
     alone = []
     for name in NAMES:
         for outside in (False, True):
@@ -52,7 +52,7 @@ def test_scenes_in_turn_look_as_they_do_alone(scene: Callable[..., Scene]):
             np.testing.assert_array_equal(together[i](), alone[i])
 
 
-def test_a_scene_that_looks_the_same_takes_the_kept_context(scene: Callable[..., Scene]):
+def test_a_scene_that_looks_the_same_takes_the_kept_context(scene: Callable[..., Made]):
     first, picture = scene("arm_ibvs")
     picture()
     kept = first.physics.contexts.mujoco
@@ -66,12 +66,12 @@ def test_a_scene_that_looks_the_same_takes_the_kept_context(scene: Callable[...,
     assert other.physics.contexts.gl is again.physics.contexts.gl
 
 
-def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Scene]):
+def test_few_are_kept_and_none_is_freed_while_it_is_used(scene: Callable[..., Made]):
     used = [scene("arm_ibvs")]
     before = used[0][1]()
     for width in range(100, 100 + 2 * contexts.MOST_KEPT):
         s = vs.load("arm_ibvs", {"camera.width": 7 * width, "camera.height": 6 * width})
-        stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
         stage.place(0.0, s.target.pose.T, s.robot.configuration())
         OpenGLRenderer(stage, s.camera).full_image()
         stage.close()

@@ -9,14 +9,14 @@ import vstestbed as vs
 from vstestbed.core.geometry import inverse, rigid_error
 from vstestbed.sim.base import flange_for, posture_at
 from vstestbed.sim.plant import shown_at
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 
 @pytest.mark.parametrize("level", ["none", "field"])
 def test_the_camera_is_at_the_goal_view(level: str) -> None:
     s = vs.load("arm_ibvs", {"robot.realism": level}).resolved
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.001))
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.001))
     T = flange_for(s.camera, s.target, s.goal_poses[-1])
     own = posture_at(s.robot, T)
     q = shown_at(stage, T, own)

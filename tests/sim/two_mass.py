@@ -15,8 +15,8 @@ from vstestbed.robots.arm import ArmStart, Positions
 from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS
 from vstestbed.timing.clock import Clock
@@ -52,9 +52,9 @@ def frequency(t: Array, x: Array) -> float:
     return math.pi * (len(at) - 1) / (at[-1] - at[0])
 
 
-def stage_of(robot: Mjcf, step_s: float | None = None) -> Stage:
+def stage_of(robot: Mjcf, step_s: float | None = None) -> Scene:
     """The scene of the arm before a target."""
-    return Stage(Parts(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or longest_step(robot)))
+    return Scene(SceneDescription(robot, Perspective(), TARGET, World(floor_z=-5.0), step=step_s or longest_step(robot)))
 
 
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:

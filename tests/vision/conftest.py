@@ -17,8 +17,8 @@ from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Plate, World
 from vstestbed.targets.base import Target
 
@@ -83,13 +83,13 @@ TakeScene = Callable[..., Picture]
 @pytest.fixture(scope="module")
 def scene_picture() -> Iterator[TakeScene]:
     """scene_picture(target, T_camera_target, camera, plates) -> Picture; one renderer a scene."""
-    stages: dict[tuple[object, ...], tuple[Stage, OpenGLRenderer]] = {}
+    stages: dict[tuple[object, ...], tuple[Scene, OpenGLRenderer]] = {}
 
     def take(target: Target, T: Array, camera: Camera = CAMERA, plates: tuple[Plate, ...] = ()) -> Picture:
         key = (target, camera, plates)
         if key not in stages:
             world = World(floor_z=-20.0, plates=plates)
-            stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, world, 0.002), camera.multisampling)
+            stage = Scene(SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, world, 0.002), camera.multisampling)
             stages[key] = stage, OpenGLRenderer(stage, camera)
         stage, eye = stages[key]
         stage.place(0.0, T, np.zeros(0), np.eye(4))

@@ -14,8 +14,8 @@ from vstestbed.robots import Omni
 from vstestbed.robots.vehicle import GroundStart
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Plate, World
 from vstestbed.targets.ground_lines import GroundLines
 from vstestbed.targets.route import FigureEight, Piece, Track
@@ -33,7 +33,7 @@ class Bench:
     def __init__(self, lines, camera, sigma=0.0, world=None):
         robot = Omni(wheels="planar", start=GroundStart(nominal=GroundPose()))
         self.lines, self.camera = lines, camera
-        self.stage = Stage(Parts(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
+        self.stage = Scene(SceneDescription(robot, camera, lines, world or World(), 0.002), samples=camera.multisampling)
         noise = ImageNoise(sigma, np.random.default_rng(1))
         self.eye = ImageSensor(self.stage, servo_renderer(self.stage, camera, sigma > 0), Chain(noise=noise))
 

@@ -22,8 +22,8 @@ from vstestbed.timing.setpoints import Interpolator, SetpointBuffer, Stop
 
 if TYPE_CHECKING:
     from vstestbed.sim.render.image_sensor import ImageSensor
-    from vstestbed.sim.scene.compose import Parts
-    from vstestbed.sim.scene.stage import Stage
+    from vstestbed.sim.scene.compose import SceneDescription
+    from vstestbed.sim.scene.scene import Scene
 
 
 class Truth(NamedTuple):
@@ -90,13 +90,13 @@ class Plant(ABC):
     the next; None: at once.
     """
 
-    _stage: Stage | None
+    _stage: Scene | None
 
     def __init__(
         self,
-        parts: Parts,
+        parts: SceneDescription,
         steps_per_frame: int,
-        stage: Stage | None,
+        stage: Scene | None,
         eye: ImageSensor | None,
         path: Path | None,
         order_s: float,

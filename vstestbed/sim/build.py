@@ -55,10 +55,11 @@ def build_plant(
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
-    from vstestbed.sim.scene.compose import Parts
+
+    from vstestbed.sim.scene.compose import SceneDescription
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
-    parts = Parts(robot, camera, target, world, step, plate_m=plate_m)
+    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.body is None
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     if ideal and not (needs_image or plate_m or _may_hide(target, world)):
@@ -68,9 +69,9 @@ def build_plant(
     from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
-    from vstestbed.sim.scene.stage import Stage
+    from vstestbed.sim.scene.scene import Scene
 
-    stage = Stage(parts, samples=camera.multisampling)
+    stage = Scene(parts, samples=camera.multisampling)
     eye, renderer = None, "none"
     if needs_image:
         # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
@@ -106,16 +107,16 @@ def scene_files(
     Its keyframe `start` is the nominal start. sights: points that the outside view must show [m].
     """
     from vstestbed.core.geometry import quaternion_wxyz
-    from vstestbed.sim.scene.compose import Parts, compose
-    from vstestbed.sim.scene.stage import Stage
+    from vstestbed.sim.scene.compose import SceneDescription, compose
+    from vstestbed.sim.scene.scene import Scene
 
-    parts = Parts(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)
+    parts = SceneDescription(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)
     if robot.body is None:
         spec, T = compose(parts), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")
         body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
     else:
-        stage = Stage(parts)
+        stage = Scene(parts)
         spec = stage.spec
         spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()

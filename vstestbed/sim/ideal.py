@@ -9,8 +9,8 @@ from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import Interpolator
 
@@ -23,9 +23,9 @@ class IdealPlant(Plant):
 
     def __init__(
         self,
-        parts: Parts,
+        parts: SceneDescription,
         steps_per_frame: int,
-        stage: Stage | None,
+        stage: Scene | None,
         eye: ImageSensor | None,
         path: Path | None,
         order_s: float,

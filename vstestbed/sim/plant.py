@@ -19,7 +19,7 @@ from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
 from vstestbed.sim.base import Plant, Truth
 from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import Interpolator
 
@@ -75,7 +75,7 @@ class SensorReader:
     stage: the scene. rng: generator of the noise. actors: add to what the sensors meet.
     """
 
-    def __init__(self, stage: Stage, rng: np.random.Generator, actors: Sequence[Actor] = ()):
+    def __init__(self, stage: Scene, rng: np.random.Generator, actors: Sequence[Actor] = ()):
         robot, self._data, self._values = stage.parts.robot, stage.data, stage.data.sensordata
         self._at, self._has_encoders = stage.at, len(stage.at.motor_qpos) > 0
         self._model, self._felt = robot.instruments(rng), [actor.felt for actor in actors if type(actor).felt is not Actor.felt]
@@ -110,7 +110,7 @@ ROUNDS = 3
 """Corrections of the joints: each leaves the product of the geometry's error and the correction before, under a micrometre at the third."""
 
 
-def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
+def shown_at(stage: Scene, T_world_flange: Array, q: Array) -> Array:
     """Joints (n,) at which the true flange, which carries the camera, is at a pose (4, 4); those of the arm's own model are q (n,).
 
     q <- f^-1(T E^-1) with the error E = f(q)^-1 T_true(q) of the arm's own kinematics f. The stage is left at the joints before the last.
@@ -129,7 +129,7 @@ def shown_at(stage: Stage, T_world_flange: Array, q: Array) -> Array:
     return q
 
 
-def check_static_load(stage: Stage) -> None:
+def check_static_load(stage: Scene) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
     tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
@@ -159,7 +159,7 @@ def check_static_load(stage: Stage) -> None:
     raise UnreachableError("robot.start", f"{words}; works: another start, or stronger motors")
 
 
-def _largest_torques(stage: Stage) -> Array:
+def _largest_torques(stage: Scene) -> Array:
     """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
     model, found = stage.model, []
     motors = np.array([model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int)
@@ -172,7 +172,7 @@ def _largest_torques(stage: Stage) -> Array:
     return np.array(found)
 
 
-def settle(stage: Stage) -> None:
+def settle(stage: Scene) -> None:
     """Equilibrium of the actuators: integrating servos start at theta + load / kp, elastic joints' rotors at q + torsion, craft at hover.
 
     The load of a joint is what gravity asks of its motor. A servo whose gravity compensation is wrong does not know of it: it starts at
@@ -211,7 +211,7 @@ class LeadVehicle:
     Reference: Samson 1995, path following in arc length, doi:10.1109/9.362899.
     """
 
-    def __init__(self, stage: Stage):
+    def __init__(self, stage: Scene):
         motion = stage.parts.target.carrier
         if motion is None or stage.leader is None or stage.parts.leader is None:
             raise TypeError("no vehicle carries the target")
@@ -255,7 +255,7 @@ LONGEST_PUSH_S = 10.0
 class Push:
     """A force on the body that carries the camera, or the target in the gripper, for a while."""
 
-    def __init__(self, stage: Stage):
+    def __init__(self, stage: Scene):
         self._force = stage.data.xfrc_applied[stage.flange_body]
         self._until = 0
         self.acts = False
@@ -288,11 +288,11 @@ class MujocoPlant(Plant):
     released; vehicles have settled on their springs. see_hidden: compute the truth's `hidden` by casting rays. rng: of the sensors' noise.
     """
 
-    _stage: Stage  # pyright: ignore[reportIncompatibleVariableOverride] - always there
+    _stage: Scene  # pyright: ignore[reportIncompatibleVariableOverride] - always there
 
     def __init__(
         self,
-        stage: Stage,
+        stage: Scene,
         steps_per_frame: int,
         eye: ImageSensor | None,
         see_hidden: bool,

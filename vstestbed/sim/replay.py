@@ -18,11 +18,11 @@ from vstestbed.robots import Robot
 from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.follow import FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
 from vstestbed.sim.scene.overview import LEAST_REACH
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 
@@ -68,8 +68,8 @@ class Replay:
         samples: int = 0,
         share: float = 1.0,
     ):
-        self._parts = Parts(robot, camera, target, world, step=camera.period, sights=sights)
-        self._stage = Stage(self._parts, samples=samples)
+        self._parts = SceneDescription(robot, camera, target, world, step=camera.period, sights=sights)
+        self._stage = Scene(self._parts, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
         quality.numslices, quality.numstacks, quality.numquads = FILM_SLICES, FILM_STACKS, FILM_QUADS
@@ -78,7 +78,7 @@ class Replay:
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
         self._seen: tuple[float, Image] | None = None
-        self._own: tuple[Stage, Callable[[], Image]] | None = None
+        self._own: tuple[Scene, Callable[[], Image]] | None = None
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     def of_target(self, target: Target) -> Replay:
@@ -169,11 +169,11 @@ class Replay:
         """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
         return self._things.points(self._stage.data)[self._things.own]
 
-    def _servo_camera(self) -> tuple[Stage, Callable[[], Image]]:
+    def _servo_camera(self) -> tuple[Scene, Callable[[], Image]]:
         """A second stage with the servo camera's own quality, built when first asked for."""
         if self._own is None:
             lens = self._parts.camera
-            stage = Stage(self._parts, samples=lens.multisampling)
+            stage = Scene(self._parts, samples=lens.multisampling)
             if (imaging := lens.imaging(None)) is not None:
                 self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data).full_image
                 return self._own
@@ -234,7 +234,7 @@ class Retake:
         drift: Drift = NO_DRIFT,
         imaging_rng: np.random.Generator | None = None,
     ):
-        self._stage = Stage(Parts(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
+        self._stage = Scene(SceneDescription(robot, camera, target, world, step=camera.period), samples=camera.multisampling)
         drawn_by, noise = servo_renderer(self._stage, camera, image_sigma > 0), ImageNoise(image_sigma, rng)
         self._sensor = ImageSensor(self._stage, drawn_by, Chain(camera.imaging(imaging_rng), noise, drift))
 

@@ -8,12 +8,12 @@ import mujoco
 
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.sim.render.pictures import bare_renderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 
 def measure_baseline(
-    parts: Parts, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool
+    parts: SceneDescription, steps_per_frame: int, ctrl: Array, q: Array, T_world_camera: Array, pictures: bool
 ) -> tuple[float, float]:
     """Wall times of a recorded run's controls with plain `mj_step`, and of its views with plain renders [s].
 
@@ -25,7 +25,7 @@ def measure_baseline(
         T_world_camera: camera poses (frames, 4, 4), which place the free camera.
         pictures: whether the run rendered at all; of several faces of a cube, only those with a marker in them are.
     """
-    stage = Stage(parts, samples=parts.camera.multisampling)
+    stage = Scene(parts, samples=parts.camera.multisampling)
     picture = bare_renderer(stage, parts.camera) if pictures else None
     target = parts.target.T_world_start
     stage.place(0.0, target, q[0], T_world_camera[0])

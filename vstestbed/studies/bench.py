@@ -31,7 +31,7 @@ from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.validation import build
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.speed_baseline import measure_baseline
 from vstestbed.studies.batch import simulate_batch
 from vstestbed.studies.comparison import compare
@@ -245,7 +245,7 @@ def _floor(recording: Recording) -> tuple[float, float]:
     scenario = recording.scenario
     step, steps_per_frame = scenario.clock
     robot = scenario.robot
-    parts = Parts(robot, scenario.camera, scenario.target, scenario.world, step)
+    parts = SceneDescription(robot, scenario.camera, scenario.target, scenario.world, step)
 
     def joined(kind: str, names: tuple[str, ...]) -> Array:
         columns = [recording[f"{kind}_{name}"] for name in names]

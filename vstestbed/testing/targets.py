@@ -16,8 +16,8 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.targets.motion import MotionBase
@@ -46,7 +46,7 @@ def _check_scene(target: Target) -> None:
     """The compiled scene has a site for each marker that has a place, there."""
     robot = Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -2))))
     floor_z = -50.0 if len(target.places) else 0.0  # out of the way of markers; lines lie on it
-    stage = Stage(Parts(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))
+    stage = Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))
     try:
         for i, place in enumerate(target.places):
             found = stage.model.site(f"target/marker_{i}").pos

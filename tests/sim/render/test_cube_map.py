@@ -13,8 +13,8 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.cube_map import cube_of
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Sphere
@@ -45,10 +45,12 @@ def scattered(lens: Radial, seed: int) -> Array:
     return np.array(out)
 
 
-def stage_of(camera: Camera, points: Array) -> Stage:
+def stage_of(camera: Camera, points: Array) -> Scene:
     """The camera at the origin with unlit balls about it."""
     target = Points(at=tuple(map(tuple, points.tolist())), pose=Pose(), marker=Sphere(radius=RADIUS, lit=False))
-    stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-150.0), step=0.002), camera.multisampling)
+    stage = Scene(
+        SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-150.0), step=0.002), camera.multisampling
+    )
     stage.place(0.0, np.eye(4), NONE, np.eye(4))
     return stage
 
@@ -126,7 +128,7 @@ def renders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     out: list[str] = []
     plain, make = SceneCamera.raw, SceneCamera.__init__
 
-    def named(self: SceneCamera, stage: Stage, camera: str, *args: object) -> None:
+    def named(self: SceneCamera, stage: Scene, camera: str, *args: object) -> None:
         make(self, stage, camera, *args)
         self.__dict__["name"] = camera
 

@@ -13,8 +13,8 @@ from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 SMALL = {"camera.width": 320, "camera.height": 240}
 
@@ -22,7 +22,7 @@ SMALL = {"camera.width": 320, "camera.height": 240}
 def both(changes: dict[str, object]) -> tuple[DepthImage, DepthImage]:
     """The depth of the arm's first view, by OpenGL and by rays."""
     s = vs.load("arm_ibvs", SMALL | changes)
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=s.camera.period), s.camera.multisampling)
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=s.camera.period), s.camera.multisampling)
     stage.place(0.0, s.target.T_world_start, *stage.parts.start)
     with closing(stage):
         eyes = OpenGLRenderer(stage, s.camera), RayRenderer(stage, s.camera)

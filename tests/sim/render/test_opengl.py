@@ -19,8 +19,8 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pixel_check import BALLS, pixel_convention
-from vstestbed.sim.scene.compose import Parts, compose
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription, compose
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Square, Target
 from vstestbed.targets.markers import Disc
@@ -29,8 +29,8 @@ BARREL = (-0.2, 0.05, 0.002, -0.001, 0.0)
 NONE = np.zeros(0)
 
 
-def free_parts(camera: Perspective, target: Target) -> Parts:
-    return Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002)
+def free_parts(camera: Perspective, target: Target) -> SceneDescription:
+    return SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def scenery_of(folder: Path, materials: int, textures: int) -> Path:
 @pytest.mark.opengl
 @pytest.mark.parametrize(("what", "most"), [("materials", 997), ("textures", 1000)])
 def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(tmp_path: Path, caplog: pytest.LogCaptureFixture, what: str, most: int):
-    plain = Stage(_parts_with(scenery_of(tmp_path, 1, 1)))
+    plain = Scene(_parts_with(scenery_of(tmp_path, 1, 1)))
     others = {"materials": plain.model.nmat, "textures": plain.model.ntex}[what] - 1
     plain.close()
     full, over = (scenery_of(tmp_path, *((n, 1) if what == "materials" else (1, n))) for n in (most - others, most - others + 1))
@@ -88,14 +88,14 @@ def test_a_scene_of_more_than_mujoco_draws_is_told_as_such(tmp_path: Path, caplo
     assert "rays" in vs.run(vs.load("arm_ibvs", by_rays)).versions["renderer"]
 
 
-def _parts_with(scenery: Path) -> Parts:
+def _parts_with(scenery: Path) -> SceneDescription:
     s = vs.load("arm_ibvs", {"world.scenery": str(scenery)})
-    return Parts(s.robot, s.camera, s.target, s.world, step=0.002)
+    return SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002)
 
 
 def test_mujocos_own_projection_agrees():
     s = vs.load("arm_ibvs")
-    spec = compose(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+    spec = compose(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
     for i in range(4):
         sensor = spec.add_sensor(name=f"pixel_{i}", type=mujoco.mjtSensor.mjSENS_CAMPROJECTION)
         sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, f"target/marker_{i}"
@@ -116,12 +116,12 @@ def test_mujocos_own_projection_agrees():
 def square():
     """A stage with a square of unlit discs 1 m in front of the camera, and its eye."""
     camera, target = Perspective(), Square(side=0.5, pose=Pose(xyz=(0, 0, 1)), marker=Disc(radius=0.03, lit=False))
-    stage = Stage(free_parts(camera, target))
+    stage = Scene(free_parts(camera, target))
     yield stage, OpenGLRenderer(stage, camera)
     stage.close()
 
 
-def view(stage: Stage, T_world_camera: Array) -> None:
+def view(stage: Scene, T_world_camera: Array) -> None:
     stage.place(0.0, stage.parts.target.pose.T, NONE, T_world_camera)
 
 

@@ -20,8 +20,8 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Light, World
 from vstestbed.targets import MeshTarget, PictureTarget, Target
 from vstestbed.targets.markers import Disc, Sphere, Tag
@@ -43,8 +43,9 @@ VIEWS = (Pose(), Pose(xyz=(0.3, -0.1, -0.2), rpy_deg=(4, -15, 20)), Pose(xyz=(-0
 @contextmanager
 def eyes(target: Target, camera: Camera, light: Light | None = None) -> Iterator[Any]:
     """The servo camera's pictures by both renderers, as a function of the camera's pose."""
-    stage = Stage(
-        Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0, light=light), step=0.002), camera.multisampling
+    stage = Scene(
+        SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0, light=light), step=0.002),
+        camera.multisampling,
     )
     both = OpenGLRenderer(stage, camera), RayRenderer(stage, camera)
 

@@ -24,9 +24,9 @@ from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Disc, Sphere, Tag
@@ -39,17 +39,19 @@ ELSEWHERE = np.array([0.3, 0.2, 0.1, 0.3, 0.2, 0.4])
 """Joint angles by which the arm looks at other things [rad]."""
 
 
-def free_stage(target: Target, camera: Camera) -> Stage:
-    return Stage(Parts(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002), camera.multisampling)
+def free_stage(target: Target, camera: Camera) -> Scene:
+    return Scene(
+        SceneDescription(Free(start=FreeStart(nominal=Pose())), camera, target, World(floor_z=-20.0), step=0.002), camera.multisampling
+    )
 
 
 @pytest.fixture(scope="module")
 def arm():
     """The arm's stage, placed by arm(offset of its joints [rad])."""
     s = vs.load("arm_ibvs")
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
 
-    def placed(offset: Array | float = 0.0) -> Stage:
+    def placed(offset: Array | float = 0.0) -> Scene:
         stage.place(0.0, s.target.pose.T, s.robot.configuration() + offset)
         return stage
 

@@ -1,4 +1,4 @@
-"""Parts of pictures: what is drawn of one is what the whole picture has there."""
+"""SceneDescription of pictures: what is drawn of one is what the whole picture has there."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.render.opengl import REACH, OpenGLRenderer, SceneCamera, part_round
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 WINDOWS = ((300, 100, 420, 180), (250, 150, 270, 170))
 PART = (218, 68, 452, 212)
 """The rectangle round both, and REACH of the width, 32 px, about it."""
 
 
-def stage_of(scenario: Scenario) -> Stage:
+def stage_of(scenario: Scenario) -> Scene:
     s = scenario
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=s.camera.period, sights=s.sights), s.camera.multisampling)
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=s.camera.period, sights=s.sights), s.camera.multisampling)
     stage.place(0.0, s.target.T_world_start, *stage.parts.start)
     return stage
 

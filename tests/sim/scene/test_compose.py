@@ -16,7 +16,7 @@ from vstestbed.core.geometry import FLIP, Pose, transform
 from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.build import scene_files
-from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.compose import SceneDescription, compose
 from vstestbed.timing.clock import Clock
 
 MOUNT = {"xyz": [0.03, -0.02, 0.1], "rpy_deg": [20, -30, 50]}
@@ -25,7 +25,7 @@ TILTED = {"xyz": [1.2, 0.1, 0.8], "rpy_deg": [10, 70, -20]}
 
 def compiled(scenario: Scenario) -> mujoco.MjModel:
     s = scenario
-    return compose(Parts(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
+    return compose(SceneDescription(s.robot, s.camera, s.target, s.world, s.physics.resolve(s.camera)[0])).compile()
 
 
 def at_start(model: mujoco.MjModel) -> mujoco.MjData:

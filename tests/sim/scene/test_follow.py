@@ -14,9 +14,9 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import FLIP, Array, exp, inverse, log, transform
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import FOOT, FREE
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.follow import LEAST_SHARE, FollowCamera, Things
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 WIDTH, HEIGHT = 640, 360
 RATE_HZ = 12.5
@@ -27,8 +27,8 @@ class Filmed:
 
     def __init__(self, scenario: Scenario):
         self.scenario = scenario
-        parts = Parts(scenario.robot, scenario.camera, scenario.target, scenario.world, step=scenario.camera.period)
-        self.stage = Stage(parts)
+        parts = SceneDescription(scenario.robot, scenario.camera, scenario.target, scenario.world, step=scenario.camera.period)
+        self.stage = Scene(parts)
         self.q, self.start = parts.start
         self.T_target = parts.T_world_target
         self.things = Things(self.stage.model)

@@ -15,8 +15,8 @@ from vstestbed.core.geometry import Pose
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import refuse
 from vstestbed.sim.render.still import Lamp
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
 from vstestbed.targets.base import Square
 from vstestbed.targets.markers import Disc, Tag
@@ -215,7 +215,7 @@ class TestALampThatMoves:
 
     def test_is_noticed_by_views_that_are_kept(self):
         s = vs.load("arm_ibvs")
-        stage = Stage(Parts(s.robot, s.camera, s.target, World(light=self.light()), step=0.002))
+        stage = Scene(SceneDescription(s.robot, s.camera, s.target, World(light=self.light()), step=0.002))
         lamp = Lamp(stage.model, stage.data)
         stage.place(0.0, s.target.pose.T, s.robot.configuration())
         assert lamp.has_moved() and not lamp.has_moved()

@@ -14,11 +14,11 @@ from vstestbed.scenario.load import for_another_folder
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import solids
 from vstestbed.sim.scene.model_report import examine_model
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 WORKSHOP = Path(__file__).parents[3] / "scenarios" / "scenery" / "workshop.xml"
 BOXES = WORKSHOP.with_name("boxes.xml")
@@ -33,10 +33,10 @@ def mjcf(tmp_path: Path, inside: str, rest: str = "") -> Path:
     return file
 
 
-def stage_of(file: Path | None, **changes: object) -> Stage:
+def stage_of(file: Path | None, **changes: object) -> Scene:
     """The stage of arm_ibvs in a scenery, at its start."""
     s = vs.load("arm_ibvs", ({"world.scenery": str(file)} if file else {}) | changes)
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, step=0.002))
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, step=0.002))
     stage.place(0.0, s.target.pose.T, s.robot.configuration())
     return stage
 

@@ -10,9 +10,9 @@ from vstestbed.core.planar import place_of, relative
 from vstestbed.robots.base import Reading
 from vstestbed.sim.build import build_plant, scene_files
 from vstestbed.sim.plant import LeadVehicle
-from vstestbed.sim.scene.compose import Parts
+from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.overview import WIDE_PICTURE, eye_for
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 NAMES = ["omni_ibvs", "car_pbvs", "car_pursuit"]
 
@@ -93,7 +93,7 @@ class TestLeadVehicle:
     def test_it_needs_a_vehicle(self):
         s = vs.load("arm_ibvs")
         with pytest.raises(TypeError, match="no vehicle"):
-            LeadVehicle(Stage(Parts(s.robot, s.camera, s.target, s.world, 0.002)))
+            LeadVehicle(Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002)))
 
 
 class TestOverview:
@@ -111,7 +111,7 @@ class TestOverview:
     @pytest.mark.parametrize("name", NAMES)
     def test_start_goal_landmarks_and_route_are_in_the_picture(self, name):
         s = vs.load(name)
-        stage = Stage(Parts(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
+        stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
         stage.start_qpos()
         mujoco.mj_forward(stage.model, stage.data)
         camera = stage.model.camera("overview").id
@@ -131,7 +131,7 @@ def test_replay_puts_vehicle_and_leader_where_the_log_has_them():
     plant.apply(np.array([0.5, 0.2]))
     plant.advance(1000)
     truth = plant.capture()[1]
-    stage = Stage(Parts(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
+    stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
     stage.place(2.0, truth.T_world_target, truth.q, truth.T_world_camera)
     np.testing.assert_allclose(stage.camera_pose(), truth.T_world_camera, atol=1e-12)
     np.testing.assert_allclose(stage.target_pose(), truth.T_world_target, atol=1e-12)

@@ -13,8 +13,8 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.targets.base import Square
@@ -31,7 +31,7 @@ def seen(
     world: World, target: Target = FAR, lens: Camera = LENS, by: tuple[type, ...] = (OpenGLRenderer, RayRenderer)
 ) -> Iterator[Callable[..., list[Image]]]:
     """The pictures as a function of the camera's pose and the time."""
-    stage = Stage(Parts(Free(start=FreeStart(nominal=Pose())), lens, target, world, step=0.002))
+    stage = Scene(SceneDescription(Free(start=FreeStart(nominal=Pose())), lens, target, world, step=0.002))
     eyes = [renderer(stage, lens) for renderer in by]
 
     def at(view: Pose = DOWN, t: float = 0.0) -> list[Image]:

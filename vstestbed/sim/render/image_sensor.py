@@ -17,7 +17,7 @@ from vstestbed.core.geometry import Array, Image, Images, pixel_grid
 from vstestbed.imaging.chain import Chain, Change, Imaging
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
 from vstestbed.sim.base import Renderer
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
 
 Sum = Array | NDArray[np.float32]
@@ -191,7 +191,7 @@ class ImageSensor:
         depth: the depth camera, whose pictures are always whole; None without one.
     """
 
-    def __init__(self, stage: Stage, renderer: Renderer, chain: Chain | None = None, depth: DepthCamera | None = None):
+    def __init__(self, stage: Scene, renderer: Renderer, chain: Chain | None = None, depth: DepthCamera | None = None):
         self._model, self._data = stage.model, stage.data
         self._renderer, self._chain, self._depth = renderer, chain or Chain(), depth
         self._reads_depth = depth is not None or self._chain.needs_depth

@@ -24,7 +24,7 @@ from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.cube_map import cube_of, drawn_for, resampling_maps
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 # Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them.
 
@@ -149,7 +149,7 @@ class SceneCamera:
     EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
     """
 
-    def __init__(self, stage: Stage, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
+    def __init__(self, stage: Scene, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
         gl.require()
         _must_be_drawable(stage)
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
@@ -198,7 +198,7 @@ class SceneCamera:
         return self._camera.depth()
 
 
-def _must_be_drawable(stage: Stage) -> None:
+def _must_be_drawable(stage: Scene) -> None:
     """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the context.
 
     Raises ParameterError: it has more.
@@ -227,7 +227,7 @@ class OpenGLRenderer:
         whole: the last images are complete; no part was left blank. depth: see `Renderer`.
     """
 
-    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
+    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0):
         drawn = drawn_for(camera)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)

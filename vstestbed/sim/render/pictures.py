@@ -15,7 +15,7 @@ from vstestbed.sim.base import Renderer
 from vstestbed.sim.render.cube_map import drawn_for
 
 if TYPE_CHECKING:
-    from vstestbed.sim.scene.stage import Stage
+    from vstestbed.sim.scene.scene import Scene
 
 T = TypeVar("T")
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
@@ -33,7 +33,7 @@ class OutsideView(Protocol):
         ...
 
 
-def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
+def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
     """The renderer of the servo camera, as `camera.renderer` asks.
 
     noisy: noise will be added to its images. share: size of the images as a share of the camera's, for films; OpenGL draws those of
@@ -44,7 +44,7 @@ def servo_renderer(stage: Stage, camera: Camera, noisy: bool = False, share: flo
     return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
 
 
-def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
+def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows. Raises as `servo_renderer`."""
     return _chosen(
         camera,
@@ -53,7 +53,7 @@ def outside_view(stage: Stage, name: str, width: int, height: int, camera: Camer
     )
 
 
-def bare_renderer(stage: Stage, camera: Camera) -> Callable[[Array], object]:
+def bare_renderer(stage: Scene, camera: Camera) -> Callable[[Array], object]:
     """The cheapest rendering of the servo camera, as a function of the markers (N, 3) [m] in its frame; for speed baselines.
 
     With OpenGL that is what is drawn before the lens and the noise, of several faces of a cube only those with a marker; with

@@ -12,8 +12,8 @@ from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.scene.compose import Parts
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points
 from vstestbed.targets.markers import Sphere
@@ -32,8 +32,8 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
     # Unlit: shading would shift a ball's centroid towards the light.
     target = Points(at=BALLS, pose=Pose(xyz=(0, 0, 1.2)), marker=Sphere(radius=0.035, lit=False))
     robot = Free(start=FreeStart(nominal=Pose()))
-    parts = Parts(robot, camera, target, World(floor_z=-20.0), step=0.002)
-    stage = Stage(parts, samples=camera.multisampling)
+    parts = SceneDescription(robot, camera, target, World(floor_z=-20.0), step=0.002)
+    stage = Scene(parts, samples=camera.multisampling)
     try:
         drawing = servo_renderer(stage, camera)
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))

@@ -20,7 +20,7 @@ from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.render.still import Lamp
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
 
 
@@ -90,7 +90,7 @@ class Caster:
     stage: the scene. outside: show the geoms that enclose the servo camera's lens.
     """
 
-    def __init__(self, stage: Stage, outside: bool = False):
+    def __init__(self, stage: Scene, outside: bool = False):
         self._data = stage.data
         self._model = copy.copy(stage.model)
         self._model.body_bvhadr[:] = -1
@@ -231,7 +231,7 @@ class RayRenderer:
         share: images for films are smaller (see `Raster`), without antialiasing.
     """
 
-    def __init__(self, stage: Stage, camera: Camera, noisy: bool = False, share: float = 1.0):
+    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0):
         self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
         refuse(camera, stage.parts.world.floor.mirror)
         self._noisy = noisy
@@ -296,7 +296,7 @@ class RaySceneCamera:
     stage: the scene. camera: name in the scene. width, height: size of the image [px]. samples: antialiasing, see `Raster`.
     """
 
-    def __init__(self, stage: Stage, camera: str, width: int, height: int, samples: int = 0):
+    def __init__(self, stage: Scene, camera: str, width: int, height: int, samples: int = 0):
         self._stage, self._camera, self._caster = stage, camera, Caster(stage, outside=True)
         lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
         self._raster = Raster(lens, np.eye(3), samples)

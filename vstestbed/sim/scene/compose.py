@@ -107,7 +107,7 @@ PITCH_M = 1e-5
 
 
 @dataclass(frozen=True)
-class Parts:
+class SceneDescription:
     """The parts of a scene.
 
     `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
@@ -143,7 +143,7 @@ class Parts:
         return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
 
 
-def compose(parts: Parts) -> mujoco.MjSpec:
+def compose(parts: SceneDescription) -> mujoco.MjSpec:
     """The scene of these parts, ready to compile or to write as XML."""
     scene = mujoco.MjSpec.from_file(str(model_path("world.xml")))
     scene.modelname = "scene"
@@ -172,7 +172,7 @@ def compose(parts: Parts) -> mujoco.MjSpec:
     return scene
 
 
-def _add_plates(scene: mujoco.MjSpec, parts: Parts) -> None:
+def _add_plates(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
     for i, plate in enumerate(parts.world.plates):
         # Mocap bodies are moved by writing their pose: no joint, no dynamics. Until it is present, a plate is out of sight.
         holder = scene.worldbody.add_body(name=f"plate_{i}", mocap=True, pos=AWAY, quat=quaternion_wxyz(plate.pose.T[:3, :3]))
@@ -198,7 +198,7 @@ def _show_hand(scene: mujoco.MjSpec) -> None:
                 geom.group = ROBOT_GROUP
 
 
-def _frame_overview(scene: mujoco.MjSpec, parts: Parts) -> None:
+def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
     """Fit the outside view to the path of a moving base; world.xml's own view shows an arm at the origin."""
     robot, target = parts.robot, parts.target
     if robot.body is None:

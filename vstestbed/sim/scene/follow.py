@@ -11,7 +11,7 @@ from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import turned
 from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, extremes, eye_of, holds, slanting
-from vstestbed.sim.scene.stage import Stage
+from vstestbed.sim.scene.scene import Scene
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
 """Elevations from which the view may look down [rad]; of equally good ones the first is taken."""
@@ -85,7 +85,7 @@ class FollowCamera:
     free: share of the picture's width, from the left, that nothing is drawn over. foot: share of its height, at the bottom, that is.
     """
 
-    def __init__(self, stage: Stage, things: Things, aspect: float, free: float, foot: float):
+    def __init__(self, stage: Scene, things: Things, aspect: float, free: float, foot: float):
         self._stage, model = stage, stage.model
         self._camera, self._light = model.camera("overview").id, model.light("key").id
         half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)

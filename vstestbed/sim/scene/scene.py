@@ -1,4 +1,4 @@
-"""Stage: a compiled scene and its state, for the plant, for replays and for the renderers in `sim/render`."""
+"""A compiled scene and its state, for the plant, for replays and for the renderers in `sim/render`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vstestbed.core.geometry import FLIP, Array, inverse, quaternion_wxyz
 from vstestbed.core.planar import place_of
 from vstestbed.effects.base import RobotBody, StateIndices
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import Parts, compose
+from vstestbed.sim.scene.compose import SceneDescription, compose
 from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed
 from vstestbed.targets.markers import HIDDEN_M
@@ -42,7 +42,7 @@ class Root:
         return placed(data.xpos[self.body], data.xmat[self.body])
 
 
-class Stage:
+class Scene:
     """A compiled scene with a dm_control physics on it; `place` puts it into a state, the renderers of `sim/render` draw it.
 
     Args:
@@ -56,7 +56,7 @@ class Stage:
         held_site: number of the target's site in the gripper (eye to hand), else -1.
     """
 
-    def __init__(self, parts: Parts, samples: int = 0):
+    def __init__(self, parts: SceneDescription, samples: int = 0):
         self.parts = parts
         self.spec = compose(parts)
         model = self.spec.compile()
