@@ -55,7 +55,6 @@ def build_plant(
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
-
     from vstestbed.sim.scene.compose import SceneDescription
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
