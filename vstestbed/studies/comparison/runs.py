@@ -79,7 +79,7 @@ def is_light(scenario: Scenario) -> bool:
     """Whether its runs take some hundredths of a second, by code of this package alone: of an ideal camera without pictures or plugins."""
     short = scenario.stop.duration_s * scenario.camera.rate_hz <= MOST_FRAMES
     package = type(scenario.law).__module__.startswith("vstestbed.") and scenario.law.kind != "policy" and not scenario.plugins
-    return short and package and scenario.robot.model is None and not scenario.detector.needs_image
+    return short and package and scenario.robot.body is None and not scenario.detector.needs_image
 
 
 def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
