@@ -487,7 +487,8 @@ class TestFoldersOfBefore:
         found = load_run(former)
         assert found == replace(wanted, robot=replace(wanted.robot, start=found.robot.start))
         assert found.robot.start.nominal == wanted.robot.start.nominal
-        assert run(found).table.tolist() == open_log(former).table.tolist()
+        # To rounding: at the time of this folder the Puma had a kinematics of its own.
+        np.testing.assert_allclose(np.array(run(found).table.tolist()), np.array(open_log(former).table.tolist()), rtol=1e-9, atol=1e-9)
 
     @pytest.mark.opengl
     def test_report_render_and_export_read_it(self, command, former: Path) -> None:
