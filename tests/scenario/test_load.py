@@ -152,7 +152,10 @@ class TestOneMistake:
         for random, line in (
             ("{xyz: [0, 0, 1e9]}", "robot.start.random.xyz.2: must be -1000 to 1000 m"),
             ("{random: {q_deg: -1}}", "s.yaml:3:29: robot.start.random.random.q_deg: must be >= 0, got -1"),
-            ("{nominal: {q_deg: [0], qdg: 1}}", "s.yaml:3:42: robot.start.random.nominal.qdg: is an unknown field; did you mean 'q_deg'?"),
+            (
+                "{nominal: {q_deg: [0, 0], qdg: 1}}",
+                "s.yaml:3:45: robot.start.random.nominal.qdg: is an unknown field; did you mean 'q_deg'?",
+            ),
             ("3", "s.yaml:3:11: robot.start.random: must be a block (a mapping) of xyz, rpy_deg, got 3"),
         ):
             robot = f"robot:\n  kind: free\n  start: {{random: {random}, nominal: {{}}}}\n"
