@@ -11,7 +11,7 @@ from typing import Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import DataclassSchema
 
-from vstestbed.core.docstrings import DIMENSIONLESS, ClassText, FieldText, class_text
+from vstestbed.core.docstrings import DIMENSIONLESS, class_text
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.fields import Node, fields, needed
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
@@ -41,7 +41,8 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     while waiting:
         owner, cls = waiting.popleft()
         kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        for at, listed, union, inner in _blocks_of(cls):
+        blocks = ((each.name, each.node.is_list, *block) for each in fields(cls).values() for block in each.node.blocks())
+        for at, listed, union, inner in blocks:
             place = f"{at}[]" if listed else at
             if union is None:
                 name = _field_name(owner if _alike(kinds, at) else kind_of(cls), at, cls, inner, found)
@@ -52,12 +53,6 @@ def catalogue(**roots: type) -> dict[str, Entry]:
                 found[name] = Entry(name, inner, union, place)
                 waiting.append((name if union is None else union.what, inner))
     return found
-
-
-def _blocks_of(cls: type) -> Iterator[tuple[str, bool, Registry | None, type]]:
-    """Field, whether it is a list, registry and class of each block that a block may hold."""
-    for each in fields(cls).values():
-        yield from ((each.name, each.node.is_list, registry, inner) for registry, inner in each.node.blocks())
 
 
 def _alike(classes: Iterable[type], field: str) -> bool:
@@ -149,24 +144,19 @@ def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
     *before, name = (part.removesuffix("[]") for part in path.split(".") if not part.isdecimal())
     if not before:
         return _top_or_only(name, entries)
-    holders = {next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in _holders(path, before, entries)}
-    if owners := {named_so: cls for named_so, cls in holders.items() if name in fields(cls)}:
-        return FieldPlace(path, name, owners, _settable(before, entries))
-    for named_so, cls in holders.items():
-        if _kind(cls) == name:
-            return entries[named_so]
-    raise _none_in(path, name, before, list(holders.values()))
-
-
-def _holders(path: str, before: Sequence[str], entries: Mapping[str, Entry]) -> list[type]:
-    """The classes of the blocks to which the parts of a path before its last one lead. Raises ParameterError: one of them leads nowhere."""
-    holders = [_scenario(entries)]
+    holders = [_scenario(entries)]  # the classes of the blocks to which the parts of the path so far lead
     for i, part in enumerate(before):
         within = list(_within(holders, part)) if i else _begun(part, entries)
         if not within:
             raise _none_in(path, part, before[:i], holders)
         holders = within
-    return holders
+    by_name = {next(entry.name for entry in entries.values() if entry.cls is cls): cls for cls in holders}
+    if owners := {named_so: cls for named_so, cls in by_name.items() if name in fields(cls)}:
+        return FieldPlace(path, name, owners, _settable(before, entries))
+    for named_so, cls in by_name.items():
+        if _kind(cls) == name:
+            return entries[named_so]
+    raise _none_in(path, name, before, holders)
 
 
 def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
@@ -341,29 +331,19 @@ class _Described(GenerateJsonSchema):
             rule.pop("title", None)  # the name of the field once more
             if not fields(cls)[name].needed:
                 rule.setdefault("default", fields(cls)[name].default)  # one that a function makes
-            rule |= _annotations(cls, name, words, uses)
+            if name == "kind":
+                rule |= {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
+                continue
+            field = words.fields[name]
+            has_unit = field.unit in ("", DIMENSIONLESS) or "[" in field.description or not field.description
+            described = field.description if has_unit else f"{field.description} [{field.unit}]"
+            found = ("description", described), ("unit", field.unit), ("examples", list(examples_of(cls, name, uses)))
+            rule |= {word: value for word, value in found if value}
         return block
 
     def sort(self, value: JsonSchemaValue, parent_key: str | None = None) -> JsonSchemaValue:
         """As it was made: pydantic would sort the keys in examples, too."""
         return value
-
-
-def _annotations(cls: type, name: str, words: ClassText, uses: Uses) -> dict[str, Any]:
-    if name == "kind":
-        return {"description": words.summary or f"The kind of {cls.__name__}.", "examples": [kind_of(cls)]}
-    field = words.fields[name]
-    found: dict[str, Any] = {"description": with_unit(field)} if field.description else {}
-    if field.unit:
-        found["unit"] = field.unit
-    examples = list(examples_of(cls, name, uses))
-    return found | ({"examples": examples} if examples else {})
-
-
-def with_unit(field: FieldText) -> str:
-    """A field's sentence, with its unit where the sentence has none."""
-    shown = field.unit in ("", DIMENSIONLESS) or "[" in field.description
-    return field.description if shown else f"{field.description} [{field.unit}]"
 
 
 def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:

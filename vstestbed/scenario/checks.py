@@ -40,34 +40,30 @@ def check_metres(robot: Robot, camera: Camera, target: Target) -> None:
     if robot.base == "planar" and camera.mount.xyz[2] <= 0:
         words = "must have z > 0: the vehicle's frame lies on the floor, and the camera would be under it"
         raise ParameterError("camera.mount.xyz", words, camera.mount.xyz)
-    _check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
-    _check_length("target.pose", target.pose.T, MOST_PLACE_M)
+    check_length("camera.mount", camera.mount.T, MOST_MOUNT_M)
+    check_length("target.pose", target.pose.T, MOST_PLACE_M)
     if robot.body is None:  # the ideal camera; a vehicle may be further, and its field has bounds of its own
-        _check_length("robot.start", robot.flange_pose(robot.configuration()), MOST_PLACE_M)
+        check_length("robot.start", robot.flange_pose(robot.configuration()), MOST_PLACE_M)
 
 
-def check_views_metres(field: str, views: Sequence[Goal]) -> None:
-    """The same of goal views; field: the field of the goal that has them."""
-    for view in views:
-        _check_length(field, view.T_camera_target, MOST_VIEW_M)
-
-
-def _check_length(field: str, T: Array, most_m: float) -> None:
+def check_length(field: str, T: Array, most_m: float) -> None:
+    """Refuse a pose (4, 4) that is further away than any experiment needs [m]."""
     length = float(np.linalg.norm(T[:3, 3]))
     if length > most_m:
         words = f"is {length:.4g} m away, and may be at most {most_m:g} m; lengths are in metres: did you mean {length / 1000:.4g} m?"
         raise ParameterError(field, words)
 
 
-def check_clocks(robot: Robot, timing: Timing) -> None:
-    """Refuse stamps of readings for a robot that has none."""
+def check_times(robot: Robot, camera: Camera, timing: Timing, stop: Stop, step_s: float, pictures: bool) -> None:
+    """Refuse stamps of readings for a robot that has none, a physics step [s] at which a robot's vibrations would be those of the
+    arithmetic, and runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken.
+    """
     if timing.robot_clock is not None and robot.body is None:
         words = f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the pictures' stamps: timing.camera_clock"
         raise ParameterError("timing.robot_clock", words)
-
-
-def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> None:
-    """Refuse runs whose log, or pictures in transit to the law, would not fit into memory. pictures: whether any are taken."""
+    if step_s > (1 + 1e-9) * (most_s := needed_step(robot)):
+        words = f"must be at most {most_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
+        raise ParameterError("physics.step_s", words, step_s)
     if stop.duration_s * camera.rate_hz > MOST_FRAMES:
         most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
         words = f"must be at most {most}: a longer log is a table of more than 10 GB"
@@ -82,24 +78,13 @@ def check_memory(camera: Camera, pictures: bool, timing: Timing, stop: Stop) -> 
         raise ParameterError("camera.latency_s", words, camera.latency_s)
 
 
-def check_step(robot: Robot, step_s: float) -> None:
-    """Refuse a physics step [s] at which a robot's vibrations would be those of the arithmetic."""
-    if step_s > (1 + 1e-9) * (most := needed_step(robot)):
-        words = f"must be at most {most:.4g} s with these gears and drives; without step_s the longest that works is taken"
-        raise ParameterError("physics.step_s", words, step_s)
-
-
-def check_effects(robot: Robot) -> None:
-    """Refuse further effects that do not fit the robot."""
+def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
+    """Refuse effects, derotation, wind, friction and a target in the gripper for robots to which they do not apply."""
     for i, effect in enumerate(getattr(robot, "effects", ())):
         try:
             effect.check(robot.joints)
         except ParameterError as error:
             raise ParameterError(f"robot.effects.{i}.{error.field}", error.problem, error.found) from None
-
-
-def check_robot(robot: Robot, target: Target, world: World, derotation: str, level_trim_s: float) -> None:
-    """Refuse derotation, wind, friction and a target in the gripper for robots to which they do not apply."""
     if robot.body is None and robot.joints:
         words = f"{robot.kind} has joints and no body; let its `body` name an MJCF file"
         raise ParameterError("robot.kind", words)
@@ -163,12 +148,6 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
             raise ParameterError(field, error.problem, error.found) from None
 
 
-def check_mirror(camera: Camera, world: World) -> None:
-    """Refuse a floor that mirrors where pictures are drawn by rays."""
-    if world.floor.mirror and camera.renderer == "rays":
-        raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", camera.renderer)
-
-
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
 STEP = 1e-4  # motions to both sides by which an outline's directions are differentiated [m, rad]
 LEAST_TOLD = 1e-6
@@ -216,13 +195,23 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
     needs_pose: the task needs the target's pose, which not every depth source estimates.
     """
-    _check_marker_kind(target.marker.kind, detector)
-    _check_read(target, detector, law)
-    _check_shown(target, detector)
+    _check_detected(target, detector, law)
     _check_marker_count(robot, camera, target, detector, law)
     _check_outline(target, law, needs_pose)
-    if law.depth.needs_pose and not law.depth.on_floor and _leaves_pose_open(target.points):
-        raise _open_pose(robot, target.points, law, needs_pose)
+    if not law.depth.needs_pose or law.depth.on_floor:
+        return
+    points = target.points
+    # Rotation about a common line is not observable: the scatter round the centroid has rank one.
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) >= 3 and spread[1] >= ON_ONE_LINE * spread[0]:
+        return
+    if not _has_depth(law):
+        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
+        raise ParameterError("target", words)
+    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
+    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
+    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
+    raise ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
 
 
 def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
@@ -239,12 +228,8 @@ def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
     _check_first_pose(robot, detector, law)
-    if not detector.changing:
-        return
-    if law.needs_same_markers:
-        raise _same_markers_needed(law, detector.kind)
-    if "radius_px" in inputs_of(law):
-        raise _kept_inside(law, detector.kind)
+    if detector.changing:
+        _check_changing(law, detector.kind)
 
 
 def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> None:
@@ -259,26 +244,26 @@ def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> N
     raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
 
 
-def _same_markers_needed(law: Law[Any], detector: str) -> ParameterError:
+def _check_changing(law: Any, detector: str) -> None:
+    """Refuse what a detector that has other points in every picture, all over it, cannot serve: laws and features of the same markers, and
+    laws that keep points from the border or a plane.
+    """
     wanted = f"the same markers in every picture, and detector {detector} shows other points"
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
-        if feature is not None and part is not None and part.needs_same_markers:
-            words = (
-                f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}; use point, polar or spherical"
-            )
-            return ParameterError(f"{place}.feature", words)
-    return ParameterError("law", f"may not be {law.kind}: it needs {wanted}; use ibvs, pbvs or hybrid")
-
-
-def _kept_inside(law: Any, detector: str) -> ParameterError:
-    """The error for a law that keeps points from the border or a plane: a detector of the picture's own points has them all over it."""
+        if law.needs_same_markers and feature is not None and part.needs_same_markers:
+            words = f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}"
+            raise ParameterError(f"{place}.feature", f"{words}; use point, polar or spherical")
+    if law.needs_same_markers:
+        raise ParameterError("law", f"may not be {law.kind}: it needs {wanted}; use ibvs, pbvs or hybrid")
+    if "radius_px" not in inputs_of(law):
+        return
     given = {name: "null" for name in ("margin_px", "plane_m") if getattr(law, name, None) is not None}
     if getattr(getattr(law, "visibility", None), "margin_px", 0) > 0:
         given["visibility.margin_px"] = "0"
     words = f"keeps points from the border or a plane, and those of detector {detector} are all over the picture"
     remedy = " and ".join(f"law.{name}: {off}" for name, off in given.items()) or "a law, or a condition, that does not"
-    return ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
+    raise ParameterError(f"law.{next(iter(given))}" if given else "law", f"{words}; works: {remedy}")
 
 
 def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
@@ -308,40 +293,27 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
     return f"which law.depth {law.depth.kind} does not estimate; works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
 
 
-def _check_marker_kind(marker: str, detector: Detector[Any]) -> None:
-    seen = detector.markers
-    if seen and marker not in seen:
-        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(seen)}; with {marker} use"
-        able = [kind for kind, member in _of_markers().items() if not member.markers or marker in member.markers]
+def _check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+    """Refuse a detector that does not see this kind of markers, that nobody reads, or for which the target shows nothing."""
+    of_markers = {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
+    marker, shown = target.marker.kind, kind_of(type(target))
+    if detector.markers and marker not in detector.markers:
+        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(detector.markers)}; with {marker} use"
+        able = [kind for kind, member in of_markers.items() if not member.markers or marker in member.markers]
         raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
-
-
-def _of_markers() -> dict[str, type]:
-    return {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
-
-
-def _check_read(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
-    if set(law.inputs) != {"image"}:
-        return
-    if detector.needs_goal:
+    if set(law.inputs) == {"image"} and detector.needs_goal:
         words = f"may not be {detector.kind}: law {law.kind} works on the whole picture, and reads no points of it; use none"
         raise ParameterError("detector", words)
-    if detector.markers and not target.shows_markers:
+    if set(law.inputs) == {"image"} and detector.markers and not target.shows_markers:
         words = f"may not be {detector.kind}: no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
         raise ParameterError("detector", words)
-
-
-def _check_shown(target: Target, detector: Detector[Any]) -> None:
     if detector.needs_sheet and target.sheet is None:
-        words = (
-            f"must be a picture for detector {detector.kind}, which tracks it: `target: {{kind: picture, file: poster.png, width: 0.6}}`"
-        )
-        raise ParameterError("target", words, kind_of(type(target)))
-    if target.shows_markers or target.sheet is not None or not detector.markers:
-        return
-    able = [kind for kind, member in _of_markers().items() if not member.markers]
-    words = f"may not be false with detector {detector.kind}: a {kind_of(type(target))} without markers shows it nothing to detect"
-    raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
+        words = f"must be a picture for detector {detector.kind}, which tracks it"
+        raise ParameterError("target", f"{words}: `target: {{kind: picture, file: poster.png, width: 0.6}}`", shown)
+    if detector.markers and not target.shows_markers and target.sheet is None:
+        able = [kind for kind, member in of_markers.items() if not member.markers]
+        words = f"may not be false with detector {detector.kind}: a {shown} without markers shows it nothing to detect"
+        raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
 
 
 def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
@@ -414,23 +386,6 @@ def _image_based(law: Any) -> list[Any]:
     within = [law.law] if hasattr(law, "law") else [part.law for part in getattr(law, "laws", ())]
     own = [law] if law.feature is not None and hasattr(law, "redundant") else []
     return own + [servo for part in within for servo in _image_based(part)]
-
-
-def _leaves_pose_open(points: Array) -> bool:
-    """Whether points (N, 3) do not determine a pose: fewer than three, or collinear."""
-    # Rotation about their common line is not observable: the scatter round the centroid has rank one.
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return len(points) < 3 or bool(spread[1] < ON_ONE_LINE * spread[0])
-
-
-def _open_pose(robot: Robot, points: Array, law: Law[Any], needs_pose: bool) -> ParameterError:
-    if not _has_depth(law):
-        words = f"has all markers on one line, which leaves the pose open that law {law.kind} works with; use other places"
-        return ParameterError("target", words)
-    # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
-    depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
-    which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
-    return ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
 
 
 def _has_depth(law: Law[Any]) -> bool:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal, Protocol
+from abc import abstractmethod
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
@@ -20,45 +21,32 @@ Whole = Annotated[int, Ge(-(10**9)), Le(10**9)]
 Pair = Annotated[tuple[Finite, ...], Len(2, 2)]
 
 
-class Distribution(Protocol):
-    """How one field is drawn. `DistributionBase` has defaults for all but `kind` and `draw`."""
-
-    @property
-    def kind(self) -> str:
-        """The word in a scenario."""
-        ...
-
-    @property
-    def field(self) -> str:
-        """Dotted path of the field, as `--set` takes it."""
-        ...
-
-    def draw(self, rng: np.random.Generator) -> Any:
-        """A value: a number, a word, a truth value."""
-        ...
-
-
-class DistributionBase:
-    """Defaults of a distribution; call its `__post_init__` from one of your own.
+class Distribution:
+    """How one field is drawn; of your own, call `__post_init__` from that of the class, if it has one.
 
     Attributes:
         field: dotted path of the field that is drawn, as `--set` takes it.
     """
 
+    kind: Any  # the word in a scenario, a field of each distribution
     field: str
+    _bounds: ClassVar[str] = ""  # the name of the field that holds the smallest and the largest value
 
     def __post_init__(self) -> None:
         if self.field.split(".")[0] in NOT_DRAWN:
             raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
+        bounds = getattr(self, self._bounds) if self._bounds else None
+        if bounds is not None and bounds[0] >= bounds[1]:
+            raise ParameterError(self._bounds, "must be the smallest and the largest value, in this order", list(bounds))
 
-
-def _check_order(name: str, pair: tuple[float, ...]) -> None:
-    if pair[0] >= pair[1]:
-        raise ParameterError(name, "must be the smallest and the largest value, in this order", list(pair))
+    @abstractmethod
+    def draw(self, rng: np.random.Generator) -> Any:
+        """A value: a number, a word, a truth value."""
+        ...
 
 
 @spec
-class Uniform(DistributionBase):
+class Uniform(Distribution):
     """Uniform between two bounds: x = a + (b - a) U(0, 1).
 
     Args:
@@ -69,10 +57,7 @@ class Uniform(DistributionBase):
     kind: Literal["uniform"] = "uniform"
     field: str
     uniform: Pair
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_order("uniform", self.uniform)
+    _bounds: ClassVar[str] = "uniform"
 
     def draw(self, rng: np.random.Generator) -> float:
         """A number."""
@@ -80,7 +65,7 @@ class Uniform(DistributionBase):
 
 
 @spec
-class Gaussian(DistributionBase):
+class Gaussian(Distribution):
     """Gaussian, x = mean + sigma N(0, 1), drawn again until it lies within its bounds.
 
     Args:
@@ -94,17 +79,16 @@ class Gaussian(DistributionBase):
     field: str
     normal: Pair
     within: Pair | None = None
+    _bounds: ClassVar[str] = "within"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
             raise ParameterError("normal", "must be the mean and a standard deviation of 0 or more", list(self.normal))
-        if self.within is not None:
-            _check_order("within", self.within)
-            if not (self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma):
-                words = f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
-                raise ParameterError("within", words, list(self.within))
+        if self.within is not None and not (self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma):
+            words = f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
+            raise ParameterError("within", words, list(self.within))
 
     def draw(self, rng: np.random.Generator) -> float:
         """A number."""
@@ -116,7 +100,7 @@ class Gaussian(DistributionBase):
 
 
 @spec
-class LogUniform(DistributionBase):
+class LogUniform(Distribution):
     """Uniform of the logarithm, x = a (b/a)^U(0, 1): as many between 0.1 and 1 as between 1 and 10.
 
     Args:
@@ -127,10 +111,7 @@ class LogUniform(DistributionBase):
     kind: Literal["log_uniform"] = "log_uniform"
     field: str
     log_uniform: Annotated[tuple[Annotated[float, Gt(0), Le(1e9)], ...], Len(2, 2)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_order("log_uniform", self.log_uniform)
+    _bounds: ClassVar[str] = "log_uniform"
 
     def draw(self, rng: np.random.Generator) -> float:
         """A number."""
@@ -139,7 +120,7 @@ class LogUniform(DistributionBase):
 
 
 @spec
-class Integer(DistributionBase):
+class Integer(Distribution):
     """A whole number, each of a to b with the same probability.
 
     Args:
@@ -150,10 +131,7 @@ class Integer(DistributionBase):
     kind: Literal["integer"] = "integer"
     field: str
     integer: Annotated[tuple[Whole, ...], Len(2, 2)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_order("integer", self.integer)
+    _bounds: ClassVar[str] = "integer"
 
     def draw(self, rng: np.random.Generator) -> int:
         """A whole number."""
@@ -161,7 +139,7 @@ class Integer(DistributionBase):
 
 
 @spec
-class Chosen(DistributionBase):
+class Chosen(Distribution):
     """One of several values, each with the same probability.
 
     Args:
@@ -179,13 +157,10 @@ class Chosen(DistributionBase):
         return list(value) if isinstance(value, tuple) else value
 
 
+KINDS = Uniform, Gaussian, LogUniform, Integer, Chosen
 DISTRIBUTIONS = Registry(
     "distribution",
-    Uniform,
-    Gaussian,
-    LogUniform,
-    Integer,
-    Chosen,
+    *KINDS,
     fields={kind: kind for kind in ("uniform", "normal", "log_uniform", "integer", "choice")},
-    contract=Contract(Distribution, base=DistributionBase),
+    contract=Contract(Distribution, base=Distribution),
 )

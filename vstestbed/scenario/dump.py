@@ -173,10 +173,22 @@ def check_plugins(scenario: Scenario) -> None:
     if not foreign:
         return
     offered: Any = importlib.metadata.entry_points()
-    installed = {entry.module for name in HOMES for entry in offered.select(group=f"vstestbed.{name}")}
+    installed = [entry.module for name in HOMES for entry in offered.select(group=f"vstestbed.{name}")]
+    packages = {name.partition(".")[0] for name in (*installed, *(p for p in scenario.plugins if not is_file_name(p)))}
+    loaded = [module_of(Path(absolute(name, Path.cwd()))) for name in scenario.plugins if is_file_name(name)]
     for cls, field in foreign.items():
-        if not _is_named(cls, scenario.plugins, installed):
-            raise ParameterError(field, _how_to_name(cls))
+        home = sys.modules.get(cls.__module__)
+        in_file = any(m is home or any(value is cls or value is home for value in vars(m).values()) for m in loaded if m is not None)
+        if in_file or cls.__module__.partition(".")[0] in packages:
+            continue
+        file = getattr(home, "__file__", None)
+        if file is None or cls.__module__ == "__main__":
+            words = f"is {cls.__name__}, which is defined in the program that runs (a script, a notebook), where no scenario file finds it"
+            remedy = "put the class into a file mine.py, import it from there, and give the scenario plugins=('mine.py',)"
+            raise ParameterError(field, f"{words}; {remedy}")
+        file = str(Path(file).resolve())
+        words = f"is {cls.__name__} of {file}, which the file would not name; give the scenario plugins=({file!r},)"
+        raise ParameterError(field, words)
 
 
 def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
@@ -188,24 +200,6 @@ def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
         for f in dataclasses.fields(part):
             if f.init:
                 yield from _parts(getattr(part, f.name), f.name if field == "scenario" else f"{field}.{f.name}")
-
-
-def _is_named(cls: type, plugins: tuple[str, ...], installed: set[str]) -> bool:
-    home = sys.modules.get(cls.__module__)
-    packages = {name.partition(".")[0] for name in (*installed, *(p for p in plugins if not is_file_name(p)))}
-    if cls.__module__.partition(".")[0] in packages:
-        return True
-    loaded = [module_of(Path(absolute(name, Path.cwd()))) for name in plugins if is_file_name(name)]
-    return any(m is home or any(value is cls or value is home for value in vars(m).values()) for m in loaded if m is not None)
-
-
-def _how_to_name(cls: type) -> str:
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    if file is None or cls.__module__ == "__main__":
-        found = f"is {cls.__name__}, which is defined in the program that runs (a script, a notebook), where no scenario file finds it"
-        return f"{found}; put the class into a file mine.py, import it from there, and give the scenario plugins=('mine.py',)"
-    file = str(Path(file).resolve())
-    return f"is {cls.__name__} of {file}, which the file would not name; give the scenario plugins=({file!r},)"
 
 
 OF_THE_RUN = ("name", "description", "plugins", "seed", "draw_start")

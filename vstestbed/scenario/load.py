@@ -133,7 +133,10 @@ def _blame_settings(
     known = {place for dotted in overrides for place in places.get(dotted, FROM_PYTHON).values()}
     if all(m.where in known for m in error.mistakes):
         return error
-    origins = _origins(text, file, overrides, places)
+    origins = dict.fromkeys(_mistakes(text, file, {}), "")  # the position of the first override with which a mistake is there
+    for number, dotted in enumerate(overrides, start=1):
+        found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
+        origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins
     places_found = [m.where if m.where in known else origins[m.field, m.sentence] or m.where for m in error.mistakes]
     return ScenarioError([dataclasses.replace(m, where=where) for m, where in zip(error.mistakes, places_found, strict=True)])
 
@@ -154,16 +157,8 @@ def _other_kinds(error: ScenarioError, overrides: Mapping[str, object], places: 
     return ScenarioError(mistakes)
 
 
-def _origins(text: str, file: str, overrides: Mapping[str, object], places: Mapping[str, Marks]) -> dict[tuple[str, str], str]:
-    """For each mistake, by field and sentence, the position of the first override with which it is there; "" for the file's own."""
-    origins = dict.fromkeys(_mistakes(text, file, {}), "")
-    for number, dotted in enumerate(overrides, start=1):
-        found = _mistakes(text, file, dict(itertools.islice(overrides.items(), number)))
-        origins = dict.fromkeys(found, places.get(dotted, FROM_PYTHON)[()]) | origins
-    return origins
-
-
 def _mistakes(text: str, file: str, overrides: Mapping[str, object]) -> list[tuple[str, str]]:
+    """The field and the sentence of each mistake of a file with these values put over it."""
     plain, marks = plain_mapping(text, file, "")
     plain = absolute_files(plain, Path(file).absolute().parent)
     put_over(plain, overrides, marks, {})

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -42,7 +42,20 @@ def drawn(scenario: Scenario) -> Scenario:
     """
     if scenario.randomise:
         of_field = [np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()]) for one in scenario.randomise]
-        scenario = _with(scenario, [one.draw(rng) for one, rng in zip(scenario.randomise, of_field, strict=True)])
+        values = [one.draw(rng) for one, rng in zip(scenario.randomise, of_field, strict=True)]
+        plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
+        if "robot.realism" in fields:  # it fills what is not given
+            plain["robot"] = brief_mapping(scenario.robot)
+        try:
+            put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
+            scenario = build(type(scenario), plain, {}, "")
+        except ScenarioError as error:
+            mistake = error.mistakes[0]
+            wrong, places = f"{mistake.field}.", [f"{field}." for field in fields]
+            # It is of the drawn field, of one in it, or of its block.
+            i = next((i for i, at in enumerate(places) if wrong.startswith(at) or (wrong != "." and at.startswith(wrong))), 0)
+            words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
+            raise ParameterError(f"randomise.{i}", words) from None
     clutter = scenario.world.clutter
     if clutter is None or clutter.placed or not clutter.count:
         return scenario
@@ -56,19 +69,3 @@ def check_randomise(randomise: Sequence[Distribution]) -> None:
         for j, other in enumerate(randomise[:i]):
             if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
                 raise ParameterError(f"randomise.{i}.field", f"is drawn by randomise.{j} already, as {other.field}", one.field)
-
-
-def _with(scenario: Scenario, values: list[Any]) -> Scenario:
-    plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
-    if "robot.realism" in fields:  # it fills what is not given
-        plain["robot"] = brief_mapping(scenario.robot)
-    try:
-        put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
-        return build(type(scenario), plain, {}, "")
-    except ScenarioError as error:
-        mistake = error.mistakes[0]
-        wrong = f"{mistake.field}."  # it is of the drawn field, of one in it, or of its block
-        touched = (i for i, field in enumerate(fields) if wrong.startswith(f"{field}.") or (wrong != "." and f"{field}.".startswith(wrong)))
-        i = next(touched, 0)
-        words = f"drew {short(values[i])} for {fields[i]} with seed {scenario.seed}: {mistake.field} {mistake.sentence}"
-        raise ParameterError(f"randomise.{i}", words) from None

@@ -19,21 +19,18 @@ from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario.checks import (
+    MOST_VIEW_M,
     check_carrier,
-    check_clocks,
     check_depth,
     check_determined,
-    check_effects,
     check_goal_pictures,
     check_judged,
+    check_length,
     check_markers,
-    check_memory,
     check_metres,
-    check_mirror,
     check_own_points,
     check_robot,
-    check_step,
-    check_views_metres,
+    check_times,
     free_motions,
 )
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
@@ -140,16 +137,14 @@ class Scenario:
     def __post_init__(self) -> None:
         check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
-        check_clocks(self.robot, self.timing)
-        check_memory(self.camera, self.needs_image, self.timing, self.stop)
+        check_times(self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image)
         check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
-        check_effects(self.robot)
         check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
-        check_step(self.robot, self.clock[0])
         check_carrier(self.target)
-        check_mirror(self.camera, self.world)
+        if self.world.floor.mirror and self.camera.renderer == "rays":
+            raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", self.camera.renderer)
         self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
@@ -158,7 +153,8 @@ class Scenario:
         check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
-        check_views_metres("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", self.goal_views)
+        for view in self.goal_views:
+            check_length("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", view.T_camera_target, MOST_VIEW_M)
         check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
@@ -303,20 +299,17 @@ class Scenario:
         made = drawn(self)
         robot = made.robot.drawn(made.rng(BODY_STREAM))
         if made.draw_start:
-            robot = made._start_of(robot)
+            rng, parts = made.rng(START_STREAM), (made.camera, made.target, made.detector, made.goal_views[0], made.world)
+            started = (robot.randomised(rng) for _ in range(TRIES))
+            robot = next((start for start in started if in_view(start, *parts)), None)
+            if robot is None:
+                words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
+                raise ParameterError("robot.start.random", words)
         if robot is not made.robot or made.draw_start:
             made = replace(made, robot=robot, draw_start=False)
         if made is not self:
             made.__dict__["given"] = self  # no field either: a changed copy is given as it is
         return made
-
-    def _start_of(self, robot: Robot) -> Robot:
-        rng = self.rng(START_STREAM)
-        for _ in range(TRIES):
-            started = robot.randomised(rng)
-            if in_view(started, self.camera, self.target, self.detector, self.goal_views[0], self.world):
-                return started
-        raise ParameterError("robot.start.random", f"gave no start in {TRIES} draws that has the whole target in view; make it smaller")
 
     @cached_property
     def given(self) -> Scenario:
