@@ -158,8 +158,7 @@ def never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
-STILL = np.zeros(6)
-"""The twist of a camera whose motion nothing reads; read-only, since all frames share it."""
+STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
 STILL.flags.writeable = False
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 

@@ -31,8 +31,7 @@ class Exposure(NamedTuple):
     view: TruthView | None = None
 
 
-REMEMBERED = 500
-"""Commands that are kept. The oldest time asked for is that of the last exposure but one, a few commands ago."""
+REMEMBERED = 500  # Commands that are kept. The oldest time asked for is that of the last exposure but one, a few commands ago.
 
 
 class CommandHistory:

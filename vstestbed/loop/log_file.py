@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     import polars
 
 WORKS = "`vstestbed run` of the scenario.yaml beside it writes it again, into another folder"
-HEAD = "float64: "
-"""How `log.part` begins; the names of its columns follow, with commas between them, to the end of the line."""
+HEAD = "float64: "  # how `log.part` begins; the names of its columns follow, with commas between them, to the end of the line
 ROW_GROUP = 8_192  # rows of a row group of `log.parquet`: five minutes at 25 Hz, and 4 MB of 66 columns
 
 

@@ -70,8 +70,7 @@ class RowViews:
 
 
 # Time stamps in a run: by them the controller knows when a picture was taken, and which of the robot's readings belongs to it.
-READING_S = 0.002
-"""Time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints."""
+READING_S = 0.002  # time between readings of a robot without an onboard controller [s]: 500 Hz, as arms in industry report their joints
 KEPT_S = 10.0  # how long readings are kept [s]
 
 
@@ -114,8 +113,7 @@ class Stamps:
         return self._readings[i]
 
 
-Exposed = tuple[Exposure, Truth]
-"""A picture in transit to the controller, and the truth at its exposure, which stays behind."""
+Exposed = tuple[Exposure, Truth]  # a picture in transit to the controller, and the truth at its exposure, which stays behind
 
 
 class CameraClock:

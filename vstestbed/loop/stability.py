@@ -132,8 +132,7 @@ LEAST_PX, LEAST_LIMITS = 1.0, 5.0
 KEPT, KEPT_LIMITED = 0.9, 0.5
 """Share of its size that a swing keeps from the first third of the frames to the last, else it decays; the second of a swing that the
 limits of law and robot hold: its size changes from one period to the next (measured: by 0.7 to 1.4)."""
-LIMITED, LIMITED_SHARE = 0.999, 0.05
-"""A command scaled under this is limited; a swing of whose commands so many are is held by the limits."""
+LIMITED, LIMITED_SHARE = 0.999, 0.05  # a command scaled under this is limited; a swing of whose commands so many are is held by the limits
 SAME_PERIOD = 0.2  # difference from the period of the goal's own motion up to which a swing is that motion [1]
 NEAR_LIMIT, FAR_FROM_GOAL = 0.25, 0.25
 """Least gain, of the limit of theory, and least error, of that at the start, of a loop that goes to and fro without a period: the lag of

@@ -36,8 +36,7 @@ BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the lim
 
 
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
-SMALL = 1.5
-"""A marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour."""
+SMALL = 1.5  # a marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour
 POINTS = 32  # points of a marker's rim
 Before = Callable[[Array, Array], tuple[str, ...]]
 """What stands before each of points (N, 3) of a camera at a pose (4, 4) (`Plant.names_before`)."""

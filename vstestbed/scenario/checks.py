@@ -150,8 +150,7 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
 
 # Outlines that run along a body as the camera moves, those of a ball and of a disc: what they tell.
 STEP = 1e-4  # motions to both sides by which an outline's directions are differentiated [m, rad]
-LEAST_TOLD = 1e-6
-"""Share of the largest singular value from which a motion counts as told: the differences are exact to some 1e-8."""
+LEAST_TOLD = 1e-6  # share of the largest singular value from which a motion counts as told: the differences are exact to some 1e-8
 
 
 def runs_along(target: Target) -> bool:
@@ -187,8 +186,7 @@ def motions_told(target: Target, T_camera_target: Array, basis: Array) -> int:
 # Checks of what is measured against what the law and the task need: markers, a detector's own points, depths.
 BY_ESTIMATE = ("position_m", "rotation_deg")  # conditions of convergence by the robot's own estimate
 FIRST_POSE = 4  # fewest points that tell a pose by themselves
-ON_ONE_LINE = 1e-6
-"""Ratio of the second to the first singular value of marker positions under which they count as collinear."""
+ON_ONE_LINE = 1e-6  # ratio of the second to the first singular value of marker positions under which they count as collinear
 
 
 def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any], needs_pose: bool) -> None:

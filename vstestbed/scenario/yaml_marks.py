@@ -17,8 +17,7 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
 from vstestbed.core.registry import is_kind
 
 Key = tuple[str | int, ...]
-Marks = dict[Key, str]
-"""The position of each key, `FILE:LINE:COL`, or the option or argument that it comes from."""
+Marks = dict[Key, str]  # the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
 FROM_OPTION: Mapping[Key, str] = {(): "--set"}  # position of a value that comes from the command line
 FROM_PYTHON: Mapping[Key, str] = {(): "overrides"}
 DEEPEST, MOST_VALUES = 32, 20_000
@@ -26,8 +25,7 @@ DEEPEST, MOST_VALUES = 32, 20_000
 "billion laughs") cannot fill the memory."""
 
 
-MOST_BYTES = 100_000
-"""Largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes."""
+MOST_BYTES = 100_000  # largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes
 
 
 def text_of(path: Path) -> str:

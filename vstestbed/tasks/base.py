@@ -33,13 +33,10 @@ from vstestbed.tasks.frame import ImageError
 from vstestbed.tasks.judged import JudgedError, by_convergence
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
-from vstestbed.vision import Detector
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-PLANE_INPUTS = {"xy", "depth", "relative"}
-"""Fields of an observation that exist only for points in front of the camera."""
-LEVEL_DEG = 1.0
-"""Largest tilt of the craft at a goal view [deg]."""
+PLANE_INPUTS = {"xy", "depth", "relative"}  # fields of an observation that exist only for points in front of the camera
+LEVEL_DEG = 1.0  # largest tilt of the craft at a goal view [deg]
 
 
 def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
@@ -51,14 +48,19 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
     p = target.seen_from(inverse(T_camera_target))
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
-    if (behind := _behind_image_plane(camera, law, p)).any():
-        raise _not_visible(field, target, behind, *_behind_words(camera, law))
+    lens, behind = isinstance(camera, Perspective), p[:, 2] <= 0
+    if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):  # a law of rays or poses has no image plane
+        where = "behind the camera" if lens else f"behind the camera, where law {law.kind} has no image plane to work in"
+        raise _not_visible(field, target, behind, where, "a wider camera" if lens else "a law of rays (feature spherical) or poses")
     if detector.rows is not None:  # it finds other points than the target's markers
         return
-    if (outside := _outside_picture(camera, detector, p) & counted).any():
+    uv, limited = camera.project(p), getattr(detector, "field_of_view", "limited") == "limited"
+    # An oracle may report markers all round, and six panels have no border between them.
+    inside = camera.inside(uv) if limited and len(camera.panels) == 1 else np.isfinite(uv[:, 0])
+    if (outside := ~inside & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
         raise _not_visible(field, target, outside, where, "a wider camera")
-    if _limited(detector):
+    if limited:
         _check_hidden(setup, field, T_camera_target, counted)
 
 
@@ -79,32 +81,6 @@ def _check_hidden(setup: Setup, field: str, T_camera_target: Array, counted: NDA
         raise ParameterError(field, f"{words}; {remedy}")
 
 
-def _behind_image_plane(camera: Camera, law: Law[Any], p: Array) -> NDArray[np.bool_]:
-    """Which markers (N, 3) lie behind a plane that the lens or the law projects them onto; none for a law of rays or poses."""
-    if isinstance(camera, Perspective) or PLANE_INPUTS & set(law.inputs):
-        return p[:, 2] <= 0
-    return np.zeros(len(p), dtype=bool)
-
-
-def _outside_picture(camera: Camera, detector: Detector[Any], p: Array) -> NDArray[np.bool_]:
-    """Which markers (N, 3) project outside of the picture, or nowhere."""
-    uv = camera.project(p)
-    # An oracle may report markers all round, and six panels have no border between them.
-    has_borders = len(camera.panels) == 1 and _limited(detector)
-    return ~(camera.inside(uv) if has_borders else np.isfinite(uv[:, 0]))
-
-
-def _behind_words(camera: Camera, law: Law[Any]) -> tuple[str, str]:
-    if isinstance(camera, Perspective):
-        return "behind the camera", "a wider camera"
-    return f"behind the camera, where law {law.kind} has no image plane to work in", "a law of rays (feature spherical) or poses"
-
-
-def _limited(detector: Detector[Any]) -> bool:
-    """Whether the detector sees only what is in the picture; an oracle may see all."""
-    return getattr(detector, "field_of_view", "limited") == "limited"
-
-
 def _markers(target: Target, which: NDArray[np.bool_]) -> str:
     """Markers (N,) with their verb, as `marker 2 is`."""
     called = [target.called(int(i)) for i in np.flatnonzero(which)]
@@ -116,21 +92,8 @@ def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str,
     return ParameterError(field, words)
 
 
-def check_level(robot: Robot, camera: Camera, target: Target, T_camera_target: Array, field: str) -> None:
-    """Refuse a goal view from a tilted craft: a craft hovers level, and would never see that view at rest."""
-    if robot.base != "floating":
-        return
-    # z of the base, in the world's axes: its last component is the cosine of the tilt.
-    up = (target.T_world_start @ inverse(T_camera_target) @ inverse(camera.mount.T))[2, 2]
-    lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
-    if lean > LEVEL_DEG:
-        words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level; turn the view, or camera.mount, by as much"
-        raise ParameterError(field, words)
-
-
 # The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.
-MID_GREY = 128.0
-"""The grey level that a change of contrast leaves as it is."""
+MID_GREY = 128.0  # the grey level that a change of contrast leaves as it is
 Factor = Annotated[float, Gt(0), Le(10)]
 
 
@@ -196,8 +159,7 @@ class GoalPicture:
         return np.clip(made + 0.5, 0, 255).astype(np.uint8)
 
 
-Log = Mapping[str, Array]
-"""The columns of a log by name, shape (frames,) each."""
+Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
 
 
 class Task:
@@ -272,7 +234,14 @@ class Task:
         fields = self.view_fields or ("goal",) * len(poses)
         for field, pose, view in zip(fields, poses, views, strict=True):
             check_visible(setup, field, pose, view.counted)
-            check_level(setup.robot, setup.camera, setup.target, pose, field)
+            if setup.robot.base != "floating":
+                continue
+            # z of the craft's base in the world's axes: its last component is the cosine of the tilt, and a craft hovers level.
+            up = (setup.target.T_world_start @ inverse(pose) @ inverse(setup.camera.mount.T))[2, 2]
+            lean = math.degrees(math.acos(max(-1.0, min(1.0, float(up)))))
+            if lean > LEVEL_DEG:
+                words = f"is the view from a craft tilted by {lean:.3g} deg, and it hovers level"
+                raise ParameterError(field, f"{words}; turn the view, or camera.mount, by as much")
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array | None:
         """T_camera_target (4, 4) at the goal of a time [s] and a view, of `poses`, the `goal_poses`; None where no single pose is it."""
@@ -313,8 +282,7 @@ class Task:
         return float(log["position_error_m"][0])
 
 
-TaskBase = Task
-"""The name by which tasks of one's own derive from it."""
+TaskBase = Task  # the name by which tasks of one's own derive from it
 
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:

@@ -18,17 +18,14 @@ from vstestbed.tasks.judged import JudgedError, at_worst
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
-WINDOW_S = 2.0
-"""Window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)."""
+WINDOW_S = 2.0  # window of the mean speed [s]: longer than a start from standstill takes (.6 s to .8 m/s)
 STEADY = 0.8
 """Least share of a commanded speed. Measured: steady driving .98 and more, a straight approach to a line at 25 degrees .91, a start
 within the first two seconds .87."""
-FOLLOWS = 0.5
-"""Least share of the leader's speed for a follower, which cuts corners, and waits where it is too near."""
+FOLLOWS = 0.5  # least share of the leader's speed for a follower, which cuts corners, and waits where it is too near
 
 
-MinSpeed = tuple[str, float, float]
-"""Who, in words, is commanded which speed, and must reach which [m/s]."""
+MinSpeed = tuple[str, float, float]  # who, in words, is commanded which speed, and must reach which [m/s]
 Odometer = Callable[[Array, Array], tuple[float, ...]]
 """Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and target now at these true poses (4, 4)."""
 
@@ -138,7 +135,7 @@ class ToleranceMonitor(TaskMonitor):
         return None
 
     def missed(self, frame: Frame) -> Verdict | None:
-        """At the end of the duration: completed, or the first violation."""
+        """At the end of the duration: completed, or the earliest violation."""
         t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
         self._judged = self._judged or settled
         # `not <=`: an error of NaN is a violation, too.
@@ -148,10 +145,8 @@ class ToleranceMonitor(TaskMonitor):
         if self._speeds and self._odometer:
             travelled = self._odometer(frame.T_world_base(self.mount_inverse), frame.truth.T_world_target)
             self._speeds.update(t, travelled, over)
-        return self._at_the_end(duration) if over else None
-
-    def _at_the_end(self, duration: float) -> Verdict:
-        """The verdict at the end of the duration; of several violations, the earliest."""
+        if not over:
+            return None
         tolerance, settle = self.task.tolerance_m, self.task.settle_s
         if not self._judged:
             return Outcome.timed_out, f"{duration:g} s ended before the {settle:g} s in which it may settle"

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.planar import place_of, pose_on_ground
 from vstestbed.core.quantity import Length, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
-from vstestbed.laws import Law
-from vstestbed.robots import VEHICLES, Robot
+from vstestbed.robots import VEHICLES
 from vstestbed.robots.base import Base
 from vstestbed.robots.vehicle import Vehicle
 from vstestbed.targets import GroundLines, Target
@@ -25,8 +23,7 @@ from vstestbed.tasks.continuing import FOLLOWS, STEADY, Continuing, MinSpeed, Od
 from vstestbed.tasks.monitor import Setup
 from vstestbed.vision.floor_pose import LEVEL
 
-ONE_PLACE_M = 1e-6
-"""Points within this of one another in the floor plan are at one place [m]."""
+ONE_PLACE_M = 1e-6  # points within this of one another in the floor plan are at one place [m]
 
 
 @spec
@@ -58,31 +55,21 @@ class GoalGap(Continuing):
     def check(self, setup: Setup) -> None:
         """The vehicles must not touch at the gap, and the target's origin must be observable."""
         super().check(setup)
-        self._check_room(setup.robot, setup.target)
-        if setup.law.depth.on_floor:
-            self._check_known(setup.camera, setup.target)
-
-    def _check_room(self, robot: Robot, target: Target) -> None:
-        """The vehicle's front must stay clear of the rear of the vehicle ahead."""
-        if target.carrier is None or not isinstance(robot, Vehicle):
-            return
-        rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
-        least = target.pose.xyz[0] - rear + front
-        if self.gap_m <= least:
-            words = f"must be over {least:.4g} m: there the front of robot {robot.kind}, {front:g} m before its origin, touches the"
-            raise ParameterError("goal.gap_m", f"{words} {target.carrier.by} that carries the target", self.gap_m)
-
-    def _check_known(self, camera: Camera, target: Target) -> None:
-        """Points above one another do not determine the target's heading: they must lie over the origin to which the gap is measured."""
+        robot, camera, target = setup.robot, setup.camera, setup.target
+        if target.carrier is not None and isinstance(robot, Vehicle):
+            rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
+            least = target.pose.xyz[0] - rear + front
+            if self.gap_m <= least:
+                words = f"must be over {least:.4g} m: there the front of robot {robot.kind}, {front:g} m before its origin, touches the"
+                raise ParameterError("goal.gap_m", f"{words} {target.carrier.by} that carries the target", self.gap_m)
+        # Points above one another do not determine the target's heading: they must lie over the origin to which the gap is measured.
         p: Array = target.points @ target.pose.T[:3, :3].T  # from the target's origin, in the axes of what carries it
-        if np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
+        if not setup.law.depth.on_floor or np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
             return
         # One place gives one direction and, by the known height, one distance: enough for a point, not for the carrier's heading.
         if np.abs(p[0, :2]).max() > ONE_PLACE_M:
-            words = (
-                "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap is"
-            )
-            remedy = "measured, stays unknown; use x = y = 0 there and put the place into target.pose, or add a point beside it"
+            words = "has its points at one place of the floor plan, which does not tell its heading, so that its origin, to which the gap"
+            remedy = "is measured, stays unknown; use x = y = 0 there and put the place into target.pose, or add a point beside it"
             raise ParameterError("target", f"{words} {remedy}")
         height = p[:, 2] + target.pose.xyz[2] - camera.mount.xyz[2]
         if np.abs(height).max() <= LEVEL * (self.gap_m + abs(camera.mount.xyz[0])):
@@ -135,8 +122,7 @@ def leader_and_follower(target: Target) -> Odometer:
 
 
 # Line following: keep the vehicle over a line painted on the floor.
-ALONG_M = 0.5
-"""Search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves by .3 m a frame."""
+ALONG_M = 0.5  # search range along the line round the vehicle's last arc length [m]; at 3 m/s and 10 Hz it moves by .3 m a frame
 
 
 @spec
@@ -160,10 +146,7 @@ class GoalLine(Continuing):
         """The target must be lines with bends that the vehicle can follow, at a speed within its limits."""
         self._check_law(setup.law)
         self._check_base(setup.robot)
-        self._check_drive(setup.robot, _lines(setup.target).route, setup.law)
-
-    def _check_drive(self, robot: Robot, route: Route, law: Law[Any]) -> None:
-        """Refuse bends tighter than the turning circle, and a cruising speed beyond the limits."""
+        robot, route, law = setup.robot, _lines(setup.target).route, setup.law
         if not isinstance(robot, Vehicle):
             return
         # The parallel at an offset d to the left of a bend of curvature k has the curvature k / (1 - k d).

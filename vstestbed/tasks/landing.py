@@ -21,8 +21,7 @@ from vstestbed.tasks.judged import JudgedError, at_the_end, largest
 from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 
-DEEPEST = -0.25
-"""The reference descends to this share of its initial height, below the pad: the craft is commanded to sink until it stands."""
+DEEPEST = -0.25  # the reference descends to this share of its initial height, below the pad: the craft is commanded to sink until it stands
 
 
 class Descent(NamedTuple):

@@ -20,8 +20,7 @@ from vstestbed.tasks.monitor import Setup
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
-LEAST = 1e-6
-"""A start nearer to its goal than this has no share [m, rad]."""
+LEAST = 1e-6  # a start nearer to its goal than this has no share [m, rad]
 
 
 @spec
@@ -277,14 +276,15 @@ def check_metrics(metrics: Sequence[MetricContract]) -> None:
 
 def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Figures:
     """The figures of a scenario's own metrics of one run. Raises ParameterError: they are not those of the titles, or not numbers."""
-    return {name: value for metric in metrics for name, value in _figures_of(metric, log, setup).items()}
-
-
-def _figures_of(metric: MetricContract, log: Log, setup: Setup) -> Figures:
-    found, names = metric.figures(log, setup), list(metric.titles)
-    if not isinstance(found, dict) or set(found) != set(names):
-        raise ParameterError(f"metrics: {metric.kind}", f"figures() must give {', '.join(names)}, as its `titles` say", str(found))
-    for name, value in found.items():
-        if isinstance(value, bool) or not isinstance(value, Real | None):
-            raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
-    return {name: float(value) if isinstance(value := found[name], Real) else None for name in names}
+    figures: Figures = {}
+    for metric in metrics:
+        found = metric.figures(log, setup)
+        if not isinstance(found, dict) or set(found) != set(metric.titles):
+            words = f"figures() must give {', '.join(metric.titles)}, as its `titles` say"
+            raise ParameterError(f"metrics: {metric.kind}", words, str(found))
+        for name in metric.titles:
+            value = found[name]
+            if isinstance(value, bool) or not isinstance(value, Real | None):
+                raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
+            figures[name] = None if value is None else float(value)
+    return figures

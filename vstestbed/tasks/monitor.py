@@ -19,8 +19,10 @@ from vstestbed.robots.base import Supervisor
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.tasks.frame import Frame
-from vstestbed.tasks.stop import Converged, Stop
+from vstestbed.tasks.stop import Stop
 from vstestbed.vision import Detector
+
+REST = 1e-6  # a commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small
 
 
 # eq=False: compared by identity, since the comparison of its arrays has no single truth value.
@@ -133,7 +135,14 @@ class TaskMonitor:
         at_rest = not frame.error.lost and not self._near and max(map(abs, frame.command.twist.tolist())) < REST
         self._rest_since = held_since(self._rest_since, at_rest, frame.t)
         if has_held(self._rest_since, frame.t, self.setup.stop.rest_after):
-            return Outcome.local_minimum, at_rest_words(self.setup.stop.converged, self.error_px, self.estimate, self.error_grey)
+            goal, (distance, angle), said = self.setup.stop.converged, self.estimate, list[str]()
+            if goal.error_px is not None:
+                said.append(f"at an RMS error of {self.error_px:.3g} px")
+            if goal.error_grey is not None:
+                said.append(f"at an RMS error of {self.error_grey:.3g} grey levels")
+            if goal.by_estimate:
+                said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
+            return Outcome.local_minimum, f"the commanded twist is zero {', '.join(said)}"
         # After the local minimum: of a law that rests in the last frame, the more telling reason counts.
         duration = self.setup.stop.duration_s
         return (Outcome.timed_out, timed_out_words(duration)) if frame.t >= duration - 1e-9 else None
@@ -156,25 +165,6 @@ def level_error(seen: Observation, goal: Goal) -> float:
     error = goal.camera.project(p) - goal.uv
     error = error[np.isfinite(error[:, 0])]
     return float(np.sqrt(np.mean(error**2))) if error.size else math.nan
-
-
-REST = 1e-6
-"""A commanded twist under this (m/s and rad/s) is rest; with any pixel noise, commands never are so small."""
-
-
-def at_rest_words(
-    goal: Converged, error_px: float, estimate: tuple[float, float] = (math.nan, math.nan), error_grey: float = math.nan
-) -> str:
-    """Why a run is in a local minimum: it rests so far from the goal, by the quantities that `stop.converged` tests."""
-    said = []
-    if goal.error_px is not None:
-        said.append(f"at an RMS error of {error_px:.3g} px")
-    if goal.error_grey is not None:
-        said.append(f"at an RMS error of {error_grey:.3g} grey levels")
-    if goal.by_estimate:
-        distance, angle = estimate
-        said.append(f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal by the robot's own estimate")
-    return f"the commanded twist is zero {', '.join(said)}"
 
 
 def timed_out_words(duration_s: float) -> str:

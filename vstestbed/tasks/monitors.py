@@ -20,13 +20,11 @@ from vstestbed.tasks.monitor import Setup
 
 Pictures = Annotated[int, Ge(1), Le(1_000_000)]
 Share = Annotated[float, Gt(0), Le(1)]
-Away = tuple[float, float]
-"""Distance [m] and angle [rad] of the camera from its goal."""
+Away = tuple[float, float]  # distance [m] and angle [rad] of the camera from its goal
 EARLY_PICTURES = 10
 """In so many pictures in turn both errors must be under `early` of their limits: one alone may be there on its way through."""
 
-NEARER = 0.98
-"""A run comes nearer where the larger of both errors falls under this share of its smallest value so far."""
+NEARER = 0.98  # a run comes nearer where the larger of both errors falls under this share of its smallest value so far
 
 
 def away_from_goal(frame: Frame) -> Away:

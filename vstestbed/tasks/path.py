@@ -29,12 +29,9 @@ from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.tasks.view import VIEWS, GoalView, GoalViewFrom
 
 _TURN = ThetaU()
-JERK_PEAK = 15 / 8
-"""Ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2."""
-DIFFERENCE_S = 1e-3
-"""Step of the central difference for the reference's velocity [s]."""
-LEAST_LEG_S = 0.5
-"""Shortest duration of a leg [s]; two equal views would have a leg of none."""
+JERK_PEAK = 15 / 8  # ratio of peak to mean speed of a minimum-jerk motion: s'(p) = 30 p^2 (1 - p)^2 at p = 1/2
+DIFFERENCE_S = 1e-3  # step of the central difference for the reference's velocity [s]
+LEAST_LEG_S = 0.5  # shortest duration of a leg [s]; two equal views would have a leg of none
 LATE_S = 2.0
 """The error is taken from the part of the path that the reference passes within this time [s]: a lag along the path is no error."""
 

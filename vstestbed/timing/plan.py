@@ -20,8 +20,7 @@ from vstestbed.timing.setpoints import Interpolator, Mode
 from vstestbed.timing.stamps import CameraStamps, RobotStamps
 
 LEAST_PERIODS = 3  # a command lasts this many camera periods at least
-BLURRED = 0.2
-"""Exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each."""
+BLURRED = 0.2  # exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each
 
 
 @spec

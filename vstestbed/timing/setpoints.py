@@ -9,8 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, all_finite
 
-Mode = Literal["hold", "ramp", "smooth"]
-"""Held until the next command; led to it in a straight line; led to it with limited jerk."""
+Mode = Literal["hold", "ramp", "smooth"]  # held until the next command; led to it in a straight line; led to it with limited jerk
 
 
 class Profile:
@@ -113,11 +112,9 @@ class Interpolator:
         return np.inf
 
 
-Stop = Literal["", "stop", "off"]
-"""No stop; in the robot's own way (`Robot.stopping`); the motors of a craft that stands go off for good."""
+Stop = Literal["", "stop", "off"]  # no stop; in the robot's own way (`Robot.stopping`); the motors of a craft that stands go off for good
 
-REFRESH_S = 0.01
-"""How often the setpoint of a robot that stops is renewed [s], where it has no onboard controller with a period of its own."""
+REFRESH_S = 0.01  # how often the setpoint of a robot that stops is renewed [s], where it has no onboard controller with a period of its own
 
 
 class SetpointBuffer:
@@ -139,8 +136,7 @@ class SetpointBuffer:
     ):
         self._stopping, self._command, self._lasts, self._step_s = stopping, first, lasts, step_s
         self._interpolator = interpolator
-        self._until: float = lasts
-        """The last step at which the command is followed."""
+        self._until: float = lasts  # the last step at which the command is followed
         self._refresh = max(1, round(REFRESH_S / step_s))
 
     def give(self, step: int, setpoint: Array, stop: Stop = "") -> None:
