@@ -88,7 +88,7 @@ class TestSettles:
     def test_what_is_refused(self):
         with pytest.raises(ParameterError, match="goes with or_rotation_deg"):
             Settles(or_position_m=0.01)
-        with pytest.raises(ParameterError, match="must not be over `most`"):
+        with pytest.raises(ParameterError, match="least must be at most most = "):
             Settles(least=100, most=50)
 
 

@@ -13,9 +13,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage
-from vstestbed.core.quantity import Distance, GainOrZero, Narrower, Pixels, PositiveLength
+from vstestbed.core.quantity import Distance, GainOrZero, Narrower, Pixels, PositiveLength, check_ordered
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -61,8 +60,7 @@ class DepthSensor(ABC):
     """Pixels at an edge see both surfaces, and measure a depth between."""
 
     def __post_init__(self) -> None:
-        if self.near_m >= self.far_m:
-            raise ParameterError("near_m", f"must be under far_m, {self.far_m:g} m", self.near_m)
+        check_ordered(self, "near_m", "far_m", equal=False)
 
     @abstractmethod
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:

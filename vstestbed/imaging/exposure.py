@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.quantity import PositiveGrey, PositiveTime, Time
+from vstestbed.core.quantity import PositiveGrey, PositiveTime, Time, check_ordered
 from vstestbed.core.spec import spec
 
 DARKEST = 0.5
@@ -61,8 +61,7 @@ class AutoExposure:
     settled: bool = True
 
     def __post_init__(self) -> None:
-        if self.shortest_s > self.longest_s:
-            raise ParameterError("shortest_s", f"must be at most longest_s, {self.longest_s:g} s", self.shortest_s)
+        check_ordered(self, "shortest_s", "longest_s")
 
     def share(self, period_s: float) -> float:
         """The exponent a [1] for a period of the camera [s]."""

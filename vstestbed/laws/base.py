@@ -11,9 +11,8 @@ from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed
+from vstestbed.core.quantity import PositiveGain, PositiveRate, PositiveSpeed, check_ordered
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import PnP
@@ -96,8 +95,7 @@ class AdaptiveGain:
 
     def __post_init__(self) -> None:
         """Refuse a gain that would increase with the error."""
-        if self.at_infinity >= self.at_zero:
-            raise ParameterError("at_infinity", f"must be under at_zero = {self.at_zero}", self.at_infinity)
+        check_ordered(self, "at_infinity", "at_zero", equal=False)
 
     def at(self, error: Array) -> Array:
         """The gains (..., 1) [1/s] at error vectors (..., n) in motion space."""

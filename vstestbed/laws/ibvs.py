@@ -11,6 +11,7 @@ from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.quantity import check_ordered
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, LineFeature, Point
@@ -66,8 +67,7 @@ class Large:
 
     def __post_init__(self) -> None:
         """Refuse a share that would decrease with the error."""
-        if self.near >= self.far:
-            raise ParameterError("near", f"must be under far = {self.far}", self.near)
+        check_ordered(self, "near", "far", equal=False)
 
     def share(self, solved: Array) -> float:
         """The weight of P_|e|, 0 to 1, at a remaining motion (n,) [m, rad]."""

@@ -10,6 +10,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.quantity import check_range
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 
@@ -35,9 +36,8 @@ class Distribution:
     def __post_init__(self) -> None:
         if self.field.split(".")[0] in NOT_DRAWN:
             raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
-        bounds = getattr(self, self._bounds) if self._bounds else None
-        if bounds is not None and bounds[0] >= bounds[1]:
-            raise ParameterError(self._bounds, "must be the smallest and the largest value, in this order", list(bounds))
+        if self._bounds and getattr(self, self._bounds) is not None:
+            check_range(self, self._bounds, equal=False)
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> Any:

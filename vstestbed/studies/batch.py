@@ -146,50 +146,43 @@ class BatchSetup:
 
     def __post_init__(self) -> None:
         """Refuse what a batch cannot simulate."""
-        self._check_law()
-        self._check_task()
-        self._check_target()
-        self._check_ideal()
+        for field, fits, words in (*self._of_law(), *self._of_task(), *self._of_camera()):
+            if not fits:
+                raise ParameterError(field, words)
 
-    def _check_law(self) -> None:
-        s = self.scenario
-        foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(s.law.inputs))
-        if foreign:
-            raise ParameterError("law.kind", f"{s.law.kind} reads {foreign[0]}, which the ideal cameras of a batch do not measure")
-        if s.law.visibility.margin_px > 0:
-            raise ParameterError("law.visibility.margin_px", "must be 0 in a batch", s.law.visibility.margin_px)
-        if s.law.feedforward.kind != "none":
-            raise ParameterError("law.feedforward", "must be none in a batch")
-        if isinstance(s.law.depth, Estimate) or s.law.depth.measured:
-            raise ParameterError("law.depth", f"may not be {s.law.depth.kind} in a batch; valid: pnp, constant, goal, oracle")
+    def _of_law(self) -> Iterator[tuple[str, bool, str]]:
+        """Field, whether it fits, and what else the message says, of each condition on the law."""
+        law = self.scenario.law
+        foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(law.inputs))
+        yield "law.kind", not foreign, f"{law.kind} reads {''.join(foreign[:1])}, which the ideal cameras of a batch do not measure"
+        margin_px = law.visibility.margin_px
+        yield "law.visibility.margin_px", margin_px == 0, f"must be 0 in a batch, got {margin_px}"
+        yield "law.feedforward", law.feedforward.kind == "none", "must be none in a batch"
+        known = not (isinstance(law.depth, Estimate) or law.depth.measured)
+        yield "law.depth", known, f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle"
 
-    def _check_task(self) -> None:
+    def _of_task(self) -> Iterator[tuple[str, bool, str]]:
         s = self.scenario
-        if s.randomise:
-            raise ParameterError("randomise", "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run")
-        if len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands:
-            raise ParameterError("goal", "must be one view of a target that stands still, in a batch")
-        if s.stop.converged.error_px is None or s.stop.converged.by_estimate:
-            raise ParameterError("stop.converged", "must be judged by error_px alone in a batch")
+        words = "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run"
+        yield "randomise", not s.randomise, words
+        one_view = not (len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands)
+        yield "goal", one_view, "must be one view of a target that stands still, in a batch"
+        in_pixels = s.stop.converged.error_px is not None and not s.stop.converged.by_estimate
+        yield "stop.converged", in_pixels, "must be judged by error_px alone in a batch"
 
-    def _check_target(self) -> None:
+    def _of_camera(self) -> Iterator[tuple[str, bool, str]]:
         s = self.scenario
-        if s.target.body is not None and not s.target.outlined and isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
-            words = "has a solid, and a batch does not know which markers it hides"
-            raise ParameterError("target", f"{words}; give an unlimited field of view, or a target without one")
-
-    def _check_ideal(self) -> None:
-        s = self.scenario
+        oracle, solid = isinstance(s.detector, Oracle), s.target.body is not None and not s.target.outlined
+        bordered = isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited"
+        words = "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
+        yield "target", not (solid and bordered), words
+        exact = s.calibration.camera_exact and s.calibration.depth_exact
+        yield "calibration", exact, "must be exact in a batch, whose poses and depths are true"
+        yield "monitors", not s.monitors, "must be none in a batch, which ends runs by the loop's own alone"
         disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
-        if not (s.calibration.camera_exact and s.calibration.depth_exact):
-            raise ParameterError("calibration", "must be exact in a batch, whose poses and depths are true")
-        if s.monitors:
-            raise ParameterError("monitors", "must be none in a batch, which ends runs by the loop's own alone")
-        if not (s.robot.body is None and isinstance(s.detector, Oracle)) or disturbed or s.world.hides:
-            words = (
-                "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
-            )
-            raise ParameterError("scenario", f"{words}; `basin.setup.ideal` makes it so")
+        words = "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
+        ideal = s.robot.body is None and oracle and not disturbed and not s.world.hides
+        yield "scenario", ideal, f"{words}; `basin.setup.ideal` makes it so"
 
     @cached_property
     def law(self) -> Any:

@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rigid_error
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import Position, PositiveAngle, PositiveLength, PositiveRateDeg, PositiveSpeed
+from vstestbed.core.quantity import Position, PositiveAngle, PositiveLength, PositiveRateDeg, PositiveSpeed, check_ordered
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.tasks.frame import Frame
@@ -84,8 +84,7 @@ class Settles:
         """Refuse half of the alternative, and an end before the beginning."""
         if (self.or_position_m is None) != (self.or_rotation_deg is None):
             raise ParameterError("or_position_m", "goes with or_rotation_deg: give both, or neither", self.or_position_m)
-        if self.least > self.most:
-            raise ParameterError("least", f"must not be over `most`, {self.most}", self.least)
+        check_ordered(self, "least", "most")
 
     def monitor(self, setup: Setup) -> _Settles:
         """By the true place of the camera and the commanded twist."""

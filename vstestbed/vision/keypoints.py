@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import PositivePixels
+from vstestbed.core.quantity import PositivePixels, check_ordered
 from vstestbed.core.registry import Registry, kind_of
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
@@ -342,8 +342,7 @@ class Keypoints(DetectorBase):
     changing = True
 
     def __post_init__(self) -> None:
-        if self.least > self.best:
-            raise ParameterError("least", f"must be at most best = {self.best}", self.least)
+        check_ordered(self, "least", "best")
         if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
             raise ParameterError("track.keep", f"must be at most best = {self.best}", self.track.keep)
         if self.ratio is not None and self._extractor is None:

@@ -10,7 +10,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Image, Images
-from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime
+from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime, check_range
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import GREY
@@ -71,8 +71,7 @@ class Erasing(PerturbationBase):
     tries: ClassVar[int] = 100
 
     def __post_init__(self) -> None:
-        if self.area[0] > self.area[1]:
-            raise ParameterError("area", "must be the smallest and the largest share, in this order", list(self.area))
+        check_range(self, "area")
 
     def picture(self, state: None, image: Image, t: float, rng: np.random.Generator) -> Image:
         """With the rectangle."""

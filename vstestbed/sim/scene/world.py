@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Time
+from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Time, check_range
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.wind import Wind
@@ -134,8 +134,7 @@ class Clutter:
     placed: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        if self.radius_m[0] > self.radius_m[1]:
-            raise ParameterError("radius_m", "must be the smallest and the largest radius, in this order", list(self.radius_m))
+        check_range(self, "radius_m")
 
     def draw(self, rng: np.random.Generator, hues_deg: Sequence[float]) -> tuple[Decoy, ...]:
         """The objects of a run. rng: of the run. hues_deg: of the markers [deg]."""
