@@ -249,7 +249,7 @@ def _check_changing(law: Any, detector: str) -> None:
     wanted = f"the same markers in every picture, and detector {detector} shows other points"
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
-        if law.needs_same_markers and feature is not None and part.needs_same_markers:
+        if law.needs_same_markers and part is not None and feature is not None and part.needs_same_markers:
             words = f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}"
             raise ParameterError(f"{place}.feature", f"{words}; use point, polar or spherical")
     if law.needs_same_markers:

@@ -41,4 +41,4 @@ class MyLaw(vs.ErrorLaw):
 
 def test_my_law():
     """It reaches a goal, passes its state on, and rests where it sees nothing."""
-    vstestbed.testing.check_law(MyLaw(gain=1.0))
+    vstestbed.testing.check_law(MyLaw(gain=1.0))  # type: ignore[arg-type] - a number stands for a gain, as in a scenario
