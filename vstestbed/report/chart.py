@@ -40,17 +40,13 @@ def log_ticks(low: float, high: float, most: int) -> Array:
 
 def numerals(at: Array, powers: bool = False) -> list[str]:
     """The numbers of ticks, with the same number of decimals, or with powers of ten where these are shorter (or asked for)."""
-    if powers or (decimals := _decimals(at)) is None:
+    step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
+    # decimals of the number that needs most of them, to a thousandth of the distance of two; powers instead of more than four of them
+    enough = (d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all())
+    decimals = None if powers or np.abs(at).max(initial=0) >= 1e5 else next(enough, None)
+    if decimals is None:
         return [_power(float(v)) for v in at]
     return [f"{v + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for v in at]
-
-
-def _decimals(at: Array) -> int | None:
-    """Decimals of the number that needs most of them, to a thousandth of the distance of two; None for more than four or huge numbers."""
-    step = float(np.ptp(at)) / (len(at) - 1) if len(at) > 1 else float(np.abs(at).sum()) or 1.0
-    if np.abs(at).max(initial=0) >= 1e5:
-        return None
-    return next((d for d in range(5) if (np.abs(at - np.round(at, d)) < 1e-3 * step).all()), None)
 
 
 def _power(value: float) -> str:
@@ -281,7 +277,9 @@ class Chart:
             for i, panel in enumerate(self.panels)
         )
         look = f'role="img" aria-label="{escape(label)}" viewBox="0 0 {width:.1f} {self.height:.1f}" font-size="9.5" fill="var(--ink)"'
-        return f"<svg {look}>{body}</svg>{self._key()}"
+        entries = "".join(f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items())
+        key = f'<ul class="key">{entries}</ul>' if entries else ""
+        return f"<svg {look}>{body}</svg>{key}"
 
     def legend(self) -> dict[str, Curve]:
         """The entries of the legend in their order, areas last: the first curve with each label."""
@@ -290,10 +288,6 @@ class Chart:
         for curve in sorted(curves, key=lambda curve: curve.zorder <= 1):
             found.setdefault(curve.label, curve)
         return found
-
-    def _key(self) -> str:
-        entries = [f"<li>{curve.sample()}{escape(name)}</li>" for name, curve in self.legend().items()]
-        return f'<ul class="key">{"".join(entries)}</ul>' if entries else ""
 
 
 # Views of space for charts: points (x, y, z) in parallel projection, and a box with the axes' numbers.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,22 +30,13 @@ FORMATS = (".png", ".svg", ".pdf")
 PI = math.pi
 
 
-@dataclass(frozen=True)
-class Plane:
-    """The plane in which the flow of a feature is drawn."""
-
-    feature: Feature  # the feature
-    across: Array  # across, up: coordinates of the arrows' tails along the horizontal and the vertical axis
-    up: Array
-    rows: tuple[int, int]  # the row of L, of the two per point, that belongs to each axis
-    labels: tuple[str, str]  # labels of the axes
-    seen_at: Callable[[Array], Array]  # input (N, k) of the feature's interaction matrix for tails (N, 2)
-
-
+# The planes in which the flow of a feature is drawn: the feature; coordinates of the arrows' tails along the horizontal and the vertical
+# axis; the row of L, of the two per point, that belongs to each axis; labels of the axes; and a function that gives the input (N, k) of the
+# feature's interaction matrix for tails (N, 2).
 ROUND = np.linspace(-PI, PI, 13)
-PLANES: dict[str, Plane] = {
-    "point": Plane(Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda tails: tails),
-    "polar": Plane(
+PLANES: dict[str, tuple[Feature, Array, Array, tuple[int, int], tuple[str, str], Callable[[Array], Array]]] = {
+    "point": (Point(), np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), (0, 1), ("x", "y"), lambda tails: tails),
+    "polar": (
         Polar(),
         ROUND,
         np.linspace(0.2, 1, 9),
@@ -54,7 +44,7 @@ PLANES: dict[str, Plane] = {
         (r"$\phi$ [rad]", "r"),
         lambda tails: tails[:, 1:] * np.stack([np.cos(tails[:, 0]), np.sin(tails[:, 0])], axis=-1),
     ),
-    "spherical": Plane(
+    "spherical": (
         Spherical(),
         ROUND,
         np.linspace(0.1, 0.9, 9) * PI,
@@ -65,23 +55,11 @@ PLANES: dict[str, Plane] = {
 }
 
 
-def plane_flow(name: str, depth: float = 1.0) -> tuple[Array, Array]:
-    """Tails of the arrows (N, 2), and the feature's velocity there (6, N, 2) for each camera motion at 1 m/s or 1 rad/s.
-
-    `name`: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta). depth: of every point, for `spherical` its distance [m].
-    """
-    plane = _plane(name, depth)
-    tails = np.stack(np.meshgrid(plane.across, plane.up), axis=-1).reshape(-1, 2)
-    L = plane.feature.interaction(plane.seen_at(tails), np.full(len(tails), depth)).reshape(len(tails), 2, 6)
-    return tails, np.moveaxis(L[:, list(plane.rows)], -1, 0)
-
-
 def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
     """Rays (N, 3) over the sphere, and their velocity (6, N, 3), tangential to it, for each camera motion at 1 m/s or 1 rad/s.
 
     ray_dot = theta_dot e_theta + phi_dot sin theta e_phi
     """
-    _plane("spherical", depth)
     # points on 12 parallels, their number in proportion to the circumference: about evenly spread
     rings = [(theta, round(24 * math.sin(theta))) for theta in (np.arange(12) + 0.5) * PI / 12]
     theta = np.concatenate([np.full(n, t) for t, n in rings])
@@ -93,51 +71,40 @@ def sphere_flow(depth: float = 1.0) -> tuple[Array, Array]:
     return ray, rates[..., :1] * e_theta + rates[..., 1:] * np.sin(theta)[:, None] * e_phi
 
 
-def _plane(name: str, depth: float) -> Plane:
-    if name not in PLANES:
-        problem = f"must be one of {', '.join(PLANES)}: only these have two coordinates per point, which span a plane"
-        raise ParameterError("feature", problem, name)
-    if not (math.isfinite(depth) and depth > 0):
-        raise ParameterError("depth", "must be a finite number > 0 m", depth)
-    return PLANES[name]
-
-
 def draw_plane(name: str, depth: float = 1.0) -> Figure:
-    """The six flow fields side by side; in each, the longest arrow is as long as the spacing of the tails."""
-    plane = _plane(name, depth)
-    tails, rates = plane_flow(name, depth)
+    """The six flow fields in the feature's plane at 1 m/s or 1 rad/s; in each, the longest arrow is as long as the spacing of the tails.
+
+    `name`: point, in (x, y); polar, in (phi, r); spherical, in (phi, theta). depth: of every point, for `spherical` its distance [m].
+    """
+    feature, across, up, rows, labels, seen_at = PLANES[name]
+    tails = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
+    L = feature.interaction(seen_at(tails), np.full(len(tails), depth)).reshape(len(tails), 2, 6)
     figure = new_figure(6.4, 9.0)
-    spacing = np.array([plane.across[1] - plane.across[0], plane.up[1] - plane.up[0]])
+    spacing = np.array([across[1] - across[0], up[1] - up[0]])
     grid = figure.subplots(2, 3, sharex=True, sharey=True)
-    for axes, rate, motion in zip(np.ravel(grid), rates, MOTIONS, strict=True):
+    head: dict[str, Any] = {"width": 0.0045, "headwidth": 4, "headlength": 5, "headaxislength": 4.5, "minlength": 0.4}
+    for axes, rate, motion in zip(np.ravel(grid), np.moveaxis(L[:, list(rows)], -1, 0), MOTIONS, strict=True):
         arrow = 0.95 * rate / np.linalg.norm(rate / spacing, axis=-1).max()
-        axes.quiver(*tails.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=LINE_COLORS[0], **_HEAD)
+        axes.quiver(*tails.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=LINE_COLORS[0], **head)
         axes.plot(*tails.T, ".", color=INK, markersize=1.5)
         axes.set_title(motion)
-    _frame_plane(grid, plane, spacing)
-    figure.suptitle(f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m; arrows to scale within each field")
-    return figure
-
-
-_HEAD: dict[str, Any] = {"width": 0.0045, "headwidth": 4, "headlength": 5, "headaxislength": 4.5, "minlength": 0.4}
-
-
-def _frame_plane(grid: Any, plane: Plane, spacing: Array) -> None:
     first: Axes = grid[0, 0]
-    first.set_xlim(plane.across[0] - spacing[0], plane.across[-1] + spacing[0])
-    first.set_ylim(plane.up[0] - spacing[1], plane.up[-1] + spacing[1])
-    if plane.feature.kind == "point":
+    first.set_xlim(across[0] - spacing[0], across[-1] + spacing[0])
+    first.set_ylim(up[0] - spacing[1], up[-1] + spacing[1])
+    if name == "point":
         first.invert_yaxis()  # y points down, as in the image
         for axes in np.ravel(grid):
             axes.set_aspect("equal")
     else:
         first.set_xticks([-PI, -PI / 2, 0, PI / 2, PI], [r"$-\pi$", r"$-\pi/2$", "0", r"$\pi/2$", r"$\pi$"])
-    if plane.feature.kind == "spherical":
+    if name == "spherical":
         first.set_yticks([0, PI / 4, PI / 2, 3 * PI / 4, PI], ["0", r"$\pi/4$", r"$\pi/2$", r"$3\pi/4$", r"$\pi$"])
     for axes in grid[-1]:
-        axes.set_xlabel(plane.labels[0])
+        axes.set_xlabel(labels[0])
     for axes in grid[:, 0]:
-        axes.set_ylabel(plane.labels[1])
+        axes.set_ylabel(labels[1])
+    figure.suptitle(f"{name}, {'distance' if name == 'spherical' else 'depth'} {depth:g} m; arrows to scale within each field")
+    return figure
 
 
 def draw_sphere(depth: float = 1.0) -> Figure:
@@ -148,7 +115,16 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
         place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
         axes: Axes3D = figure.add_axes(place, projection="3d")  # pyright: ignore[reportAssignmentType]
-        _draw_ball(axes, ray, rate)
+        space.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
+        space.draw_net(axes, PI, PI / 6, hide_back=True)
+        space.draw_curve(axes, space.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
+        near = ray @ space.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline
+        arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
+        axes.quiver(*space.drawn(ray[near]), *space.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
+        space.draw_axes(axes, 0.4, start=1.0)
+        space.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
+        for artist in (*axes.lines, *axes.collections):
+            artist.set_clip_on(False)
         axes.set_title(motion, x=0.1, y=0.87)
     title = f"spherical, distance {depth:g} m: the unit sphere around the camera, seen from outside"
     figure.text(0.02, 0.985, title, va="top", fontsize=11)
@@ -157,27 +133,17 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     return figure
 
 
-def _draw_ball(axes: Axes3D, ray: Array, rate: Array) -> None:
-    """Sphere, camera axes, and the arrows of one motion: tails (N, 3) and velocities (N, 3)."""
-    space.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
-    space.draw_net(axes, PI, PI / 6, hide_back=True)
-    space.draw_curve(axes, space.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
-    near = ray @ space.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline
-    arrow = 0.24 * rate[near] / np.linalg.norm(rate, axis=-1).max()
-    axes.quiver(*space.drawn(ray[near]), *space.drawn(arrow), color=LINE_COLORS[0], linewidth=1.1, arrow_length_ratio=0.4)
-    space.draw_axes(axes, 0.4, start=1.0)
-    space.draw_cross_axes(axes, np.zeros(3), 0.2, start=1.05)
-    for artist in (*axes.lines, *axes.collections):
-        artist.set_clip_on(False)
-
-
 def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:
     """Draw a feature's flow into a file (`flow_NAME.png`), for `spherical` also on the sphere beside it (`_sphere`); returns the paths.
 
     ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
     """
     out = out or Path(f"flow_{name}.png")
-    _plane(name, depth)
+    if name not in PLANES:
+        problem = f"must be one of {', '.join(PLANES)}: only these have two coordinates per point, which span a plane"
+        raise ParameterError("feature", problem, name)
+    if not (math.isfinite(depth) and depth > 0):
+        raise ParameterError("depth", "must be a finite number > 0 m", depth)
     if out.suffix.lower() not in FORMATS:
         raise ParameterError("--out", f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}", str(out))
     with style():

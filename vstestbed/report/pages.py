@@ -14,7 +14,6 @@ from vstestbed.report.marks import counted, number
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markupsafe import Markup
 
 # Of a table that sorts: sort key (None sorts last), words, whether the number differs significantly, and small lines below it.
 Cell = tuple[float | str | None, str, bool, list[str]]
@@ -51,26 +50,18 @@ def data_url(kind: str, content: bytes) -> str:
 @cache
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined  # here: a command that writes no page starts without it
+    from markupsafe import Markup
+
+    def powers(words: str) -> Markup:
+        """Words in which powers of ten, `10^-7`, are raised."""
+        return Markup(re.sub(r"10\^(-?\d+)", r"10<sup>\1</sup>", escape(words)))
+
+    def sort_key(key: float | str | None) -> str:
+        # nine digits: values that differ only beyond the shown ones still sort
+        return "" if key is None else str(key) if isinstance(key, str | int) else f"{key:.9g}"
 
     found = Environment(
         loader=PackageLoader("vstestbed.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
     )
-    found.filters |= {"number": number, "powers": _powers, "sort_key": _sort_key, "spoken": _spoken, "counted": counted}
+    found.filters |= {"number": number, "powers": powers, "sort_key": sort_key, "counted": counted}
     return found
-
-
-def _powers(words: str) -> Markup:
-    """Words in which powers of ten, `10^-7`, are raised."""
-    from markupsafe import Markup
-
-    return Markup(re.sub(r"10\^(-?\d+)", r"10<sup>\1</sup>", escape(words)))
-
-
-def _sort_key(key: float | str | None) -> str:
-    # nine digits: values that differ only beyond the shown ones still sort
-    return "" if key is None else str(key) if isinstance(key, str | int) else f"{key:.9g}"
-
-
-def _spoken(outcome: str) -> str:
-    """An outcome as words: `target lost` for `target_lost`."""
-    return outcome.replace("_", " ")

@@ -40,15 +40,23 @@ def error(tracks: Tracks) -> Chart:
     Of a tilted craft also the error of the image rotated into its level frame, which decides convergence. Below, the law's mode.
     """
     modes = bool(tracks.setting.modes) and bool(np.isfinite(tracks.column("law_mode")).any())
-    both = tracks.setting.image_errors
+    both, view = tracks.setting.image_errors, tracks.column("view")
     shown = [one for one in both if (tracks.column(one.column) > 0).any()] or both[:1]
     labels = [*(one.label for one in shown), *["mode"] * modes]
     chart = over_time(tracks, 3.1 + 1.6 * (len(shown) - 1) + 0.5 * modes, *labels)
     for panel, one in zip(chart.panels, shown, strict=False):
         _draw_error(panel, tracks, one)
-        _mark_views(panel, tracks)
-    if modes:
-        _mark_modes(chart.panels[-1], tracks)
+        for i in np.flatnonzero(np.diff(view) > 0) + 1:  # the goal view changed to the next
+            panel.plot([tracks.t[i]] * 2, [-np.inf, np.inf], color=INK, linewidth=0.8, alpha=0.6)
+            panel.words.append((tracks.t[i], np.inf, f" view {view[i] + 1:.0f}", "start", INK))
+    if modes:  # a strip with the mode over time, a colour for each
+        panel, mode, t = chart.panels[-1], tracks.column("law_mode"), tracks.t
+        panel.share, panel.ylim, panel.in_words = 0.22, (0.0, 1.0), (None, lambda _: "")
+        starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0)
+        for a, b in zip(starts, [*starts[1:], len(t) - 1], strict=True):
+            number = int(np.nan_to_num(mode[a]))
+            word = tracks.setting.modes[number] if number < len(tracks.setting.modes) else f"mode {number}"
+            panel.area((t[a], t[b]), (0.0, 1.0), line_color(number + 1), 0.75, word)
     return chart
 
 
@@ -65,25 +73,6 @@ def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None
         panel.plot(tracks.t, level, color=LINE_COLORS[0], label="turned level, which counts")
     if error.threshold:
         panel.rule(error.threshold, **THRESHOLD, label=f"threshold {error.threshold:g} {error.unit}")
-
-
-def _mark_modes(panel: ChartPanel, tracks: Tracks) -> None:
-    """A strip with the mode of the law over time, a colour for each."""
-    panel.share, panel.ylim, panel.in_words = 0.22, (0.0, 1.0), (None, lambda _: "")
-    mode, t = tracks.column("law_mode"), tracks.t
-    starts = np.flatnonzero(np.diff(mode, prepend=np.nan) != 0)
-    for a, b in zip(starts, [*starts[1:], len(t) - 1], strict=True):
-        number = int(np.nan_to_num(mode[a]))
-        word = tracks.setting.modes[number] if number < len(tracks.setting.modes) else f"mode {number}"
-        panel.area((t[a], t[b]), (0.0, 1.0), line_color(number + 1), 0.75, word)
-
-
-def _mark_views(panel: ChartPanel, tracks: Tracks) -> None:
-    """Mark the times at which the goal view changed to the next, with its number from 1 on."""
-    view = tracks.column("view")
-    for i in np.flatnonzero(np.diff(view) > 0) + 1:
-        panel.plot([tracks.t[i]] * 2, [-np.inf, np.inf], color=INK, linewidth=0.8, alpha=0.6)
-        panel.words.append((tracks.t[i], np.inf, f" view {view[i] + 1:.0f}", "start", INK))
 
 
 def task_error(tracks: Tracks) -> Chart | None:

@@ -85,9 +85,12 @@ def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: 
         scenario = load_run(run_dir, plugins)
         setting = setting or Setting.of(scenario)
         if log is None:
-            log = _in_reach(run_dir, open_log(run_dir, scenario))
+            log = open_log(run_dir, scenario)
             if not len(log):
                 raise RunFolderError(run_dir, "has a log without frames; there is nothing to report", NOTHING_RAN)
+            for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
+                if not (abs(log[name]) < FARTHEST_M).all():  # only a damaged file can have it, and figures have no scale for it
+                    raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
     goals = [path.read_bytes() for path in sorted(run_dir.glob("goal*.png"), key=lambda path: (len(path.name), path.name))]
     return write_whole(run_dir / "report.html", render_page(log, summary, texts, videos, setting, goals))
 
@@ -151,26 +154,16 @@ def outcome_text(summary: Summary) -> str:
 def sentences(summary: Summary) -> str:
     """The reason of the outcome, whether the command swung on the way, and the error that decided."""
     reason = str(summary.get("reason") or "")
-    reason = reason[:1].upper() + reason[1:].rstrip(".") + "." if reason else ""
-    return " ".join(filter(None, (reason, _swing_text(summary), _judged_text(summary))))
-
-
-def _swing_text(summary: Summary) -> str:
-    """That the command of a run swung for long, whatever its end; "" where it did not, or the outcome says so."""
+    found = [reason[:1].upper() + reason[1:].rstrip(".") + "."] if reason else []
     swung_s, frames = summary.get("swung_s"), summary.get("swing_frames")
-    if not (_is_number(swung_s) and _is_number(frames)) or summary.get("outcome") == "unstable":
-        return ""
-    return f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s without a break: it is badly damped."
-
-
-def _judged_text(summary: Summary) -> str:
-    """Which error decided the task, and who measured it: `Task error by measured pixels: 0.12 px, limit 0.2 px.`; "" in older summaries."""
-    if (by := summary.get("judged_by")) is None:
-        return ""
-    both = (summary["judged_error"], summary["judged_limit"])
-    shown = [in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both]
-    value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
-    return f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}."
+    if _is_number(swung_s) and _is_number(frames) and summary.get("outcome") != "unstable":  # that outcome says so
+        found.append(f"On the way its command {reversal(float(frames or 0))}, for {number(swung_s)} s without a break: it is badly damped.")
+    if (by := summary.get("judged_by")) is not None:  # older summaries have none
+        both = (summary["judged_error"], summary["judged_limit"])
+        shown = [in_words_unit(x, str(summary["judged_unit"])) if _is_number(x) else None for x in both]
+        value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
+        found.append(f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}.")
+    return " ".join(found)
 
 
 def tiles(summary: Summary) -> list[Item]:
@@ -203,14 +196,6 @@ def _films(videos: Mapping[str, Path]) -> list[Film]:
         films.append(film_of(FILMS.get(name, name), path, size <= left))
         left -= size if size <= left else 0
     return films
-
-
-def _in_reach(run_dir: Path, log: Log) -> Log:
-    """The log, unless a position is so far away that only a damaged file can have it: figures have no scale for it."""
-    for name in (f"{who}_{axis}" for who in ("cam", "tgt") for axis in "xyz"):
-        if not (abs(log[name]) < FARTHEST_M).all():
-            raise RunFolderError(run_dir, f"its log is damaged (a position over {FARTHEST_M:g} m in the column {name})")
-    return log
 
 
 def _summary(run_dir: Path) -> dict[str, Any]:

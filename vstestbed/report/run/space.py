@@ -13,7 +13,7 @@ from vstestbed.features import Polar, Spherical
 from vstestbed.report.chart import Chart, ChartPanel, Space
 from vstestbed.report.marks import AIM, AXIS_COLORS, BAND, END, GOAL, INK, LINE, LINE_COLORS, RULE, START, Look, marker_colors, with_unit
 from vstestbed.report.run.figures import ESTIMATES
-from vstestbed.report.run.tracks import Setting, Tracks, largest_deviation, visible_region
+from vstestbed.report.run.tracks import Tracks, largest_deviation, visible_region
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
@@ -40,7 +40,19 @@ def features(tracks: Tracks) -> Chart | None:
         measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
     draw = draw_outlines if tracks.setting.outlined else draw_trails
     draw(panel, measured, true, goal, tracks.names)
-    _frame_picture(panel, width, height)
+    panel.equal, panel.labels = True, ("u [px]", "v [px]")
+    (x0, x1), (y0, y1) = panel.limits()
+    if width and height:
+        # pixel centres are integers, so that the image begins at -0.5
+        left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
+        panel.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color=INK, linewidth=1.0, alpha=0.6, zorder=1)
+        # markers that leave the image are shown, up to half an image away
+        left, right = min(left, max(x0, -0.5 * width)), max(right, min(x1, 1.5 * width))
+        top, bottom = min(top, max(y0, -0.5 * height)), max(bottom, min(y1, 1.5 * height))
+        margin = 0.015 * width
+        panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
+    else:
+        panel.ylim = y1, y0  # v down, as in the image
     chart.fit(2.1, 5.4)
     return chart
 
@@ -84,23 +96,6 @@ def trail_keys(panel: ChartPanel) -> None:
         panel.plot([], [], label=label, **look)
 
 
-def _frame_picture(panel: ChartPanel, width: int | None, height: int | None) -> None:
-    """Pixel axes as in the image (v down), with the image border if the size is known."""
-    panel.equal, panel.labels = True, ("u [px]", "v [px]")
-    (x0, x1), (y0, y1) = panel.limits()
-    if not (width and height):
-        panel.ylim = y1, y0
-        return
-    # pixel centres are integers, so that the image begins at -0.5
-    left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
-    panel.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color=INK, linewidth=1.0, alpha=0.6, zorder=1)
-    # markers that leave the image are shown, up to half an image away
-    left, right = min(left, max(x0, -0.5 * width)), max(right, min(x1, 1.5 * width))
-    top, bottom = min(top, max(y0, -0.5 * height)), max(bottom, min(y1, 1.5 * height))
-    margin = 0.015 * width
-    panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
-
-
 def _edge(trail: Array, which: int) -> Array:
     """The first (0) or last (-1) finite point of a trail (T, k), as a (k, 1) array; empty where there is none."""
     finite = trail[np.isfinite(trail).all(axis=1)]
@@ -129,7 +124,14 @@ def plane(tracks: Tracks) -> Chart | None:
     chart = Chart()
     (panel,) = chart.panels
     _draw_views(panel, tracks, float(landmarks[:, 2].mean()) if len(landmarks) else 0.0, span)
-    _draw_task(panel, setting, moved, span)
+    if len(setting.reference_path):
+        panel.plot(*setting.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
+    if len(moved):
+        panel.plot(*moved.T, color=GOAL, linewidth=1.2, label="target")
+    for i, goal in enumerate(setting.goals):
+        last = i == len(setting.goals) - 1
+        label = "goal" if last else "goals on the way" if i == 0 else ""
+        _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
     _draw_paths(panel, tracks, places[known], span)
     for (x, y, _), color in zip(landmarks, marker_colors(len(landmarks)), strict=True):
         panel.plot([x], [y], color=color, fill=color, marker="o", markersize=5.8, linewidth=0, label="landmarks", zorder=4)
@@ -164,18 +166,6 @@ def _draw_views(panel: ChartPanel, tracks: Tracks, height: float, span: float) -
             panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
-def _draw_task(panel: ChartPanel, setting: Setting, moved: Array, span: float) -> None:
-    """The path to be driven, the path of a moving target (M, 2), and the goals."""
-    if len(setting.reference_path):
-        panel.plot(*setting.reference_path.T, color=INK, linewidth=0.9, linestyle=":", label="route")
-    if len(moved):
-        panel.plot(*moved.T, color=GOAL, linewidth=1.2, label="target")
-    for i, goal in enumerate(setting.goals):
-        last = i == len(setting.goals) - 1
-        label = "goal" if last else "goals on the way" if i == 0 else ""
-        _dart(panel, goal, (0.075 if last else 0.045) * span, label, GOAL, filled=False)
-
-
 def _draw_paths(panel: ChartPanel, tracks: Tracks, true: Array, span: float) -> None:
     """The true path (T, 3) as a pale band with headings, the other paths over it; the vehicle at start and end."""
     for stem, label, color in reversed(ESTIMATES):
@@ -187,18 +177,13 @@ def _draw_paths(panel: ChartPanel, tracks: Tracks, true: Array, span: float) -> 
     if expected is not None and len(expected) > 1:
         label = f"ideal bicycle: at most {' '.join(with_unit(largest_deviation(true[:, :2], expected), 'm'))} off"
         panel.plot(*expected.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
-    for place in true[_evenly(true[:, :2], HEADING_EVERY * span)]:
+    # at most 30 headings, evenly along the way, without its ends
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1))])
+    count = min(int(along[-1] / (HEADING_EVERY * span)), 30)
+    for place in true[np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))]:
         _dart(panel, place, 0.022 * span, "", TRUE, filled=True)
     _dart(panel, true[0], 0.05 * span, "start", INK, filled=False)
     _dart(panel, true[-1], 0.05 * span, "end", TRUE, filled=True)
-
-
-def _evenly(xy: Array, distance: float) -> Any:
-    """Indices of points (T, 2) that are spaced evenly along their path, without its ends; at most 30."""
-    # arc length of each point
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-    count = min(int(along[-1] / distance), 30)
-    return np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))
 
 
 def _dart(panel: ChartPanel, place: Array, size: float, label: str, color: str, filled: bool) -> None:
@@ -237,13 +222,6 @@ def camera_path(tracks: Tracks) -> Chart | None:
     low, high = points.min(axis=0) - size, points.max(axis=0) + size
     span = np.maximum(high - low, 0.3 * (high - low).max())  # a flat scene gets some thickness
     space.box((low + high - span) / 2, (low + high + span) / 2)
-    _draw_cameras(space, cameras, goal, size)
-    _draw_target(space, targets, tracks.setting.points, size)
-    chart.fit(1.9, 4.2)
-    return chart
-
-
-def _draw_cameras(space: Space, cameras: Array, goal: Array | None, size: float) -> None:
     path = cameras[:, :3, 3]
     space.plot(*path.T, color=LINE_COLORS[0], linewidth=1.8, label="camera, to its end")
     # four views evenly over the frames, without start and end
@@ -253,6 +231,9 @@ def _draw_cameras(space: Space, cameras: Array, goal: Array | None, size: float)
     space.plot(*_pyramid(cameras[-1], size), color=LINE_COLORS[0], linewidth=1.4)
     if goal is not None:
         space.plot(*_pyramid(goal, 1.25 * size), color=GOAL, linewidth=1.1, linestyle=(0, (4, 2)), label="goal")
+    _draw_target(space, targets, tracks.setting.points, size)
+    chart.fit(1.9, 4.2)
+    return chart
 
 
 def _draw_target(space: Space, targets: Array, points: Array | None, size: float) -> None:
@@ -436,7 +417,16 @@ def on_sphere(tracks: Tracks) -> Chart | None:
     if len(shown) == 0:
         return None
     chart = Chart()
-    space = _ball(chart.panels[0], shown)
+    # the part of the sphere that the rays need, seen from ahead and from the side on which they lie
+    farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
+    reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
+    reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))
+    elev, azim = (24, 52) if reach > PI / 2 else (16, 68)
+    space = Space(chart.panels[0], elev, azim if shown[:, 0].mean() >= 0 else 180 - azim)
+    draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
+    draw_axes(space, 0.4 * side, start=1.0)
+    draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
+    space.panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
     for i, color in enumerate(marker_colors(tracks.markers)):
         draw_curve(space, true[:, i], color=color, **BAND)
         draw_curve(space, measured[:, i], color=color, **LINE)
@@ -445,17 +435,3 @@ def on_sphere(tracks: Tracks) -> Chart | None:
     trail_keys(space.panel)
     chart.fit(1.9, 3.6)
     return chart
-
-
-def _ball(panel: ChartPanel, shown: Array) -> Space:
-    """The part of the sphere that the rays shown (M, 3) need, seen from ahead and from the side on which they lie."""
-    farthest = math.degrees(math.acos(np.clip(shown[:, 2].min(), -1, 1)))
-    reach_deg = next(reach for reach in RINGS_DEG if reach >= farthest or reach == 180)
-    reach, side = math.radians(reach_deg), math.sin(math.radians(min(reach_deg, 90)))
-    elev, azim = (24, 52) if reach > PI / 2 else (16, 68)
-    space = Space(panel, elev, azim if shown[:, 0].mean() >= 0 else 180 - azim)
-    draw_net(space, reach, math.radians(RINGS_DEG[reach_deg]))
-    draw_axes(space, 0.4 * side, start=1.0)
-    draw_cross_axes(space, np.array([0, 0, 1.0]), 0.25 * side)
-    panel.title = f"circles every {RINGS_DEG[reach_deg]} deg from the axis"
-    return space
