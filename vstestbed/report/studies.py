@@ -59,6 +59,10 @@ def colours(one: BasinMap, soonest: float, latest: float) -> Array:
 
 def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
     """One panel per law, all with the same scale of shades, and a legend of the colours below."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+    from matplotlib.patches import Patch
+
     columns = min(BASIN_COLUMNS, len(maps))
     rows = math.ceil(len(maps) / columns)
     drawn = new_figure(PANEL_IN * rows + 0.75, max(PANEL_IN * columns + 0.4, 4.6))
@@ -75,16 +79,7 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
             axes.tick_params(labelbottom=True)
         if i % columns == 0:
             axes.set_ylabel(f"{y[0]} [{y[1]}]")
-    _draw_legend(drawn, grid, maps, soonest, latest)
-    return drawn
-
-
-def _draw_legend(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: float, latest: float) -> None:
-    """A colour bar of the times to converge, and a legend of the outcomes that occur."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LinearSegmentedColormap, Normalize
-    from matplotlib.patches import Patch
-
+    # a colour bar of the times to converge, and a legend of the outcomes that occur
     blues = LinearSegmentedColormap.from_list("converged", [tuple(SOON), tuple(LATE)])
     bar = drawn.colorbar(ScalarMappable(Normalize(soonest, latest), blues), ax=grid, location="right", shrink=0.9, aspect=30, pad=0.015)
     bar.set_label("converged: time [s]")
@@ -93,6 +88,7 @@ def _draw_legend(drawn: Figure, grid: Any, maps: Sequence[BasinMap], soonest: fl
     patches += [Patch(color=OTHER, label=ending.replace("_", " ")) for ending in sorted(present - set(ENDINGS))]
     if patches:
         drawn.legend(handles=patches, loc="outside lower center", ncols=min(5, len(patches)))
+    return drawn
 
 
 def write_basin(
@@ -176,22 +172,19 @@ def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Fi
     wide, high = 0.55 + 0.37 * n_x, 0.75 + 0.27 * n_y
     drawn = new_figure(high * rows + 0.35, max(2, SWEEP_COLUMNS) * max(wide, 3.0))
     for axes, one in zip(panels(drawn, len(maps), SWEEP_COLUMNS, sharex=True, sharey=True), maps, strict=True):
-        _draw_map(axes, one, x, y)
+        colors = np.where(np.isnan(one.share)[..., None], 1.0, NONE + one.share[..., None] * (ALL - NONE))
+        axes.imshow(colors, origin="lower", aspect="auto")
+        for (i, j), share in np.ndenumerate(one.share):
+            letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
+            words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
+            axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
+        axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
+        axes.set_yticks(range(len(y[1])), y[1])
+        axes.grid(visible=False)
+        axes.set_title(one.label)
     drawn.supxlabel(x[0], fontsize=8)
     drawn.supylabel(y[0], fontsize=8)
     return drawn
-
-
-def _draw_map(axes: Axes, one: ConvergenceMap, x: SweepAxis, y: SweepAxis) -> None:
-    axes.imshow(np.where(np.isnan(one.share)[..., None], 1.0, NONE + one.share[..., None] * (ALL - NONE)), origin="lower", aspect="auto")
-    for (i, j), share in np.ndenumerate(one.share):
-        letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
-        words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
-        axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
-    axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
-    axes.set_yticks(range(len(y[1])), y[1])
-    axes.grid(visible=False)
-    axes.set_title(one.label)
 
 
 def write_sweep(
@@ -241,25 +234,21 @@ def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
     """Gain limits over the delay, and the root loci in the upper half of the z plane."""
     drawn = new_figure(3.3, 7.2)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.15))
-    _draw_limits(left, rows)
-    _draw_locus(right, loci)
-    return drawn
-
-
-def _draw_limits(axes: Axes, rows: Rows) -> None:
     rows = sorted(rows, key=lambda row: row["delay_frames"])
     d = [row["delay_frames"] for row in rows]
-    axes.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
+    left.plot(d, [row["g_theory"] for row in rows], color=INK, label="theory for the delay alone")
     if any(row["g_with_lag"] for row in rows):
-        axes.plot(d, [row["g_with_lag"] for row in rows], "--", color=LINE_COLORS[1], label="theory, servos' measured lag")
+        left.plot(d, [row["g_with_lag"] for row in rows], "--", color=LINE_COLORS[1], label="theory, servos' measured lag")
     if any(row.get("g_linear") for row in rows):
-        axes.plot(d, [row["g_linear"] for row in rows], ":", color=LINE_COLORS[2], label="linear model of the arm")
-    axes.plot(d, [row["g_measured"] for row in rows], "o", color=LINE_COLORS[0], markersize=5, label="measured")
-    axes.set_xlabel("delay d [frames]")
-    axes.set_ylabel("largest stable gain x period")
-    axes.set_ylim(bottom=0)
-    axes.set_xticks(d)
-    axes.legend(loc="best")
+        left.plot(d, [row["g_linear"] for row in rows], ":", color=LINE_COLORS[2], label="linear model of the arm")
+    left.plot(d, [row["g_measured"] for row in rows], "o", color=LINE_COLORS[0], markersize=5, label="measured")
+    left.set_xlabel("delay d [frames]")
+    left.set_ylabel("largest stable gain x period")
+    left.set_ylim(bottom=0)
+    left.set_xticks(d)
+    left.legend(loc="best")
+    _draw_locus(right, loci)
+    return drawn
 
 
 def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:

@@ -96,7 +96,16 @@ class BaselineChanges:
 
     def regressions(self, tolerance: float = TOLERANCE) -> list[str]:
         """A sentence for each thing that got worse; `tolerance`: share of the earlier mean by which a metric may get worse."""
-        return [words for c in self.controllers for words in _regressions(c, tolerance)]
+        found = []
+        for c in self.controllers:
+            if c.fails_more:
+                why = f"p = {c.chance:.2g}" if c.chance < LEVEL else f"fewer than {FEWEST} runs, so that any loss counts"
+                found.append(f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal, before {c.reached_before} ({why})")
+            for m in c.metrics:
+                if m.worse(tolerance):
+                    share = f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
+                    found.append(f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse (tolerance {100 * tolerance:g} %)")
+        return found
 
     def plain(self) -> dict[str, Any]:
         """The changes as plain values for JSON, null where a number is unknown."""
@@ -135,18 +144,6 @@ def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:
     """The chosen runs with the outcome that they have in one of the two comparisons, the one in which they failed."""
     outcomes = ended.runs["outcome"].to_list()
     return tuple(f"seed {seed}: {outcomes[i]}" for i, seed in enumerate(ended.seeds) if chosen[i])
-
-
-def _regressions(c: ControllerChange, tolerance: float) -> list[str]:
-    found = []
-    if c.fails_more:
-        why = f"p = {c.chance:.2g}" if c.chance < LEVEL else f"fewer than {FEWEST} runs, so that any loss counts"
-        found.append(f"{c.label}: {c.reached_now} of {c.runs} runs reached the goal, before {c.reached_before} ({why})")
-    for m in c.metrics:
-        if m.worse(tolerance):
-            share = f"{100 * abs(m.share):.3g} %" if math.isfinite(m.share) else "from nothing"
-            found.append(f"{c.label}: {m.title.lower()} {difference_text(m)}, {share} worse (tolerance {100 * tolerance:g} %)")
-    return found
 
 
 def difference_text(m: MetricChange) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -138,28 +138,22 @@ def each_run(data: Data, width_in: float) -> Figure:
         axes.set_title(wrapped(data.labels[i], 28))
         axes.xaxis.set_tick_params(labelbottom=i + columns >= n)
     for error, those in units.items():
-        _draw_each({i: grid[i] for i in those}, data, error)
+        quartiles = {i: data.quartiles(i) for i in those}
+        for i in those:
+            for k in those:
+                if k != i:
+                    grid[i].plot(data.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
+            _draw_runs(grid[i], data, i)
+            _draw_quartiles(grid[i], data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
+        _error_axes([grid[i] for i in those], data.t[-1], error, [*quartiles.values(), *(data.errors[i] for i in those)])
+        if len(units) > 1:
+            for i in those:
+                grid[i].set_ylabel(wrapped(error.label, 16))
     size = grid[0].xaxis.label.get_size()
     figure.supxlabel(TIME_LABEL, fontsize=size)
     if len(units) == 1:
         figure.supylabel(next(iter(units)).label, fontsize=size)
-        return figure
-    for error, those in units.items():
-        for i in those:
-            grid[i].set_ylabel(wrapped(error.label, 16))
     return figure
-
-
-def _draw_each(panels: Mapping[int, Axes], data: Data, error: MeasuredError) -> None:
-    """The controllers of one unit, each in its panel, by number."""
-    quartiles = {i: data.quartiles(i) for i in panels}
-    for i, axes in panels.items():
-        for k in panels:
-            if k != i:
-                axes.plot(data.t, _shown(quartiles[k][1]), color=RULE, linewidth=0.8)
-        _draw_runs(axes, data, i)
-        _draw_quartiles(axes, data.t, quartiles[i], look(i) | {"linestyle": "-"}, band=True)
-    _error_axes([*panels.values()], data.t[-1], error, [*quartiles.values(), *(data.errors[i] for i in panels)])
 
 
 def _draw_runs(axes: Axes, data: Data, i: int) -> None:
@@ -328,25 +322,22 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
     color = look(row)["color"]
     reached = shown & controller.success
     axes.plot(values[reached], row - 0.08 + jitter[reached], ".", color=color, markersize=3.5, alpha=0.6, markeredgewidth=0)
-    _draw_failures(axes, values[shown & ~controller.success], row + 0.27, limits)
+    # failures in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies
+    low, high = limits
+    failed, y = values[shown & ~controller.success], row + 0.27
+    inside = failed[(failed >= low) & (failed <= high)]
+    axes.plot(inside, [y] * len(inside), **FAILED)
+    for beyond, mark, at in ((failed > high, ">", 0.97), (failed < low, "<", 0.03)):  # [1] of the panel's width
+        if beyond.any():
+            arrow: Look = FAILED | {"marker": mark}
+            axes.plot(at, y, transform=axes.get_yaxis_transform(), **arrow)
     q1, median, q3, n = controller.quartiles(metric)
     if n:
         axes.plot([q1, q3], [row - 0.08] * 2, color=color, linewidth=5, alpha=0.35, solid_capstyle="butt")
         axes.plot(median, row - 0.08, "|", color=INK, markersize=11, markeredgewidth=1.5)
     missing = int((~known).sum())
     if missing:
-        axes.text(1.01, row + 0.27, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
-
-
-def _draw_failures(axes: Axes, values: Array, y: float, limits: tuple[float, float]) -> None:
-    """Failed runs in red: a cross where the value is inside the limits, else one arrow at the edge beyond which it lies."""
-    low, high = limits
-    inside = values[(values >= low) & (values <= high)]
-    axes.plot(inside, [y] * len(inside), **FAILED)
-    for beyond, mark, at in ((values > high, ">", 0.97), (values < low, "<", 0.03)):  # [1] of the panel's width
-        if beyond.any():
-            arrow: Look = FAILED | {"marker": mark}
-            axes.plot(at, y, transform=axes.get_yaxis_transform(), **arrow)
+        axes.text(1.01, y, f"{missing} n/a", transform=axes.get_yaxis_transform(), va="center", color=LOST, fontsize=6.5)
 
 
 # Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.

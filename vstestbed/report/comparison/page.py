@@ -60,7 +60,10 @@ def _from_first(runs: Iterable[Path]) -> Iterator[set[str]]:
     """The fields in which the scenario of each run's folder differs from the first."""
     first: dict[str, object] | None = None
     for run in runs:
-        fields = {name: value for name, value in _flat(_scenario(run)) if name.split(".")[0] not in UNCOMPARED}
+        record = run / RESOLVED
+        # all values of its scenario; a run that could not begin has none written out
+        scenario = plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0] if record.is_file() else to_mapping(load_run(run))
+        fields = {name: value for name, value in _flat(scenario) if name.split(".")[0] not in UNCOMPARED}
         first = fields if first is None else first
         # `...`: a scenario does not have the field
         yield {name for name in first.keys() | fields.keys() if fields.get(name, ...) != first.get(name, ...)}
@@ -94,14 +97,6 @@ def in_words(gains: Iterable[str]) -> str:
     """Names of gains in a sentence: `law.gain and law.k_rho`."""
     names = list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains)))  # a constant gain may be written as a number
     return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _scenario(run: Path) -> Any:
-    """All values of a run's scenario; one that could not begin has none written out."""
-    record = run / RESOLVED
-    if record.is_file():
-        return plain_mapping(record.read_text(encoding="utf-8"), str(record), "")[0]
-    return to_mapping(load_run(run))
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -156,8 +151,10 @@ def write_comparison_report(
     all_pairs, means = pairs(comparison), interquartiles(comparison)
     write_records(folder, comparison, means, all_pairs)
     place = make_folder(folder / "figures") if paper else None
-    drawn = _all_figures(folder, comparison, all_pairs, plugins, call, place)
-    filmed = result_of(film) if isinstance(film, Future) else film
+    drawn = _figures(folder, comparison, all_pairs, plugins, call, place)
+    filmed, embedded = result_of(film) if isinstance(film, Future) else film, None
+    if filmed is not None and filmed.is_file():
+        embedded = film_of("The same seed, side by side", filmed, filmed.stat().st_size <= FILM_BYTES)
     scenarios = list(dict.fromkeys(map(str, table["scenario"].to_list())))
     # two or three names fit the heading
     heading = " against ".join(scenarios) if 0 < len(scenarios) <= 3 else f"Comparison of {len(scenarios)} scenarios"
@@ -172,7 +169,7 @@ def write_comparison_report(
         **_found(folder, comparison, means, all_pairs),
         baseline=baseline.section(folder),
         figures=drawn,
-        film=_film(filmed),
+        film=embedded,
         failures=failures(folder, comparison),
         command=command,
         **_made_of(comparison),
@@ -210,25 +207,24 @@ def _on_page(data: Data, plot: int) -> str:
         return "" if drawn is None else to_svg(drawn, key, title)
 
 
-def _all_figures(
+def _figures(
     folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call, place: Path | None
 ) -> dict[str, Any]:
-    """The figures: all of them for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS."""
+    """All figures for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS.
+
+    For the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`, if there is one.
+    """
     n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
-        words = f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."
-        return _figures(Data(comparison, all_pairs), (GRID,), place, call, [words])
-    shown = comparison if n <= PANELS else comparison.first(PANELS)
-    chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
-    data = read_series(folder, shown, chosen, _measured(folder, shown, plugins))
-    notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
-    if data.sampled:
-        notes.append(f"Errors over time are of the first {data.sampled:,} runs of each controller, all else of all runs.")
-    return _figures(data, range(len(PLOTS)), place, call, notes)
-
-
-def _figures(data: Data, numbers: Sequence[int], place: Path | None, call: Call, notes: list[str]) -> dict[str, Any]:
-    """Figures for the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`, if there is one."""
+        data, numbers = Data(comparison, all_pairs), [GRID]
+        notes = [f"The grid stands for the figures with a line or a row for each controller, since there are {n} of them."]
+    else:
+        shown = comparison if n <= PANELS else comparison.first(PANELS)
+        chosen = [pair for pair in all_pairs if max(pair.a, pair.b) < PANELS]
+        data, numbers = read_series(folder, shown, chosen, _measured(folder, shown, plugins)), list(range(len(PLOTS)))
+        notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
+        if data.sampled:
+            notes.append(f"Errors over time are of the first {data.sampled:,} runs of each controller, all else of all runs.")
     on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers if place is not None]
     drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(made))) for i, made in zip(numbers, on_page, strict=True)]
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
@@ -249,17 +245,17 @@ def _measured(folder: Path, comparison: ComparisonResults, plugins: Sequence[str
     return [error._replace(threshold=agreed.get(error.unit)) for error in (one or MeasuredError() for one in found)]
 
 
-def _film(path: Path | None) -> tuple[str, str, str] | None:
-    if path is None or not path.is_file():
-        return None
-    return film_of("The same seed, side by side", path, path.stat().st_size <= FILM_BYTES)
-
-
 def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
     """What was compared, and the versions of the software that did it."""
     table = comparison.table
     plan = {"scenario": _values(table["scenario"].to_list())} | {axis: _values(table[axis].to_list()) for axis in comparison.axes}
-    plan |= {"seeds": _seeds(table["seed"].to_list()), "runs": str(len(table)), "numbers": ", ".join(comparison.metrics)}
+    seeds = sorted(set(table["seed"].to_list()))
+    consecutive = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1))
+    plan |= {
+        "seeds": f"{seeds[0]} to {seeds[-1]}" if consecutive else ", ".join(map(str, seeds)),
+        "runs": str(len(table)),
+        "numbers": ", ".join(comparison.metrics),
+    }
     names = [c for c in table.columns if c.startswith("versions.")]
     # more than one version of a package if the comparison was resumed after an update
     versions = [(name.removeprefix("versions."), _values([v for v in table[name].to_list() if v is not None]), "") for name in names]
@@ -268,13 +264,6 @@ def _made_of(comparison: ComparisonResults) -> dict[str, Any]:
 
 def _values(values: Sequence[object]) -> str:
     return ", ".join(dict.fromkeys(map(value_text, values)))
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    """`0 to 19` for consecutive seeds, otherwise all of them."""
-    distinct = sorted(set(seeds))
-    consecutive = len(distinct) > 2 and distinct == list(range(distinct[0], distinct[-1] + 1))
-    return f"{distinct[0]} to {distinct[-1]}" if consecutive else ", ".join(map(str, distinct))
 
 
 # Failed runs, grouped by outcome and reason, with commands that repeat them and pictures of their ends.
@@ -302,7 +291,9 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
     groups = sorted(kinds.values(), key=len, reverse=True)
     # tracebacks of every kind of crash in turn, since there is room for only a few
     for failure in _in_turn([g for g in groups if g[0]["outcome"] == "crashed"], ERRORS):
-        failure["error"] = _error_text(failure["place"])
+        with contextlib.suppress(OSError):
+            text = (failure["place"] / "error.txt").read_text(encoding="utf-8", errors="replace")
+            failure["error"] = text[-ERROR_CHARACTERS:].strip()
     for failure in _in_turn(groups, LISTED):
         failure["command"] = rerun_command(failure["place"])
     pictured, pictures = _gallery(groups)
@@ -325,12 +316,6 @@ def failures(folder: Path, comparison: ComparisonResults) -> dict[str, Any]:
 def rerun_command(place: Path) -> str:
     """The command that repeats a run, from the directory in which the comparison was started."""
     return f"vstestbed run {shlex.quote((place / 'scenario.yaml').as_posix())}"
-
-
-def _error_text(place: Path) -> str:
-    with contextlib.suppress(OSError):
-        return (place / "error.txt").read_text(encoding="utf-8", errors="replace")[-ERROR_CHARACTERS:].strip()
-    return ""
 
 
 def _kind(group: list[Failure]) -> dict[str, Any]:

@@ -63,16 +63,12 @@ class ControllerResults:
     def values(self, metric: Metric) -> Array:
         """The metric of every run in its display unit, shape (runs,), read-only; NaN where a run has none."""
         if metric not in self._known:
-            self._known[metric] = self._read(metric)
+            stored = self.runs[metric.name] if metric.name in self.runs.columns else pl.Series([None] * len(self.runs))
+            # not strict: a crashed run has null, and a number may be stored as text
+            column = stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+            self._known[metric] = np.where(np.isfinite(column), column, np.nan) * metric.scale
             self._known[metric].setflags(write=False)
         return self._known[metric]
-
-    def _read(self, metric: Metric) -> Array:
-        if metric.name not in self.runs.columns:
-            return np.full(len(self.runs), np.nan)
-        # not strict: a crashed run has null, and a number may be stored as text
-        column = self.runs[metric.name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
-        return np.where(np.isfinite(column), column, np.nan) * metric.scale
 
     def counted(self, metric: Metric) -> Array:
         """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
@@ -191,15 +187,6 @@ class Pair:
             found[name, "improvement"] = self.improvements[name].p
         return found
 
-    def estimates(self, name: str) -> tuple[stats.IntervalEstimate, stats.IntervalEstimate]:
-        """The difference b - a of a metric or of the success rates, and the probability that b is better."""
-        if name != SUCCESS:
-            return self.differences[name], self.improvements[name]
-        s, n = self.success, self.seeds
-        if not n:
-            return stats.NOTHING, stats.NOTHING
-        return stats.IntervalEstimate((s.only_b - s.only_a) / n, n=n), stats.share_of((s.only_b + (s.both + s.neither) / 2) / n, n)
-
     def is_real(self, name: str, of: Of = "difference") -> bool:
         """Whether the difference of a metric or of success, or the improvement of a metric, is significant after Holm's correction."""
         return self.adjusted[name, of] <= CHANCE
@@ -278,15 +265,15 @@ def interquartiles(comparison: ComparisonResults) -> Means:
     Infinite (of the bad sign) where more than a quarter of the runs failed. `n` is 0 where runs reached the goal and none of them has the
     number, and for a metric of `every_pair` where no run has it.
     """
-    return [{metric.name: _interquartile(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
 
+    def of(controller: ControllerResults, metric: Metric) -> stats.IntervalEstimate:
+        known, reached = np.isfinite(controller.values(metric)), controller.success
+        if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
+            return stats.NOTHING
+        found = stats.interquartile_mean(controller.ranked(metric), controller.tasks)
+        return found.turned() if metric.better > 0 else found
 
-def _interquartile(controller: ControllerResults, metric: Metric) -> stats.IntervalEstimate:
-    known, reached = np.isfinite(controller.values(metric)), controller.success
-    if (reached.any() and not known[reached].any()) or (metric.every_pair and not known.any()):
-        return stats.NOTHING
-    found = stats.interquartile_mean(controller.ranked(metric), controller.tasks)
-    return found.turned() if metric.better > 0 else found
+    return [{metric.name: of(controller, metric) for metric in comparison.shown} for controller in comparison.controllers]
 
 
 # The statistics of a comparison as two tables for other programs: of each controller, and of each pair, with one row per metric.
@@ -335,8 +322,13 @@ def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl
     labels = [c.label for c in comparison.controllers]
     rows: list[dict[str, Any]] = []
     for pair in all_pairs:
+        s, n = pair.success, pair.seeds
+        of_success = stats.NOTHING, stats.NOTHING
+        if n:
+            more, better = (s.only_b - s.only_a) / n, (s.only_b + (s.both + s.neither) / 2) / n
+            of_success = stats.IntervalEstimate(more, n=n), stats.share_of(better, n)
         for metric in (_SUCCESS, *comparison.shown):
-            d, i = pair.estimates(metric.name)
+            d, i = of_success if metric is _SUCCESS else (pair.differences[metric.name], pair.improvements[metric.name])
             rows.append(
                 {"controller": labels[pair.b], "against": labels[pair.a], **_named(metric)}
                 | _estimate(d, "difference", "low", "high", "pairs")

@@ -247,7 +247,9 @@ def paired_difference(a: ArrayLike, b: ArrayLike, resamples: int = 9999) -> Inte
     mean, error = float(d.mean()), float(d.std(ddof=1)) / math.sqrt(n)
     below, above, p = _reaches(d, mean / error, resamples)
     low, high = mean - above * error, mean + below * error
-    return IntervalEstimate(mean, low, high, n, p, _skewness(d))
+    c = d - mean
+    skewness = float((c**3).mean() / (c**2).mean() ** 1.5 * math.sqrt(n * (n - 1)) / (n - 2)) if n > 2 else 0.0  # adjusted Fisher-Pearson
+    return IntervalEstimate(mean, low, high, n, p, skewness)
 
 
 def _differences(a: ArrayLike, b: ArrayLike) -> Array:
@@ -262,13 +264,6 @@ def _differences(a: ArrayLike, b: ArrayLike) -> Array:
     groups = np.cumsum(np.diff(d, prepend=d[:1]) > rounding)
     first, last = np.searchsorted(groups, np.unique(groups), "left"), np.searchsorted(groups, np.unique(groups), "right") - 1
     return np.repeat((d[first] + d[last]) / 2, last - first + 1)
-
-
-def _skewness(d: Array) -> float:
-    """G1 = g1 sqrt(n (n - 1)) / (n - 2) of three or more differences that are not all equal (adjusted Fisher-Pearson)."""
-    n = len(d)
-    c = d - d.mean()
-    return float((c**3).mean() / (c**2).mean() ** 1.5 * math.sqrt(n * (n - 1)) / (n - 2)) if n > 2 else 0.0
 
 
 def _reaches(d: Array, t: float, resamples: int) -> tuple[float, float, float]:

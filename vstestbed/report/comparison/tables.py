@@ -147,7 +147,10 @@ def pair_text(pair: Pair, labels: list[str]) -> str:
         p = p_text(pair.adjusted[SUCCESS, "difference"])
         proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {counted(n, 'run')} could show ({p})"
         goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
-    return " ".join(filter(None, (goal, _time_text(pair, a, b), _other_text(pair))))
+    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
+    more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
+    others = f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
+    return " ".join(filter(None, (goal, _time_text(pair, a, b), others)))
 
 
 def _time_text(pair: Pair, a: str, b: str) -> str:
@@ -164,13 +167,6 @@ def _time_text(pair: Pair, a: str, b: str) -> str:
         return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
     alone = " after correction for all tests" if time.real else ""
     return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval}{alone})."
-
-
-def _other_text(pair: Pair) -> str:
-    """The other metrics with a significant difference."""
-    named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
-    more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
-    return f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
 
 
 def _by_how_much(pair: Pair, metric: Metric) -> str:
@@ -273,15 +269,11 @@ def _goals(pair: Pair) -> Cell:
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
     d = pair.differences[metric.name]
-    small = interval_lines(d) or ["no interval"]
+    # in two lines, since columns are narrow
+    small = [f"[{signed(d.low)},", f"{signed(d.high)}]"] if math.isfinite(d.low) else ["no interval"]
     small += [_corrected(pair, metric.name)] if math.isfinite(d.p) else []
     small += [*_count(d.n, pair.success.both), *["skewed"] * d.skewed]
     return (d.mean, signed(d.mean), pair.is_real(metric.name), small) if d.n else NO_CELL
-
-
-def interval_lines(found: IntervalEstimate) -> list[str]:
-    """The interval of a difference in two lines, since columns are narrow; none where it is unknown."""
-    return [f"[{signed(found.low)},", f"{signed(found.high)}]"] if math.isfinite(found.low) else []
 
 
 def _improvement(pair: Pair, metric: Metric) -> Cell:

@@ -11,7 +11,6 @@ import numpy as np
 import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
-from vstestbed.core.geometry import Array
 from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.canvas import new_figure, save_paper, style, to_svg
 from vstestbed.report.comparison import baseline, tables
@@ -155,24 +154,17 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
         # a marker a law, which tells them apart where colours do not: in grey, and with more laws than colours
         look: Look = {"color": line_color(i), "marker": MARKERS[i % len(MARKERS)], "label": law}
         value, good = runs.values(metric), runs.success
-        amount = np.array([float(a.partition(" ")[0]) for a in amounts(runs)])
+        at = np.array([float(a.partition(" ")[0]) for a in amounts(runs)])
         if commanded:
-            axes.plot(amount, np.where(good, value, np.nan), linewidth=0.7, markersize=4.5, fillstyle="none", **look)
-            _crosses(axes, amount[~good], i, len(laws))
+            axes.plot(at, np.where(good, value, np.nan), linewidth=0.7, markersize=4.5, fillstyle="none", **look)
         else:
-            place = i + 0.6 * (amount / max(amount.max(), 1.0) - 0.5)  # strips of width 0.6, one unit apart
-            axes.plot(place[good], value[good], linestyle="none", markersize=3, fillstyle="none", markeredgewidth=0.7, **look)
-            _crosses(axes, place[~good], i, len(laws))
+            at = i + 0.6 * (at / max(at.max(), 1.0) - 0.5)  # strips of width 0.6, one unit apart
+            axes.plot(at[good], value[good], linestyle="none", markersize=3, fillstyle="none", markeredgewidth=0.7, **look)
+        if not good.all():  # failed runs as crosses just below the top of the panel, each law at its own height
+            height = np.full(int((~good).sum()), 0.99 - 0.1 * i / len(laws))
+            axes.plot(at[~good], height, transform=axes.get_xaxis_transform(), **FAILED)
     if not commanded:
         axes.set_xticks([])
-
-
-def _crosses(axes: Axes, at: Array, place: int, of: int) -> None:
-    """Failed runs as crosses at the top of the panel, each law at its own height."""
-    if len(at):
-        # in axes coordinates, just below the top
-        height = np.full(len(at), 0.99 - 0.1 * place / max(of, 1))
-        axes.plot(at, height, transform=axes.get_xaxis_transform(), **FAILED)
 
 
 def write_task_report(

@@ -265,21 +265,26 @@ class DatasetWriter:
         row |= {"dataset_from_index": self._frames, "dataset_to_index": self._frames + n}
         row |= {f"{name}/{key}": value for name, number in where.items() for key, value in _place(number).items()}
         row |= {f"videos/{IMAGE}/from_timestamp": float(began), f"videos/{IMAGE}/to_timestamp": float(Fraction(self._in_film) / film.rate)}
-        row |= {"vstestbed/run": self._name(run), "vstestbed/seed": run.scenario.seed, "vstestbed/outcome": run.outcome}
+        row |= {"vstestbed/run": run.place(self._within), "vstestbed/seed": run.scenario.seed, "vstestbed/outcome": run.outcome}
         row |= {f"stats/{name}/{key}": value.tolist() for name, of in found.items() for key, value in of.items()}
         self._add(numbers, row, found)
         self._taken[run.how_taken] = None
 
     def finish(self) -> None:
         """Write what waits, and what is known only at the end."""
-        self._end_film()
+        for film in self._films:
+            film.close()
         self._write_data()
         self._write_episodes()
         assert self._first is not None and self._features is not None
         overall = {name: together(parts) for name, parts in self._statistics.items()}
         stats = {name: {key: value.tolist() for key, value in of.items()} for name, of in overall.items()}
         self._write_json("meta/stats.json", stats)
-        self._write_json("meta/info.json", self._info(self._first, self._features))
+        info = {"codebase_version": VERSION, "robot_type": self._first.scenario.robot.kind}
+        info |= {"total_episodes": self._episodes, "total_frames": self._frames, "total_tasks": len(self._tasks)}
+        info |= {"chunks_size": FILES_IN_CHUNK, "data_files_size_in_mb": DATA_MB, "video_files_size_in_mb": VIDEO_MB}
+        info |= {"fps": rate_of(self._first.scenario), "splits": {"train": f"0:{self._episodes}"}}
+        self._write_json("meta/info.json", info | {"data_path": DATA, "video_path": VIDEO, "features": self._features})
         about = {"vstestbed": vstestbed_version(), "pictures": list(self._taken), "videos": "H.264, yuv420p by BT.601, crf 20"}
         missing = [name for name in self._first.scenario.robot.proprioception_names if name not in self._state_names]
         about |= {"agent_pos_without": missing, "state": "of the robot's own sensors, as the log has them; of joints the true positions"}
@@ -300,29 +305,23 @@ class DatasetWriter:
             return
         assert self._features is not None
         wrong = next((name for name in {**self._features, **features} if self._features.get(name) != features.get(name)), None)
-        kinds = [r.scenario.robot.kind for r in (self._first, run)]
+        names, kinds = [r.place(self._within) for r in (self._first, run)], [r.scenario.robot.kind for r in (self._first, run)]
         if wrong is None and kinds[0] == kinds[1]:
             return
         what = f"robots ({' and '.join(kinds)})" if wrong is None else f"{wrong} (shape, rate or names)"
-        words = f"holds runs that differ in {what}: {self._name(self._first)} and {self._name(run)}; a dataset's frames are all alike"
+        words = f"holds runs that differ in {what}: {names[0]} and {names[1]}; a dataset's frames are all alike"
         raise ParameterError("DIR", words)
-
-    def _name(self, run: RecordedRun) -> str:
-        return run.folder.name if self._within is None else run.folder.relative_to(self._within).as_posix()
 
     def _film(self, run: RecordedRun) -> VideoWriter:
         """The video that takes the next episode."""
         if not self._films or self._films[-1].bytes > VIDEO_MB * 1e6:
-            self._end_film()
+            for film in self._films:
+                film.close()
             path = self._folder / VIDEO.format(video_key=IMAGE, **_place(len(self._films)))
             make_folder(path.parent)
             self._films.append(VideoWriter(path, run.scenario.camera.rate_hz, DATASET))
             self._in_film = 0
         return self._films[-1]
-
-    def _end_film(self) -> None:
-        if self._films:
-            self._films[-1].close()
 
     def _add(self, numbers: Numbers, row: dict[str, Any], found: dict[str, Statistics]) -> None:
         """An episode is complete."""
@@ -352,14 +351,6 @@ class DatasetWriter:
             self._write_parquet(EPISODES.format(**_place(self._files["episodes"])), table)
             self._files["episodes"] += 1
             self._rows = []
-
-    def _info(self, run: RecordedRun, features: Features) -> dict[str, Any]:
-        totals = {"total_episodes": self._episodes, "total_frames": self._frames, "total_tasks": len(self._tasks)}
-        sizes = {"chunks_size": FILES_IN_CHUNK, "data_files_size_in_mb": DATA_MB, "video_files_size_in_mb": VIDEO_MB}
-        paths = {"data_path": DATA, "video_path": VIDEO}
-        kind = {"codebase_version": VERSION, "robot_type": run.scenario.robot.kind}
-        splits = {"train": f"0:{self._episodes}"}
-        return kind | totals | sizes | {"fps": rate_of(run.scenario), "splits": splits} | paths | {"features": features}
 
     def _write_json(self, name: str, content: dict[str, Any]) -> None:
         write_whole(make_folder((self._folder / name).parent) / Path(name).name, json.dumps(content, indent=4, ensure_ascii=False) + "\n")

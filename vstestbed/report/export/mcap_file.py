@@ -80,7 +80,7 @@ def write_mcaps(
     """Write a file for each run into a new folder `out`, which appears whole or not at all, at the run's place within a folder."""
     with whole_folder(out) as folder:
         for run in runs:
-            path = folder / f"{run.folder.relative_to(within).as_posix()}.mcap"
+            path = folder / f"{run.place(within)}.mcap"
             make_folder(path.parent)
             write_mcap(run, path, start_s, tick)
     return out
@@ -129,20 +129,16 @@ class Topics:
         true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
         yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
         yield "/camera/goal", now, circles(now, state.goal_uv, self._goal_colors, sizes["goal"])
+        poses, T_goal = {"camera": state.T_world_camera, "target": state.T_world_target}, s.goal_pose_at(state.t, int(row.get("view", 0)))
+        if T_goal is not None:
+            poses["goal"] = state.T_world_target @ inverse(T_goal)
         yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
-        yield "/truth/transforms", now, transforms(now, self._poses(frame), frame.bodies)
+        yield "/truth/transforms", now, transforms(now, poses, frame.bodies)
         for topic, (kind, columns) in self._series.items():
             time_ns = self.time_ns(row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t)
             made = kind(**{field: row[column] for field, column in columns.items()})
             made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
             yield topic, time_ns, made
-
-    def _poses(self, frame: Taken) -> dict[str, Any]:
-        """Poses in the world: camera, target, and the camera's goal, where there is one."""
-        s, state = self._scenario, frame.state
-        T_goal = s.goal_pose_at(state.t, int(frame.row.get("view", 0)))
-        found = {"camera": state.T_world_camera, "target": state.T_world_target}
-        return found if T_goal is None else found | {"goal": state.T_world_target @ inverse(T_goal)}
 
 
 def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, tuple[Any, dict[str, str]]]]:

@@ -65,6 +65,10 @@ class RecordedRun:
             raise RunFolderError(folder, "has a log without frames; there is nothing to export", NOTHING_RAN)
         return cls(folder, scenario, log, summary)
 
+    def place(self, within: Path | None) -> str:
+        """The folder's name, or its path within another folder."""
+        return self.folder.name if within is None else self.folder.relative_to(within).as_posix()
+
     @property
     def success(self) -> bool:
         """Whether it reached its goal; a run that was cut off has not."""
@@ -184,24 +188,18 @@ def write_csv(
     known: dict[str, Meaning] = {}
     with whole_folder(out) as folder:
         for run in runs:
-            place = run.folder.name if within is None else run.folder.relative_to(within).as_posix()
-            path = folder / f"{place}.csv"
+            path = folder / f"{run.place(within)}.csv"
             make_folder(path.parent)
-            _write_log(run, path, tick)
+            with writing(path), PartFile(path) as part:
+                for number, block in enumerate(run.log.frame().iter_slices(ROW_GROUP)):
+                    buffer = io.BytesIO()
+                    block.with_columns(cs.float().fill_nan(None)).write_csv(buffer, include_header=number == 0)
+                    part.file.write(buffer.getvalue())
+                    for _ in range(len(block)):
+                        tick()
             known |= {name: meaning(name, run.scenario) for name in run.log.columns}
         lines = [{"column": name, "unit": unit, "whose": whose, "meaning": words} for name, (unit, whose, words) in known.items()]
         write_whole(folder / "columns.csv", pl.DataFrame(lines).write_csv())
         if table is not None:
             write_whole(folder / "comparison.csv", table.write_csv())
     return out
-
-
-def _write_log(run: RecordedRun, path: Path, tick: Callable[[], None]) -> None:
-    """A log, some thousands of rows at a time."""
-    with writing(path), PartFile(path) as part:
-        for number, block in enumerate(run.log.frame().iter_slices(ROW_GROUP)):
-            buffer = io.BytesIO()
-            block.with_columns(cs.float().fill_nan(None)).write_csv(buffer, include_header=number == 0)
-            part.file.write(buffer.getvalue())
-            for _ in range(len(block)):
-                tick()

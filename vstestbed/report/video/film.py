@@ -328,20 +328,17 @@ class FilmThread:
     def _work(self) -> None:
         frames = iter(self._queue.get, None)
         try:
-            self._film(frames)
+            with self._opened() as films:
+                for frame in frames:
+                    for film in films if not self._aborted else ():
+                        film.show(frame)
+                for film in films:
+                    if self._aborted:
+                        film.abort()
+                    elif self._ending is not None:
+                        film.end(*self._ending)
+            self.spent_s = sum(film.spent_s for film in films)
         except BaseException as error:  # belongs to the thread of the loop
             self._error = error
             for _ in frames:  # to the end, or the loop would wait for room in the queue
                 pass
-
-    def _film(self, frames: Iterator[FilmFrame]) -> None:
-        with self._opened() as films:
-            for frame in frames:
-                for film in films if not self._aborted else ():
-                    film.show(frame)
-            for film in films:
-                if self._aborted:
-                    film.abort()
-                elif self._ending is not None:
-                    film.end(*self._ending)
-        self.spent_s = sum(film.spent_s for film in films)

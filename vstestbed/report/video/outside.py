@@ -81,7 +81,13 @@ class Outside:
         if frame.t >= self._inset_t + INSET_S - 1e-9:
             image = render() if image is None else image
             small = self._inset[:-EDGE, EDGE:]
-            small[:] = _reduced(image, *small.shape[1::-1])
+            height, width = small.shape[:2]
+            # of a large picture not every pixel counts, since their mean would take longer than the rest
+            every = max(1, image.shape[1] // (2 * width))
+            image = image[every // 2 :: every, every // 2 :: every]
+            if image.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
+                image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+            small[:] = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
             self._inset_t = frame.t
         height, width = self._inset.shape[:2]
@@ -171,12 +177,3 @@ def frustum_corners(camera: Camera) -> Array:
             return FOLDED
     corners = rays / rays[:, 2:]
     return corners * min(1.0, 0.6 / float(np.abs(corners[:, :2]).max()))
-
-
-def _reduced(image: Image, width: int, height: int) -> Image:
-    """A smaller image: of a large one not every pixel counts, since their mean would take longer than the rest."""
-    every = max(1, image.shape[1] // (2 * width))
-    image = image[every // 2 :: every, every // 2 :: every]
-    if image.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
-        image = np.asarray(cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA), np.uint8)
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR), np.uint8)

@@ -313,28 +313,24 @@ class Residual:
         """The goal's picture: of a running loop its own, of a log taken again."""
         if frame.goal_image is not None:
             return frame.goal_image
-        if view not in self._goal:
-            self._goal[view] = self._taken_again(frame, view)
-        return self._goal[view]
-
-    def _taken_again(self, frame: FilmFrame, view: int) -> Image:
+        if view in self._goal:
+            return self._goal[view]
         s = self._scenario
         said = s.goal.pictures[view] if s.goal.pictures else None
         if said is not None and said.source is not None:
-            return said.read(s.camera)
+            return self._goal.setdefault(view, said.read(s.camera))
         T_world_goal = frame.T_world_target @ inverse(s.goal_poses[view])
         # Of a scene of its own: the target as it was before `noise.target`, and no picture that others take for one of the run.
         with closing(self._replay.of_target(s.target)) as taught:
             image = taught.picture("eye", s.camera.width, s.camera.height, frame.t, frame.T_world_target, frame.q, T_world_goal).copy()
-        return image if said is None else said.under_its_light(image, s.rng(GOAL_STREAM))
+        return self._goal.setdefault(view, image if said is None else said.under_its_light(image, s.rng(GOAL_STREAM)))
 
 
 def _label(image: Image, size: int) -> None:
     """Write what the inset shows on a darkened strip along its top, since what is below may be light or dark; size: of the text [px]."""
-    words, pad = shortened(WORDS, size, image.shape[1] - size), size // 2
     strip = image[: round(1.5 * size)]
     cv2.convertScaleAbs(strip, strip, 0.35)
-    draw_text(image, words, (pad, round(1.15 * size)), PAPER, size)
+    draw_text(image, shortened(WORDS, size, image.shape[1] - size), (size // 2, round(1.15 * size)), PAPER, size)
 
 
 def _grey(image: Image) -> Image:

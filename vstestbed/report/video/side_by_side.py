@@ -132,6 +132,7 @@ class _Sheet:
         width = min(COLUMN, (WIDEST + GAP) // len(columns) - GAP) // 2 * 2  # even: H.264 stores colour for 2 x 2 pixels
         self._size = max(15, width // 28)
         self._bar = 2 * self._size // 2 * 2
+        self._base = round(0.5 * self._bar + 0.36 * self._size)
         rows = zip_longest(*readers)
         # height of the tallest film of a row at that width, even [px]
         heights = [max((_scaled_height(r, width) for r in row if r and r.rate_hz), default=round(width * SHAPE / 2) * 2) for row in rows]
@@ -142,7 +143,9 @@ class _Sheet:
         for k, (column, own) in enumerate(zip(columns, readers, strict=True)):
             left = k * (width + GAP)
             part = self.image[: total - self._bar, left : left + width]
-            self._label(part[: self._bar], column.label)
+            words = shortened(column.label, self._size, width - 2 * self._size, weight=600)
+            at = (width - text_width(words, self._size, 600)) // 2
+            draw_text(part[: self._bar], words, (at, self._base), INK, self._size, weight=600)
             films = part[self._bar :]
             films[:] = INK
             self._running.append((column, films, films[: heights[0]], _placed(films, own, heights)))
@@ -151,7 +154,9 @@ class _Sheet:
         """Update the image to time t [s]; False when all runs have ended."""
         self._running = [run for run in self._running if not self._ended(*run, t)]
         if self._running:
-            self._clock(float(t))
+            self._foot[:] = INK
+            left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2  # independent of t, so that the digits do not move
+            draw_text(self._foot, f"{float(t):.2f} s", (left, self._base), PAPER, self._size)
         return bool(self._running)
 
     def _ended(self, column: Column, films: Image, top: Image, shown: Shown, t: Fraction) -> bool:
@@ -166,27 +171,16 @@ class _Sheet:
             draw_banner(top, column.ending, {True: GOOD, False: ALARM, None: NEUTRAL}[column.success])
         return ended
 
-    def _label(self, bar: Image, words: str) -> None:
-        words = shortened(words, self._size, bar.shape[1] - 2 * self._size, weight=600)
-        left = (bar.shape[1] - text_width(words, self._size, 600)) // 2
-        draw_text(bar, words, (left, self._base), INK, self._size, weight=600)
-
-    def _clock(self, t: float) -> None:
-        self._foot[:] = INK
-        left = (self._foot.shape[1] - text_width("00.00 s", self._size)) // 2  # independent of t, so that the digits do not move
-        draw_text(self._foot, f"{t:.2f} s", (left, self._base), PAPER, self._size)
-
-    @property
-    def _base(self) -> int:
-        return round(0.5 * self._bar + 0.36 * self._size)
-
 
 def _placed(films: Image, readers: list[FrameReader], heights: list[int]) -> Shown:
     """The films of a column with their places in its part (H, width, 3) of the image; where there is none, the place says so."""
     shown = []
     for reader, place in zip_longest(readers, np.split(films, np.cumsum(heights)[:-1])):
         if reader is None or not reader.rate_hz:
-            _blank(place, "no film")
+            place[:] = GREY
+            height, width = place.shape[:2]
+            size = max(13, height // 18)
+            draw_text(place, "no film", ((width - text_width("no film", size)) // 2, (height + size) // 2), PAPER, size)
             continue
         height = _scaled_height(reader, place.shape[1])
         top = (place.shape[0] - height) // 4 * 2  # centred, at an even row
@@ -196,10 +190,3 @@ def _placed(films: Image, readers: list[FrameReader], heights: list[int]) -> Sho
 
 def _scaled_height(reader: FrameReader, width: int) -> int:
     return max(2, round(width * reader.height / reader.width / 2) * 2)
-
-
-def _blank(place: Image, words: str) -> None:
-    place[:] = GREY
-    height, width = place.shape[:2]
-    size = max(13, height // 18)
-    draw_text(place, words, ((width - text_width(words, size)) // 2, (height + size) // 2), PAPER, size)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import TYPE_CHECKING, Final
 
 import cv2
 import numpy as np
@@ -67,10 +67,6 @@ class _Sink(PartFile):
             self._error = error
         return len(content)
 
-    def reopened(self, *_: object) -> BinaryIO:
-        """The film for reading, beside the writing: to move the index to the front, the encoder reads it once more."""
-        return self.part.open("rb")
-
     def check(self) -> None:
         """Raise the first error of `write`."""
         if self._error is not None:
@@ -89,7 +85,9 @@ class VideoWriter:
     """
 
     def __init__(self, path: Path, rate_hz: float, coding: Coding = FILM):
-        self.path, self.rate, self.frames = Path(path), _fraction(rate_hz), 0
+        # the rate as a ratio of small integers, as video needs it: 29.97 is 2997/100 Hz, 1/3 is 1/3
+        rate = 1 / Fraction(1 / rate_hz).limit_denominator(10_000) if rate_hz < 1 else Fraction(rate_hz).limit_denominator(10_000)
+        self.path, self.rate, self.frames = Path(path), rate, 0
         self._coding, self._aborted = coding, False
         self._sink: _Sink | None = None
         self._container: OutputContainer | None = None
@@ -152,7 +150,8 @@ class VideoWriter:
 
         matrix, _, options = self._coding
         self._sink = sink = _Sink(self.path)  # the encoder gets the open file, and not its name, which may lead elsewhere by then
-        self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=sink.reopened)
+        # `io_open`: to move the index to the front, the encoder reads the film once more, beside the writing
+        self._container = av.open(sink, "w", format="mp4", options={"movflags": "+faststart"}, io_open=lambda *_: sink.part.open("rb"))
         self._stream = stream = self._container.add_stream("libx264", rate=self.rate, options=options)
         stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
         stream.pix_fmt = "yuv420p"
@@ -179,25 +178,18 @@ class VideoWriter:
             yield
         except (FFmpegError, UnknownCodecError, OSError) as error:
             self.abort()
-            raise self._explain(error) from error
+            number = getattr(error, "errno", None)
+            if number in NO_SPACE:
+                words = f"no room for {self.path} ({os.strerror(number or 0)})"
+                raise EnvironmentLackError(words, "free some space or use `--video none`") from error
+            if isinstance(error, OSError):
+                words = os.strerror(number) if number else str(error)
+                raise OutputError(self.path, words, "give a folder that can be written with --out") from error
+            remedy = "`pip install --force-reinstall av` brings libx264, or use `--video none`"
+            raise EnvironmentLackError(f"no H.264 encoder for {self.path} ({error})", remedy) from error
         except BaseException:
             self.abort()
             raise
-
-    def _explain(self, error: Exception) -> EnvironmentLackError | OutputError:
-        """The error of the encoder or the disk as an error of this package, with a remedy."""
-        number = getattr(error, "errno", None)
-        if number in NO_SPACE:
-            return EnvironmentLackError(f"no room for {self.path} ({os.strerror(number or 0)})", "free some space or use `--video none`")
-        if isinstance(error, OSError):
-            return OutputError(self.path, os.strerror(number) if number else str(error), "give a folder that can be written with --out")
-        remedy = "`pip install --force-reinstall av` brings libx264, or use `--video none`"
-        return EnvironmentLackError(f"no H.264 encoder for {self.path} ({error})", remedy)
-
-
-def _fraction(rate_hz: float) -> Fraction:
-    """The rate as a ratio of small integers, as video needs it: 29.97 is 2997/100 Hz, 1/3 is 1/3."""
-    return 1 / Fraction(1 / rate_hz).limit_denominator(10_000) if rate_hz < 1 else Fraction(rate_hz).limit_denominator(10_000)
 
 
 def _even(image: Image) -> Image:
