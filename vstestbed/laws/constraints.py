@@ -13,20 +13,11 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
 from vstestbed.laws.points import pixel_interaction, points, usable_rows
 from vstestbed.laws.solve import least_squares
-from vstestbed.robots.arm import singularity_damping2, unit_scale
+from vstestbed.robots.arm import unit_scale
 from vstestbed.robots.own_model import OwnModel
 
-SOLVED = (1, 2)
-"""Exit codes of the solver: solved, and solved with soft constraints violated."""
-INFEASIBLE = -1
-SOFT = 8
-"""The solver's mark of a constraint that may be violated, at a cost."""
-VIOLATION_COST = 1e6
-"""Cost of a squared violation of a soft constraint, in units of the mean curvature of the objective."""
 ITERATIONS = 500
 """Most iterations of one program. A count and not a time: the same run gives the same commands on every machine."""
-REGULARISATION = 1e-9
-"""Added to the diagonal of the objective as a share of its mean: of many solutions the smallest is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +48,16 @@ class Solution:
     bound: bool = False
     failure: str = ""
 
-    def command(self, rates: Array, robot: OwnModel, basis: Array, limits: TwistLimits, words: tuple[str, ...]) -> Command:
-        """The command that orders the robot's velocities `rates` (n,), those of the solution or a part of them.
+    def command(self, robot: OwnModel, basis: Array, limits: TwistLimits, words: tuple[str, ...]) -> Command:
+        """The command that orders the robot's velocities, which the solution begins with; rest where the program was not solved.
 
         words: of the groups in the order in which they give way. The mode is 0 where nothing binds, 1 where a constraint binds, 2 and more
         for the last group that gave way (`program_modes`).
         """
+        if self.x is None:
+            return replace(Command.rest(basis, self.failure), mode=2 + len(words))
         mode = 2 + words.index(self.gave_way[-1]) if self.gave_way else int(self.bound)
+        rates = self.x[: len(robot.names)]
         twist = robot.J @ rates
         scale = limits.scale(twist)
         rates, twist = rates * scale, twist * scale
@@ -80,11 +74,6 @@ class Solution:
 def program_modes(words: tuple[str, ...]) -> tuple[str, ...]:
     """Words for `Law.modes` of a law whose groups of constraints give way in the order of `words`; the last one is for a rest."""
     return "free", "constrained", *(f"{word} gave way" for word in words), "not solved"
-
-
-def unsolved(solution: Solution, basis: Array, words: tuple[str, ...]) -> Command:
-    """The rest of a program that was not solved."""
-    return replace(Command.rest(basis, solution.failure), mode=2 + len(words))
 
 
 def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, ...]) -> Solution:
@@ -105,23 +94,26 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     if mean <= 0:
         return Solution(np.clip(np.zeros(len(H)), low, high))
     H, f = H / mean, -(A.T @ b) / mean
-    H[np.diag_indices_from(H)] += REGULARISATION
+    H[np.diag_indices_from(H)] += 1e-9  # of many solutions the smallest is taken
     groups = tuple(group for group in groups if len(group.A))
     rows, floor = _normalised(groups, len(H))
     upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
     firm = len(low)
-    sense, code = np.zeros(len(upper), dtype=np.int32), INFEASIBLE
+    sense, infeasible = np.zeros(len(upper), dtype=np.int32), -1
+    code = infeasible
     for level in range(len(groups) + 1):
         if level:
-            sense[firm : firm + len(groups[level - 1].A)] = SOFT
+            sense[firm : firm + len(groups[level - 1].A)] = 8  # the solver's mark of a soft constraint
             firm += len(groups[level - 1].A)
-        x, _, code, info = load_solver()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1 / VIOLATION_COST)
-        if code in SOLVED:
-            gave_way = tuple(group.word for group in groups[:level] if _violated(group, x))
+        # A squared violation costs 1e6 times the mean curvature of the objective.
+        x, _, code, info = load_solver()(H, f, rows, upper, lower, sense, iter_limit=ITERATIONS, rho_soft=1e-6)
+        if code in (1, 2):  # solved, and solved with soft constraints violated
+            rounding = [1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12) for group in groups]
+            gave_way = tuple(g.word for g, share in zip(groups[:level], rounding, strict=False) if (g.A @ x - g.low < -share).any())
             return Solution(np.clip(x, low, high), gave_way, bool(np.any(info["lam"])))
-        if code != INFEASIBLE:
+        if code != infeasible:
             break
-    why = "its bounds contradict each other" if code == INFEASIBLE else f"the solver stopped with code {code}"
+    why = "its bounds contradict each other" if code == infeasible else f"the solver stopped with code {code}"
     return Solution(None, failure=f"the quadratic program was not solved: {why}")
 
 
@@ -134,12 +126,6 @@ def _normalised(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
     return rows / size[:, None], low / size
 
 
-def _violated(group: Group, x: Array) -> bool:
-    """Whether x breaks an inequality of the group by more than rounding."""
-    slack = group.A @ x - group.low
-    return bool((slack < -1e-6 * np.maximum(np.linalg.norm(group.A, axis=1), 1e-12)).any())
-
-
 @cache
 def load_solver() -> Any:
     """The function that solves programs; a law loads it before its first frame."""
@@ -149,12 +135,6 @@ def load_solver() -> Any:
 
 
 # Constraints on a robot's own velocities: joint limits, the picture's border, the target's plane, twist limits.
-NEARLY = 4.0
-"""Smallest singular values beyond this multiple of the least allowed have no barrier: it could not bind within a frame."""
-INSIDE = 0.5
-"""Smallest singular values under this share of the least allowed have none either."""
-STEP = 1e-6
-"""Step of finite differences of the Jacobian [rad, m]."""
 
 
 def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate: bool) -> tuple[Array, Array, bool]:
@@ -182,16 +162,6 @@ def velocity_bounds(robot: OwnModel, margin: float, damper_s: float, accelerate:
     return np.clip(slow, low, high), np.clip(fast, low, high), gave_way
 
 
-def damped(robot: OwnModel, weight: float) -> Array:
-    """Rows (n, n) of an objective whose wanted value is 0: the damping of velocities near singularities, none (0, n) away from them.
-
-    weight: of a squared twist in the objective, to which the damping of `resolved_rate` is in proportion.
-    """
-    damping2 = singularity_damping2(robot.J, robot.unit_m) if len(robot.names) >= 6 else 0.0
-    n = len(robot.names)
-    return np.sqrt(damping2 * weight) * np.eye(n) if damping2 > 0 else np.zeros((0, n))
-
-
 def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     """A barrier of the smallest singular value s of the arm's Jacobian, lengths in its own unit: h = s - least, h_dot = u^T (dJ/dq x) v.
 
@@ -203,10 +173,10 @@ def off_singularities(robot: OwnModel, least: float, rate: float) -> Group:
     n = len(robot.names)
     scale = unit_scale(robot.unit_m)[:, None]
     U, s, Vt = np.linalg.svd(robot.J * scale)
-    if n < 6 or not INSIDE * least < s[-1] < NEARLY * least:
+    if n < 6 or not 0.5 * least < s[-1] < 4 * least:  # beyond, it could not bind within a frame
         return Group.none("singularity", n)
-    u, v = U[:, len(s) - 1], Vt[len(s) - 1]
-    slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / STEP for d in STEP * np.eye(n)]
+    u, v, step = U[:, len(s) - 1], Vt[len(s) - 1], 1e-6  # of finite differences [rad, m]
+    slopes = [u @ (scale * (robot.jacobian(robot.q + d) - robot.J)) @ v / step for d in step * np.eye(n)]
     return Group("singularity", np.array([slopes]), np.array([-rate * (s[-1] - least)]))
 
 
@@ -218,8 +188,7 @@ def shared_limits(robot: OwnModel, forward: float) -> Group:
     A, low = np.vstack([robot.sums, -robot.sums]), -np.concatenate([robot.most, robot.most])
     if robot.turning_radius_m > 0:
         sign, r = (1.0 if forward >= 0 else -1.0), robot.turning_radius_m
-        n = len(robot.names)
-        circle = np.zeros((2, n))
+        circle = np.zeros((2, len(robot.names)))
         circle[:, 0], circle[:, -1] = sign / r, (1.0, -1.0)
         A, low = np.vstack([A, circle]), np.concatenate([low, np.zeros(2)])
     return Group("shared", A, low)
@@ -250,10 +219,8 @@ def border(seen: Observation, goal: Goal, robot: OwnModel, margin_px: float, rat
     rows = usable_rows(seen, ("ray", "range") if around else ("xy", "depth"), 1)
     if isinstance(rows, str) or len(goal.camera.panels) > 1:
         return Group.none("border", robot.J.shape[1])
-    uv = seen.uv[rows]
     L = pixel_interaction(goal.camera, points(seen)[rows])
-    uv = uv + L @ (robot.way + target * robot.underway_s)
-    distance, inwards = goal.camera.borders(uv)
+    distance, inwards = goal.camera.borders(seen.uv[rows] + L @ (robot.way + target * robot.underway_s))
     radius = 0.0 if seen.radius_px is None else seen.radius_px[rows][:, None]
     h = (distance - radius - margin_px).ravel()
     h_dot = np.einsum("nbk,nki->nbi", inwards, L).reshape(len(h), 6)
@@ -277,7 +244,6 @@ def above_plane(seen: Observation, goal: Goal, robot: OwnModel, distance_m: floa
     normal = Vt[2] if flat else middle / np.linalg.norm(middle)
     away = float(normal @ middle)
     normal, away = (normal, away) if away > 0 else (-normal, -away)  # towards the target
-    # The camera's origin moves with v: its distance to a plane that stands still changes by -normal . v.
-    v = robot.J[:3]
     h = away - float(normal @ robot.way[:3]) - distance_m
-    return Group("plane", -(normal @ v)[None], np.array([-rate * h]))
+    # The camera's origin moves with v: its distance to a plane that stands still changes by -normal . v.
+    return Group("plane", -(normal @ robot.J[:3])[None], np.array([-rate * h]))

@@ -16,7 +16,7 @@ from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, ConstantGain, Gain, Law, Motions, TwistLimits, held
 from vstestbed.laws.feedforward import Estimator, Feedforward, Integral, NoFeedforward, TargetEstimate, follow, look_ahead
-from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, reckoned_pose, usable_rows
+from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, reckoned_markers, usable_rows
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 
@@ -280,16 +280,22 @@ def _motion_since(kind: Feedforward, state: ErrorState, seen: Observation, basis
 def usable_pose(kind: Feedforward, state: ErrorState, seen: Observation, goal: Goal, basis: Array) -> Observation | None:
     """An observation without a pose or a homography, with those of the last frame; None where the law is to rest.
 
-    They are dead-reckoned by the measured motion of the camera and the estimated one of the target, for DEAD_RECKON_S at most. Without an
-    estimator the law rests.
+    They are dead-reckoned by the measured motion of the camera and the estimated one of the target, motion = (dR, dt), for DEAD_RECKON_S at
+    most: the pose T <- motion T, the homography H = R + t n^T/d* from the goal's view by R <- dR R, t <- dR t + dt. Without an estimator
+    the law rests.
 
-    kind: the feedforward. state: that of the law at the last frame. seen: the observation of this frame. goal: the goal view. basis: the
-    robot's motions (6, n).
+    state: that of the law at the last frame. seen: the observation of this frame.
     """
-    motion = _motion_since(kind, state, seen, basis)
-    if motion is None or state.seen is None or seen.t - state.known_t > DEAD_RECKON_S:
+    motion, last = _motion_since(kind, state, seen, basis), state.seen
+    if motion is None or last is None or seen.t - state.known_t > DEAD_RECKON_S:
         return None
-    return reckoned_pose(seen, state.seen, motion, goal)
+    T, relative = seen.T_camera_target, seen.relative
+    if T is None and last.T_camera_target is not None:
+        T = motion @ last.T_camera_target
+    if relative is None and last.relative is not None:
+        (H, R_camera_goal), R, n = last.relative, motion[:3, :3], goal.normal
+        relative = R @ H + np.outer(motion[:3, 3], n / (n @ goal.middle)), R @ R_camera_goal
+    return replace(seen, T_camera_target=T, relative=relative)
 
 
 def usable_markers(
@@ -299,8 +305,7 @@ def usable_markers(
 
     The markers that are not seen are dead-reckoned as poses are (`usable_pose`), each for DEAD_RECKON_S at most (`reckoned_markers`).
 
-    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers. The others are those of
-    `usable_pose`.
+    inputs: the fields of the observation that must be known of a marker. needed: the least number of markers.
     """
     rows = usable_rows(seen, inputs, needed)
     why = rows if isinstance(rows, str) else ""

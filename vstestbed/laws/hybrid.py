@@ -13,8 +13,7 @@ from vstestbed.features import LogDepth, Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.error_law import ErrorLaw
 
-FLAT = 1e-3
-"""Markers lie in a plane (on a line) if they extend less than this share of the set's length off it."""
+FLAT = 1e-3  # markers lie in a plane (on a line) if they extend less than this share of the set's length off it
 _THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
 
 

@@ -23,9 +23,6 @@ from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import check_goal
 from vstestbed.laws.solve import Solve
 
-STEEP = 6.0
-"""Slope of the logistic function: that of the paper, 1 / (1 + exp(-12 x + 6)) for x from 0 to 1."""
-
 
 @spec
 class Classical:
@@ -71,9 +68,10 @@ class Large:
 
     def share(self, solved: Array) -> float:
         """The weight of P_|e|, 0 to 1, at a remaining motion (n,) [m, rad]."""
-        along = (float(np.abs(solved).max(initial=0.0)) - self.near) / (self.far - self.near)
-        along = min(max(along, 0.0), 1.0) - 0.5
-        return (1 + math.tanh(STEEP * along) / math.tanh(STEEP / 2)) / 2  # a logistic function that is 0 and 1 at its ends
+        x = (float(np.abs(solved).max(initial=0.0)) - self.near) / (self.far - self.near)
+        along = min(max(x, 0.0), 1.0) - 0.5
+        # The paper's logistic function 1 / (1 + exp(-12 x + 6)) of x from 0 to 1, stretched to be 0 and 1 at its ends.
+        return (1 + math.tanh(6 * along) / math.tanh(3)) / 2
 
     def free(self, solve: Solve, A: Array, e: Array, solved: Array, basis: Array) -> Motions:
         """The free motions; see `Classical.free`."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import Any, Literal
 
 import numpy as np
@@ -14,11 +13,7 @@ from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.error_law import ErrorLaw
 
 _THETA_U = ThetaU()
-
-
-@functools.cache
-def _translation(pose: Literal["cdMc", "cMcd", "cMo"]) -> Translation:
-    return Translation(pose=pose)
+_TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}
 
 
 @spec
@@ -51,7 +46,7 @@ class PBVS(ErrorLaw):
         """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and in the goal frame."""
         T_camera_target, T_goal_target = view.T_camera_target, goal.T_camera_target
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        t, R = _translation(self.translation), T_goal_camera[..., :3, :3]
+        t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
         if self.translation == "cMo":
             pose, s_star = T_camera_target, T_goal_target[:3, 3]
         else:

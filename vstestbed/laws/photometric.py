@@ -27,49 +27,17 @@ from vstestbed.laws.base import Command, ConstantGain, Gain, Law, TwistLimits
 # Near the goal they are fitted together with the camera's motion. Far from it the fit takes errors of the motion for the light's, since the
 # columns of both look alike in small pictures that show different parts of a scene; there the two pictures get the same mean and contrast.
 Light = Literal["same", "gain_offset"]
-LEAST_SPREAD = 1e-3
-"""Least standard deviation of a picture, by which one without any structure is divided [grey levels]."""
-
-
-def without_light(e: NDArray[np.float32], of_light: NDArray[np.float32], w: NDArray[np.float32] | None) -> NDArray[np.float32]:
-    """Errors e (n,) without what gain and offset explain of them, in the weighted least-squares sense."""
-    weighted = of_light if w is None else of_light * w
-    H, b = weighted @ of_light.T, weighted @ e
-    found = np.asarray(np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32)
-    return np.asarray(e - found @ of_light, np.float32)
-
-
-def relit(grey: NDArray[np.float32], goal: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A picture with the mean and the standard deviation of the goal's, (I - m) s* / s + m*; both of the same shape [grey levels]."""
-    spread = max(float(grey.std()), LEAST_SPREAD)
-    return np.asarray((grey - grey.mean()) * np.float32(goal.std() / spread) + goal.mean(), np.float32)
-
-
-def eliminated(H: Array, b: Array) -> tuple[Array, Array]:
-    """Normal equations (6, 6) and (6,) of the motion alone, of those (8, 8) and (8,) of motion, gain and offset.
-
-    The Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the whole system.
-    """
-    of_light = np.linalg.lstsq(H[6:, 6:], np.column_stack([H[6:, :6], b[6:]]), rcond=1e-9)[0]
-    return H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
-
 
 # M-estimators: weights by which least squares leaves outliers out.
 Robust = Literal["none", "huber", "tukey"]
-HUBER, TUKEY = 1.345, 4.685
-"""Tuning constants with which either has 95 % of the efficiency of least squares on Gaussian errors."""
-TO_SIGMA = 1.4826
-"""Standard deviation over the median absolute deviation, of Gaussian errors."""
 LEAST_SIGMA = 5.0
 """Least scale of grey levels, which are whole numbers: of errors that are nearly all 0, the median would make an outlier of each 1."""
-SAMPLE = 20_000
-"""Errors of which the median is taken, evenly spread over all: of 300,000 the whole partition would cost as much as the law."""
 
 
 def scale(e: NDArray[np.float32]) -> float:
-    """The standard deviation of most of the errors e (n,): TO_SIGMA times the median of |e - median(e)|, at least LEAST_SIGMA."""
-    some = e[:: max(1, len(e) // SAMPLE)]
-    return max(TO_SIGMA * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA) if len(some) else LEAST_SIGMA
+    """The standard deviation of most of the errors e (n,): 1.4826 times the median of |e - median(e)|, at least LEAST_SIGMA."""
+    some = e[:: max(1, len(e) // 20_000)]  # evenly spread: of 300,000 the whole partition would cost as much as the law
+    return max(1.4826 * float(np.median(np.abs(some - np.median(some)))), LEAST_SIGMA) if len(some) else LEAST_SIGMA
 
 
 def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
@@ -81,7 +49,8 @@ def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
     """
     if kind == "none":
         return None
-    bound = np.float32((HUBER if kind == "huber" else TUKEY) * scale(e))
+    # The tuning constants give either 95 % of the efficiency of least squares on Gaussian errors.
+    bound = np.float32((1.345 if kind == "huber" else 4.685) * scale(e))
     if kind == "huber":
         return np.asarray(bound / np.maximum(np.abs(e), bound), np.float32)
     ratio = np.minimum(np.square(e / bound), np.float32(1))
@@ -100,8 +69,6 @@ PROBES = 5
 """Points along each side of the picture by whose mean motion a step of the camera is measured in pixels."""
 MOTION = np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
 """Size of the motions by which a picture's structure is measured, along and about each axis: 10 mm and 1 degree [m, rad]."""
-SLOPE_PX = 0.5
-"""Step of the finite differences of the lens [px]; the distortion's second derivative cancels in central ones."""
 
 
 def luminance(image: NDArray[np.uint8], smooth_px: float = 0.0) -> Grey:
@@ -232,16 +199,22 @@ class GoalLevel:
         e = self._unlit(e, None if known.all() else known.astype(np.float32))
         w = _weights(robust, e, known)
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
-        if len(b) > 6:
-            H, b = eliminated(H, b)
+        if len(b) > 6:  # the Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the whole system with light
+            of_light = np.linalg.lstsq(H[6:, 6:], np.column_stack([H[6:, :6], b[6:]]), rcond=1e-9)[0]
+            H, b = H[:6, :6] - H[:6, 6:] @ of_light[:, :6], b[:6] - H[:6, 6:] @ of_light[:, 6]
         e = self._unlit(e, w)
         squares = e * e if w is None else w * e * e
         total = float(len(e) if w is None else w.sum(dtype=float))
         return H, b, float(np.sqrt(squares.sum(dtype=float) / total)) if total > 0 else float("nan")
 
     def _unlit(self, e: Grey, w: Grey | None) -> Grey:
-        """Errors (n,) without what a light that may have changed explains of them."""
-        return e if self.light == "same" else without_light(e, self.of_light, w)
+        """Errors (n,) without what gain and offset of a light that may have changed explain of them, by weighted least squares."""
+        if self.light == "same":
+            return e
+        weighted = self.of_light if w is None else self.of_light * w
+        H, b = weighted @ self.of_light.T, weighted @ e
+        found = np.asarray(np.linalg.lstsq(H.astype(float), b.astype(float), rcond=1e-9)[0], np.float32)
+        return np.asarray(e - found @ self.of_light, np.float32)
 
     def _sums(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey, e: Grey, w: Grey | None) -> tuple[Array, Array]:
         """L^T W L and L^T W e, band by band; of light that may have changed with its two columns, (8, 8) and (8,)."""
@@ -293,7 +266,7 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
     """du/dx, du/dy, dv/dx, dv/dy of the lens at xy (h, w, 2), in pixels `scale` times as large; numbers of a lens without distortion."""
     if camera.distortion is None:
         return camera.f / scale, 0.0, 0.0, camera.f / scale
-    step = SLOPE_PX / camera.f
+    step = 0.5 / camera.f  # half a pixel; the distortion's second derivative cancels in central differences
     found = []
     for axis in np.eye(2) * step:
         ahead, behind = (camera.project(np.concatenate([xy + s * axis, np.ones((*xy.shape[:2], 1))], axis=-1)) for s in (1, -1))
@@ -304,17 +277,11 @@ def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ..
 
 NO_PICTURE = "the law has no picture"
 BLANK = "the picture shows next to nothing of what the goal's shows"
-NO_PIXEL = "no pixel of the picture fits the goal's"
 NO_STRUCTURE = "the goal's picture has too little structure (a motion of 10 mm or 1 degree changes it by less than 0.05 grey levels)"
 NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or beyond its far_m"
 LEAST_CHANGE = 0.05
 """Least RMS change of the goal's picture [grey levels] by a motion of 10 mm or 1 degree, whichever changes it least. With structure it is
 some 0.4; a wall with 0.01 was once taken as the goal's from 0.26 m away."""
-LEAST_CONTRAST = 0.1
-"""Least standard deviation of the picture's grey levels over that of the goal's: under it a wall or the floor fills the picture."""
-FINER_PX, COARSER_PX = 0.25, 4.0
-"""The law goes to a finer level where the remaining motion in the picture is under FINER_PX pixels of its own, and back to a coarser one
-where it is over COARSER_PX: linear are grey levels over about a pixel."""
 LEAST_SIDE = 12
 """Least height and width of the coarsest level, without its border [px]."""
 
@@ -437,28 +404,29 @@ class Photometric(Law[PhotometricState]):
             pyramid = self._pyramid(goal)
             state = PhotometricState(pyramid, len(pyramid) - 1, observation.t, goal.image)
         assert state.pyramid is not None
-        level, grey, near = state.pyramid[state.level], self._at_level(sight.image, state.level), self._measured(sight, state)
-        if why := self._why_not(state.pyramid[0], near):
-            return state, Command.rest(basis, why)
-        if float(grey.std()) < LEAST_CONTRAST * float(level.grey.std()):
+        level, near, grey = state.pyramid[state.level], None, luminance(sight.image, self.smooth_px)
+        for _ in range(state.level):
+            grey = coarser(grey)
+        if self.depth.measured and self.interaction != "desired":
+            near = _inverse(sight, level, state.level)
+        if not (state.pyramid[0].inverse_depth.any() and (near is None or near.any())):
+            return state, Command.rest(basis, NO_DEPTH)
+        if state.pyramid[0].least_change < LEAST_CHANGE:
+            return state, Command.rest(basis, NO_STRUCTURE)
+        if float(grey.std()) < 0.1 * float(level.grey.std()):  # a wall or the floor fills the picture
             return state, Command.rest(basis, BLANK)
         # Far from the goal most pixels differ, and those that differ most tell where it is: only near it are they outliers.
         robust = self.robust if state.level == 0 else "none"
         if state.level > 0 and self.light == "gain_offset":  # at the finest level the light is fitted with the motion
-            grey = relit(grey, level.grey)
+            spread = np.float32(level.grey.std() / max(float(grey.std()), 1e-3))  # a picture without any structure is divided by the bound
+            grey = np.asarray((grey - grey.mean()) * spread + level.grey.mean(), np.float32)
         H, b, error_grey = level.normal(grey, self.interaction, robust, near)
         step = self._solved(basis.T @ H @ basis, basis.T @ b, self.damping.at(observation.t - state.t0))
         if step is None:
-            return state, Command.rest(basis, NO_PIXEL)
+            return state, Command.rest(basis, "no pixel of the picture fits the goal's")
         command = self.limits.command(-self.gain.at(step) * step, basis)
         state = replace(state, level=self._next_level(state, basis @ step, goal))
         return state, replace(command, error_grey=error_grey)
-
-    def _why_not(self, goal: GoalLevel, near: Grey | None) -> str:
-        """Why the law cannot work with these pictures; "" if it can."""
-        if not (goal.inverse_depth.any() and (near is None or near.any())):
-            return NO_DEPTH
-        return "" if goal.least_change >= LEAST_CHANGE else NO_STRUCTURE
 
     def _solved(self, H: Array, b: Array, mu: float) -> Array | None:
         """The remaining motion (n,) by normal equations (n, n) and (n,) [m, rad]; None where the pixels do not determine it."""
@@ -477,15 +445,9 @@ class Photometric(Law[PhotometricState]):
         assert state.pyramid is not None and isinstance(goal.camera, Perspective)
         near = state.pyramid[-1].inverse_depth
         moved = motion_px(goal.camera, step, 1 / float(near[near > 0].mean())) / 2**state.level
-        if moved < FINER_PX:
+        if moved < 0.25:  # pixels of its own: linear are grey levels over about one
             return max(state.level - 1, 0)
-        return min(state.level + 1, len(state.pyramid) - 1) if moved > COARSER_PX else state.level
-
-    def _at_level(self, image: NDArray[np.uint8], level: int) -> Grey:
-        grey = luminance(image, self.smooth_px)
-        for _ in range(level):
-            grey = coarser(grey)
-        return grey
+        return min(state.level + 1, len(state.pyramid) - 1) if moved > 4 else state.level
 
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
         """The goal's picture, level by level. Raises ParameterError: the goal has no picture."""
@@ -508,12 +470,6 @@ class Photometric(Law[PhotometricState]):
             nx, ny, nz = goal.normal / float(goal.normal @ goal.middle)  # 1/Z = n . (x, y, 1) / (n . p) of a plane through p
             return np.maximum(nx * level.x + ny * level.y + nz, 0).astype(np.float32)
         return _inverse(goal.image, level, number)
-
-    def _measured(self, sight: Sight, state: PhotometricState) -> Grey | None:
-        """1/Z of the current picture's pixels by the depth camera; None with another source of depth."""
-        if not self.depth.measured or self.interaction == "desired" or state.pyramid is None:
-            return None
-        return _inverse(sight, state.pyramid[state.level], state.level)
 
 
 def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:

@@ -62,8 +62,7 @@ def check_goal(feature: Feature, goal: Goal) -> None:
 
 
 # What a frame does not show, dead-reckoned from the last one by the motion of the camera relative to the target.
-TRUST_S = 0.04
-"""Time constant with which a marker that is not seen loses its weight against those that are seen [s]."""
+TRUST_S = 0.04  # time constant with which a marker that is not seen loses its weight against those that are seen
 
 
 def points(observation: Observation) -> Array:
@@ -108,7 +107,8 @@ def reckoned_markers(
     kept &= ~seen.seen
     if not kept.any():
         return seen
-    rays = _rays(seen)
+    ahead = np.column_stack([seen.xy, np.ones(len(seen.xy))])
+    rays = ahead / lengths(ahead) if seen.ray is None else seen.ray
     measured = known & np.isfinite(rays[:, 0])
     use = measured | kept
     reach = lengths(p[use])
@@ -121,33 +121,9 @@ def reckoned_markers(
     return moved_markers(seen, transform(exp(-basis @ c), p), kept)
 
 
-def _rays(observation: Observation) -> Array:
-    """Unit rays (N, 3) to the markers; NaN where one is not seen."""
-    if observation.ray is not None:
-        return observation.ray
-    ahead = np.column_stack([observation.xy, np.ones(len(observation.xy))])
-    return ahead / lengths(ahead)
-
-
-def reckoned_pose(seen: Observation, last: Observation, motion: Array, goal: Goal) -> Observation:
-    """`seen` with the pose T <- motion T of `last` and its homography, where it has none.
-
-    The homography H = R + t n^T/d* from the goal's view goes on by R <- dR R, t <- dR t + dt, with motion = (dR, dt).
-    """
-    T, relative = seen.T_camera_target, seen.relative
-    if T is None and last.T_camera_target is not None:
-        T = motion @ last.T_camera_target
-    if relative is None and last.relative is not None:
-        (H, R_camera_goal), R, n = last.relative, motion[:3, :3], goal.normal
-        relative = R @ H + np.outer(motion[:3, 3], n / (n @ goal.middle)), R @ R_camera_goal
-    return replace(seen, T_camera_target=T, relative=relative)
-
-
 # A repulsive potential at the border of the image, for all image-based laws.
-NEAREST = 0.2
-"""Least distance to the border, as a share of the margin, that enters the field: at the border itself the potential is infinite."""
-STEP = 1e-6
-"""Step of the finite differences by which a lens is differentiated [m, rad]."""
+NEAREST = 0.2  # least distance to the border that enters the field, as a share of the margin: at 0 the potential is infinite
+STEP = 1e-6  # of the finite differences by which a lens is differentiated [m, rad]
 
 
 @spec
@@ -201,18 +177,14 @@ class Visibility:
         if isinstance(rows, str):
             return nothing
         radius = 0.0 if observation.radius_px is None else observation.radius_px[rows]
-        speed = self._inwards(goal.camera, observation.uv[rows], radius)
+        distance, inwards = goal.camera.borders(observation.uv[rows])
+        x = np.clip((distance - np.reshape(radius, (-1, 1))) / self.margin_px, NEAREST, 1.0)
+        speed = np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)  # the wanted image velocity (N, 2) [px/s]
         near = speed.any(axis=1)
         if not near.any():
             return nothing
         L = pixel_interaction(goal.camera, points(observation)[rows][near])
         return least_squares(L.reshape(-1, 6) @ basis, speed[near].ravel())
-
-    def _inwards(self, camera: Camera, uv: Array, radius: Array | float) -> Array:
-        """Desired image velocity (N, 2) [px/s] of markers at pixels uv (N, 2), of apparent radii (N,) [px]."""
-        distance, inwards = camera.borders(uv)
-        x = np.clip((distance - np.reshape(radius, (-1, 1))) / self.margin_px, NEAREST, 1.0)
-        return np.einsum("nb,nbk->nk", self.strength_pxps * (1 / x - 1) / x**2, inwards)
 
 
 def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: float, called: Callable[[int], str]) -> None:

@@ -20,10 +20,6 @@ from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits
 
-SPEED_MPS, RATE_RADPS = 1.0, 1.0
-"""Velocities of an action of 1 where the law of the scenario has no limits."""
-
-
 MOST_PX = 1e6
 """Bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited."""
 
@@ -47,17 +43,15 @@ def _pixels(uv: Array) -> Array:
 def action_unit(limits: TwistLimits, basis: Array) -> Array:
     """Velocities (n,) of an action of 1 along the robot's motions, basis (6, n) [m/s, rad/s], so that u = unit * action.
 
-    They are a law's limits: a motion that turns the camera has the limit of rate.
+    They are a law's limits, 1 m/s and 1 rad/s where it has none: a motion that turns the camera has the limit of rate.
     """
-    speed, rate = limits.speed_mps or SPEED_MPS, limits.rate_radps or RATE_RADPS
+    speed, rate = limits.speed_mps or 1.0, limits.rate_radps or 1.0
     turns = np.abs(basis[3:]).max(axis=0) > 1e-9  # a turn of the base also moves the camera; a translation never turns it
     return np.where(turns, rate, speed)
 
 
 Act = Callable[[Mapping[str, Array]], Any]
 """From what a policy sees to an action (n,) in [-1, 1]; None where it has none."""
-NO_ACTION = "the policy gave no action"
-POLICY_FILE = re.compile(r"\.onnx$|\.py:\w+$")
 ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
@@ -92,7 +86,7 @@ class Policy(Law[Act]):
 
     def __post_init__(self) -> None:
         """Load the policy, so that a mistake in `file` is told before anything runs."""
-        if not POLICY_FILE.search(self.file):
+        if not re.search(r"\.onnx$|\.py:\w+$", self.file):
             raise ParameterError("file", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file)
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its policy is
         _loaded(self.file, self.agent_pos)
@@ -130,21 +124,18 @@ class Policy(Law[Act]):
         """One frame: ask the policy. Raises ParameterError: the action is not n numbers."""
         given = state(observed(observation, goal))
         if given is None:
-            return state, Command.rest(basis, NO_ACTION)
-        action = self._checked(given, basis.shape[1])
-        if not action.any() and not observation.seen.all():
-            return state, Command.rest(basis, "the policy rests while a marker is out of sight")
-        return state, self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
-
-    def _checked(self, given: Any, n: int) -> Array:
+            return state, Command.rest(basis, "the policy gave no action")
         try:
             action = np.asarray(given, dtype=float)
         except (TypeError, ValueError):
             action = np.zeros(0)
+        n = basis.shape[1]
         if action.shape != (n,):
             found = f"shape {np.shape(given)}" if isinstance(given, np.ndarray | list | tuple) else type(given).__name__
             raise ParameterError("law.file", f"{Path(self.file).name}: an action must be {n} numbers for this robot's motions, got {found}")
-        return action
+        if not action.any() and not observation.seen.all():
+            return state, Command.rest(basis, "the policy rests while a marker is out of sight")
+        return state, self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
 
 
 def _loaded(file: str, agent_pos: bool) -> Any:
@@ -153,10 +144,8 @@ def _loaded(file: str, agent_pos: bool) -> Any:
     path = Path(file if file.endswith(".onnx") else source)
     if not is_there(path):
         raise ParameterError("file", f"{path} is not there; give the place of {path.name}")
-    return _network(path, path.stat().st_mtime_ns, agent_pos) if file.endswith(".onnx") else _from_module(path, name)
-
-
-def _from_module(path: Path, name: str) -> Any:
+    if file.endswith(".onnx"):
+        return _network(path, path.stat().st_mtime_ns, agent_pos)
     try:
         found = getattr(load_file(path), name, None)
     except KeyboardInterrupt:

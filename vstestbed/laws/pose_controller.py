@@ -75,9 +75,6 @@ def polar_law(place: Array, goal: Array, direction: Array, gains: Gains, speed_l
     return direction * v * scale, (k_alpha * alpha + k_beta * beta) * scale
 
 
-NO_PLACE = "the vehicle's place cannot be estimated"
-
-
 PoseState = tuple[int, bool]
 """Forward (1) or reverse (-1), chosen at the first known place (0 before), and whether the goal has been reached."""
 
@@ -136,17 +133,14 @@ class PoseController(Law[PoseState]):
         """One frame; the first column of basis (6, n) is the forward motion, the last one the rotation."""
         place, there = observation.place, goal.place
         if place is None or there is None:
-            return state, Command.rest(basis, NO_PLACE)
+            return state, Command.rest(basis, "the vehicle's place cannot be estimated")
         directions = {"auto": int(direction_to(place, there)), "forward": 1, "reverse": -1}
         direction = state[0] or directions[self.direction]  # kept: a new choice near the goal could alternate
-        arrived = state[1] or self._there(place, there, direction)
+        rho, alpha, _ = polar(place, there, np.array(direction))
+        # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
+        arrived = state[1] or bool(rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2))
         u = np.zeros(basis.shape[1])
         if not arrived:
             gains = (self.k_rho, self.k_alpha, self.k_beta)
             u[0], u[-1] = polar_law(place, there, np.array(direction), gains, self.speed_mps, self.rest_m)
         return (direction, arrived), self.limits.command(u, basis)
-
-    def _there(self, place: Array, there: Array, direction: int) -> bool:
-        rho, alpha, _ = polar(place, there, np.array(direction))
-        # |alpha| > 90 degrees: the goal is no longer ahead in the driving direction.
-        return bool(rho < self.rest_m or (rho < self.pass_m and abs(alpha) > np.pi / 2))

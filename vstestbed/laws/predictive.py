@@ -20,17 +20,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits
-from vstestbed.laws.constraints import (
-    Group,
-    Solution,
-    load_solver,
-    minimise,
-    program_modes,
-    shared_limits,
-    twist_limits,
-    unsolved,
-    velocity_bounds,
-)
+from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, program_modes, shared_limits, twist_limits, velocity_bounds
 from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
@@ -45,13 +35,13 @@ class Predicted:
     """A robot under a plan, at the ends of the K periods to come; the first begins when this frame's command takes effect.
 
     Attributes:
-        p: the markers in the camera frame (K, N, 3) [m]; p_begin: at the beginning (N, 3).
+        p_begin: the markers in the camera frame at the beginning (N, 3) [m]. p: at the ends (K, N, 3).
         D: change of the camera's pose, as a twist (v, w) in the camera's own frame, with the plan: (K, 6, B n).
         q: positions (K, n). Q: their change with the plan (K, n, B n). J: the Jacobian during each period (K, 6, n).
     """
 
-    p: Array
     p_begin: Array
+    p: Array
     D: Array
     q: Array
     Q: Array
@@ -117,14 +107,7 @@ def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, rel
     steps, size = len(mean), plan.size
     p, q = transform(exp(-(robot.way + target * robot.underway_s)), p), robot.q_then
     D, Q = np.zeros((6, size)), np.zeros((n, size))
-    out = Predicted(
-        np.empty((steps, *p.shape)),
-        p,
-        np.empty((steps, 6, size)),
-        np.empty((steps, n)),
-        np.empty((steps, n, size)),
-        np.empty((steps, 6, n)),
-    )
+    p_begin, found = p, []
     each = change[:, :, None, None] * np.eye(n)  # (K, B, n, n)
     each = each.transpose(0, 2, 1, 3).reshape(steps, n, size) * period
     way = mean * period
@@ -132,28 +115,17 @@ def predict(p: Array, robot: OwnModel, block: NDArray[np.intp], plan: Array, rel
         J = robot.jacobian(q) if relinearise else robot.J
         twist = J @ way[k] + target * period
         back, change = exp(-twist), J @ each[k]
-        D = adjoint(back) @ D + change - _bracket(twist) @ change / 2
+        V, W = skew(twist[:3]), skew(twist[3:])
+        D = adjoint(back) @ D + change - np.block([[W, V], [np.zeros((3, 3)), W]]) @ change / 2
         p, q, Q = transform(back, p), q + way[k], Q + each[k]
-        out.p[k], out.D[k], out.q[k], out.Q[k], out.J[k] = p, D, q, Q, J
-    return out
-
-
-def _bracket(twist: Array) -> Array:
-    """The matrix (6, 6) of the Lie bracket of a twist (v, w) with others."""
-    W, out = skew(twist[3:]), np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = W
-    out[:3, 3:] = skew(twist[:3])
-    return out
+        found.append((p, D, q, Q, J))
+    return Predicted(p_begin, *(np.stack(values) for values in zip(*found, strict=True)))
 
 
 GIVE_WAY = ("border", "positions", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; bounds of the next command by joint limits and speeds never do."""
-TRUST = 0.1
-"""Most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad."""
-LEAST_DEPTH_M = 1e-3
-"""Depth under which no feature is computed [m]."""
-
-
+TRUST = 0.1  # most motion in a period for which the prediction is linearised, in distances of the nearest marker and in rad
+LEAST_DEPTH_M = 1e-3  # depth under which no feature is computed
 PlanState = tuple[Array | None, ErrorState | None]
 """The velocities planned in the last frame (B, n), and the state of the target's estimated motion; None before the first frame."""
 
@@ -261,10 +233,8 @@ class Predictive(Law[PlanState]):
         tracked, target = self._target(state[1], observation, goal, basis)
         plan = np.tile(robot.ordered, (self._block[-1] + 1, 1)) if before is None else shifted(before, self._block)
         solution = self._solved(rows, observation, goal, robot, plan, target)
-        if solution.x is None:
-            return (None, None), unsolved(solution, basis, GIVE_WAY)
-        plan = solution.x.reshape(plan.shape)
-        return (plan, tracked), solution.command(plan[0], robot, basis, self.limits, GIVE_WAY)
+        command = solution.command(robot, basis, self.limits, GIVE_WAY)
+        return (None, None) if solution.x is None else (solution.x.reshape(plan.shape), tracked), command
 
     @cached_property
     def _block(self) -> NDArray[np.intp]:
@@ -289,8 +259,14 @@ class Predictive(Law[PlanState]):
                 return Solution(None, failure="a marker is predicted behind the camera")
         u = plan.ravel()
         A, b = self._objective(ahead, goal, rows, robot, u)
-        low, high, too_quick = self._bounds(robot, plan)
-        twist, shared = twist_limits_of(*self._trusted(p, robot.period_s), ahead, self._block), shared_limits(robot, float(plan[0, 0]))
+        low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
+        later = np.tile(robot.speed, len(plan) - 1)  # only speeds are bounded after the next command
+        low, high = np.concatenate([low, -later]), np.concatenate([high, later])
+        trusted, shared = self._trusted(p, robot.period_s), shared_limits(robot, float(plan[0, 0]))
+        # The camera's twist in each block, at the Jacobian with which it begins.
+        of_blocks = [twist_limits(*trusted, J) for J in ahead.J[beginnings(self._block)]]
+        rows_of_blocks = np.einsum("bmn,bc->bmcn", [part.A for part in of_blocks], np.eye(len(of_blocks))).reshape(-1, len(u))
+        twist = Group("twist", rows_of_blocks, np.concatenate([part.low for part in of_blocks]))
         repeated = np.asarray(np.kron(np.eye(len(plan)), shared.A), dtype=float)
         groups = [self._positions(ahead, robot, u), twist, Group("shared", repeated, np.tile(shared.low, len(plan))), self._slopes(robot)]
         if self.margin_px is not None:
@@ -306,12 +282,10 @@ class Predictive(Law[PlanState]):
 
     def _objective(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
         """A and b of the wanted A u = b."""
-        feature = self.feature
+        feature, K = self.feature, len(ahead.p)
         s_star = feature.measure(getattr(goal, feature.inputs[0])[rows])
-        K = len(ahead.p)
         x, distance = _inputs(ahead.p, feature.inputs)
-        e = feature.error(feature.measure(x), s_star)
-        L = feature.interaction(x, distance)
+        e, L = feature.error(feature.measure(x), s_star), feature.interaction(x, distance)
         if self.model == "local":
             L = np.broadcast_to(L[0], L.shape)
         change = L @ ahead.D  # (K, rows, B n)
@@ -321,27 +295,19 @@ class Predictive(Law[PlanState]):
         weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", A, A)) / len(u))
         return np.vstack([A, weight * np.eye(len(u))]), np.concatenate([b, np.zeros(len(u))])
 
-    def _bounds(self, robot: OwnModel, plan: Array) -> tuple[Array, Array, bool]:
-        """Bounds of the plan: those of the next command, and the speeds of all."""
-        low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
-        later = np.tile(robot.speed, len(plan) - 1)
-        return np.concatenate([low, -later]), np.concatenate([high, later]), too_quick
-
     def _positions(self, ahead: Predicted, robot: OwnModel, u: Array) -> Group:
         """Joint positions within their limits, less the margin, at the end of each period."""
         limited = np.isfinite(robot.low) | np.isfinite(robot.high)
         Q, q = ahead.Q[:, limited], (ahead.q - ahead.Q @ u)[:, limited]
         below = (robot.low + self.joint_margin)[limited] - q
         above = q - (robot.high - self.joint_margin)[limited]
-        A: Array = np.concatenate([Q, -Q]).reshape(-1, len(u))
-        low = np.concatenate([below, above]).ravel()
+        A, low = np.concatenate([Q, -Q]).reshape(-1, len(u)), np.concatenate([below, above]).ravel()
         return Group("positions", A[known := np.isfinite(low)], low[known])
 
     def _slopes(self, robot: OwnModel) -> Group:
         """Accelerations from block to block."""
-        lengths = np.bincount(self._block)
+        lengths, quick = np.bincount(self._block), np.isfinite(robot.acceleration)
         n, B = len(robot.names), len(lengths)
-        quick = np.isfinite(robot.acceleration)
         if not self.accelerations or B == 1 or not quick.any():
             return Group.none("acceleration", B * n)
         rows = np.kron(np.eye(B)[1:] - np.eye(B)[:-1], np.eye(n)[quick])
@@ -362,15 +328,6 @@ class Predictive(Law[PlanState]):
         A, low = change.reshape(-1, len(u)), (change @ u - h).ravel()
         known = np.isfinite(low)
         return Group("border", A[known], low[known])
-
-
-def twist_limits_of(speed_mps: float, rate_radps: float, ahead: Predicted, block: NDArray[np.intp]) -> Group:
-    """The limits of the camera's twist in each block, at the Jacobian with which it begins."""
-    parts = [twist_limits(speed_mps, rate_radps, J) for J in ahead.J[beginnings(block)]]
-    A = np.zeros((len(parts), *parts[0].A.shape[:1], len(parts), ahead.J.shape[2]))
-    for i, part in enumerate(parts):
-        A[i, :, i] = part.A
-    return Group("twist", A.reshape(-1, len(parts) * ahead.J.shape[2]), np.concatenate([part.low for part in parts]))
 
 
 def _in_front(p: Array, feature: Feature) -> bool:

@@ -80,18 +80,12 @@ class Pursuit(Law[PursuitState]):
             return state, held(self.limits, u, basis, NO_POSE if observation.seen.any() else TOO_FEW)
         x, y = (goal.T_base_camera @ T)[:2, 3].tolist()
         gap = math.hypot(x, y)
-        speed = self._target_speed(state, observation.t, gap, way, math.atan2(y, x))
+        dt, speed = observation.t - state.t, 0.0  # the first frame has no difference: the leader is taken to stand, which is the safe side
+        if state.odometry is not None and dt > 0:
+            measured = (gap - state.gap) / dt + float(relative(state.odometry, way)[0]) / dt * math.cos(math.atan2(y, x))
+            # First-order low-pass, discretised exactly, so that a frame that comes late weighs more.
+            speed = state.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - state.speed)
         v = max(speed + self.gain * (gap - goal.gap_m), 0.0)
         u = np.zeros(basis.shape[1])
         u[0], u[-1] = v, v * 2 * y / max(gap, 1e-3) ** 2  # the bound: at the target itself the curvature is infinite
         return PursuitState(observation.t, gap, way, u, speed), self.limits.command(u, basis)
-
-    def _target_speed(self, state: PursuitState, t: float, gap: float, way: Array, bearing: float) -> float:
-        """The filtered speed of the target along the line of sight [m/s]: v_target = d_dot + v cos(alpha)."""
-        if state.odometry is None or t <= state.t:
-            return 0.0  # the first frame has no difference: the leader is taken to stand, which is the safe side
-        dt = t - state.t
-        forward = float(relative(state.odometry, way)[0]) / dt
-        measured = (gap - state.gap) / dt + forward * math.cos(bearing)
-        # First-order low-pass, discretised exactly, so that a frame that comes late weighs more.
-        return state.speed + (1 - math.exp(-dt / self.filter_s)) * (measured - state.speed)

@@ -23,14 +23,12 @@ from vstestbed.laws.constraints import (
     Solution,
     above_plane,
     border,
-    damped,
     load_solver,
     minimise,
     off_singularities,
     program_modes,
     shared_limits,
     twist_limits,
-    unsolved,
     velocity_bounds,
 )
 from vstestbed.laws.error_law import ErrorState
@@ -41,6 +39,7 @@ from vstestbed.laws.pbvs import PBVS
 from vstestbed.laws.points import check_margin, pixel_interaction, usable_rows
 from vstestbed.laws.solve import PINV_RCOND
 from vstestbed.laws.views import Views
+from vstestbed.robots.arm import singularity_damping2
 from vstestbed.robots.own_model import OwnModel
 
 # Secondary tasks of a quadratic program: posture, a straight path of the camera, manipulability.
@@ -300,9 +299,9 @@ class QP(Law[ErrorState]):
         if wanted.rest_reason and not wanted.twist.any():
             return state, replace(wanted, free=())
         solution = self._solved(wanted.twist, observation, goal, robot)
+        command = solution.command(robot, basis, self.limits, GIVE_WAY)
         if solution.x is None:
-            return state, unsolved(solution, basis, GIVE_WAY)
-        command = solution.command(solution.x, robot, basis, self.limits, GIVE_WAY)
+            return state, command
         return state, replace(command, rest_reason=wanted.rest_reason, scale=command.scale * wanted.scale)
 
     def step_batch(self, state: Array, views: Views, goal: Goal) -> tuple[Array, Array]:
@@ -337,11 +336,14 @@ class QP(Law[ErrorState]):
         """The velocities that come nearest to the camera twist `wanted` (6,)."""
         low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
         groups = self._groups(wanted, seen, goal, robot)
-        W = self._metric(seen)
+        n, W, feature = len(robot.names), np.eye(6), self.law.feature
+        if feature is not None and not isinstance(rows := usable_rows(seen, feature.inputs, 1), str):
+            W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
         main = W @ robot.J
-        calm = damped(robot, float(np.einsum("ij,ij->", W, W)) / 6)
         A, b = added(main, W @ wanted, self.secondary, seen, goal, robot)
-        solution = minimise(np.vstack([A, calm]), np.concatenate([b, np.zeros(len(calm))]), low, high, groups)
+        if n >= 6 and (damping2 := singularity_damping2(robot.J, robot.unit_m)) > 0:  # as that of `resolved_rate`, by the weight of a twist
+            A, b = np.vstack([A, np.sqrt(damping2 * (np.einsum("ij,ij->", W, W) / 6)) * np.eye(n)]), np.concatenate([b, np.zeros(n)])
+        solution = minimise(A, b, low, high, groups)
         if solution.x is not None:
             solution = among_solutions(solution, main, self.secondary, seen, goal, robot, low, high, groups)
         return solution.and_accelerations(too_quick)
@@ -357,12 +359,3 @@ class QP(Law[ErrorState]):
             groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
         twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
         return *groups, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted))
-
-    def _metric(self, seen: Observation) -> Array:
-        """W: the interaction matrix (m, 6) of the law's feature now, or I."""
-        feature = self.law.feature
-        rows = "" if feature is None else usable_rows(seen, feature.inputs, 1)
-        if feature is None or isinstance(rows, str):
-            return np.eye(6)
-        what, distance = feature.inputs
-        return feature.interaction(getattr(seen, what)[rows], getattr(seen, distance)[rows])

@@ -15,13 +15,6 @@ from vstestbed.core.spec import spec
 PINV_RCOND = 1e-6
 """Cut-off of the pseudo-inverse: singular values under about this share of the largest count as zero, so that the camera does
 not move in directions that the features do not observe."""
-BLOCK = 32
-"""Block size for LAPACK's workspace, (BLOCK * (n + 1)) numbers: ample for the six columns of a law."""
-DEPENDENT = PINV_RCOND**2
-"""For many problems at once: a pivot under this share of the mean diagonal marks a column that depends on those before it; its x
-is 0. It is the cut-off squared, because the normal equations square the singular values."""
-STILL = 1e-12
-"""For many problems: A^T b under this share of |A| |b| is rounding error of zero, and so x is 0."""
 
 
 def least_squares(A: Array, b: Array) -> Array:
@@ -42,7 +35,8 @@ def least_squares(A: Array, b: Array) -> Array:
     if not (m and n):
         return np.zeros(n)  # LAPACK refuses empty matrices
     right = b if m >= n else np.concatenate([b, np.zeros(n - m)])  # gelsy takes b of m rows and returns x of n rows in one array
-    _, x, *_ = load_lapack()(A, right[:, None], np.zeros((n, 1), np.int32), PINV_RCOND, BLOCK * (n + 1))
+    workspace = 32 * (n + 1)  # for blocks of 32 columns: ample for the six of a law
+    _, x, *_ = load_lapack()(A, right[:, None], np.zeros((n, 1), np.int32), PINV_RCOND, workspace)
     return x[:n, 0]
 
 
@@ -58,7 +52,7 @@ def _many(A: Array, b: Array) -> Array:
         return np.asarray(np.einsum("mik,mk->ki", rows, _cholesky(rows, right.copy(), np.zeros(len(b)))))
     columns = np.ascontiguousarray(A.transpose(2, 1, 0))  # the problems last, where numpy's loops run
     x = np.einsum("imk,mk->ik", columns, right)
-    return _cholesky(columns, x, STILL**2 * _dot(right, right)).T
+    return _cholesky(columns, x, 1e-12**2 * _dot(right, right)).T  # A^T b under this share of |A| |b| is rounding error of zero
 
 
 def _cholesky(columns: Array, x: Array, still2: Array) -> Array:
@@ -71,7 +65,8 @@ def _cholesky(columns: Array, x: Array, still2: Array) -> Array:
     G = [[_dot(columns[i], columns[j]) for j in range(i + 1)] for i in range(n)]
     size2 = np.sum([G[i][i] for i in range(n)], axis=0)
     x[:, _dot(x, x) < still2 * size2] = 0.0
-    least = np.maximum(DEPENDENT / n * size2, np.finfo(float).tiny)
+    # A pivot under this share of the mean diagonal marks a column that depends on those before it: normal equations square singular values.
+    least = np.maximum(PINV_RCOND**2 / n * size2, np.finfo(float).tiny)
     for i in range(n):
         for j in range(i):
             for k in range(j):
@@ -149,23 +144,20 @@ class Solve:
         """
         damping = max(self.damping, at_least)
         if self.levenberg_marquardt > 0:
-            A, b = self._with_columns(A, b)
+            mu = np.full(b.shape[:-1], self.levenberg_marquardt)
+            if self.fades_below > 0:
+                mu = mu * np.minimum(np.linalg.norm(b, axis=-1) / self.fades_below, 1.0)
+            # With the rows sqrt(mu) a_i x_i = 0 below, the normal equations of A x = b are (H + mu diag(H)) x = A^T b.
+            size = np.sqrt(mu)[..., None] * np.linalg.norm(A, axis=-2)
+            below = size[..., None] * np.eye(A.shape[-1])
+            A = np.concatenate([np.broadcast_to(A, (*below.shape[:-2], *A.shape[-2:])), below], axis=-2)
+            b = np.concatenate([b, np.zeros(size.shape)], axis=-1)
         if self.cutoff == PINV_RCOND and damping == 0:
             return least_squares(A, b)
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
         counts = s > self.cutoff * s[..., :1]
         inverse = np.where(counts, s / np.where(counts, s * s + damping**2, 1), 0)
         return np.asarray(((b[..., None, :] @ U * inverse[..., None, :]) @ Vt)[..., 0, :])
-
-    def _with_columns(self, A: Array, b: Array) -> tuple[Array, Array]:
-        """A and b with the rows sqrt(mu) a_i x_i = 0: their least squares have the normal equations (H + mu diag(H)) x = A^T b."""
-        mu = np.full(b.shape[:-1], self.levenberg_marquardt)
-        if self.fades_below > 0:
-            mu = mu * np.minimum(np.linalg.norm(b, axis=-1) / self.fades_below, 1.0)
-        size = np.sqrt(mu)[..., None] * np.linalg.norm(A, axis=-2)
-        below = size[..., None] * np.eye(A.shape[-1])
-        above = np.broadcast_to(A, (*below.shape[:-2], *A.shape[-2:]))
-        return np.concatenate([above, below], axis=-2), np.concatenate([b, np.zeros(size.shape)], axis=-1)
 
     def null_space(self, A: Array) -> Array:
         """Orthonormal basis (n, k), as columns, of the directions of x (n,) in which no motion is made, for A (m, n)."""

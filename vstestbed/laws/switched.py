@@ -100,18 +100,6 @@ def _T_goal_camera(observation: Observation, goal: Goal) -> Array:
     return np.full((4, 4), np.nan) if T is None else goal.T_camera_target @ inverse(T)
 
 
-def _position_m(observation: Observation, goal: Goal, start_m: float) -> float:
-    return float(np.linalg.norm(_T_goal_camera(observation, goal)[:3, 3]))
-
-
-def _rotation_deg(observation: Observation, goal: Goal, start_m: float) -> float:
-    return math.degrees(float(rotation_angle(_T_goal_camera(observation, goal)[:3, :3])))
-
-
-def _retreat_m(observation: Observation, goal: Goal, start_m: float) -> float:
-    return target_distance(observation) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3])))
-
-
 def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
     seen = observation.seen
     if not (seen if goal.counted is None else seen[goal.counted]).all():
@@ -123,16 +111,17 @@ def _border_px(observation: Observation, goal: Goal, start_m: float) -> float:
 
 def _joint_margin_deg(observation: Observation, goal: Goal, start_m: float) -> float:
     robot = observation.robot
-    if robot is None:
-        return math.nan
-    return math.degrees(float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf)))
+    return math.nan if robot is None else math.degrees(float(np.minimum(robot.q - robot.low, robot.high - robot.q).min(initial=np.inf)))
 
 
 QUANTITIES: dict[str, tuple[Callable[[Observation, Goal, float], float], tuple[str, ...]]] = {
     "error": (_error_px, ()),
-    "position": (_position_m, ("T_camera_target",)),
-    "rotation": (_rotation_deg, ("T_camera_target",)),
-    "retreat": (_retreat_m, ("T_camera_target",)),
+    "position": (lambda seen, goal, start_m: float(np.linalg.norm(_T_goal_camera(seen, goal)[:3, 3])), ("T_camera_target",)),
+    "rotation": (lambda seen, goal, start_m: math.degrees(float(rotation_angle(_T_goal_camera(seen, goal)[:3, :3]))), ("T_camera_target",)),
+    "retreat": (
+        lambda seen, goal, start_m: target_distance(seen) - max(start_m, float(np.linalg.norm(goal.T_camera_target[:3, 3]))),
+        ("T_camera_target",),
+    ),
     "border": (_border_px, ("radius_px",)),
     "joint_margin": (_joint_margin_deg, ("robot",)),
 }
@@ -143,24 +132,9 @@ camera from the target at the start [m]; and the fields of an Observation that i
 # The laws that work alone; `switched`, which is made of them, joins them in the package.
 LAWS = Registry(
     "law",
-    IBVS,
-    Partitioned,
-    PBVS,
-    Hybrid,
-    QP,
-    Predictive,
-    Uncalibrated,
-    PoseController,
-    Pursuit,
-    LineFollowing,
-    Photometric,
-    Policy,
+    *(IBVS, Partitioned, PBVS, Hybrid, QP, Predictive, Uncalibrated, PoseController, Pursuit, LineFollowing, Photometric, Policy),
     contract=LAW_CONTRACT,
 )
-
-
-SLACK_S = 1e-9
-"""Times of frames are sums of floating-point numbers: a dwell time that is over but for this much is over [s]."""
 
 
 @spec
@@ -335,18 +309,17 @@ class Switched(Law[SwitchedState]):
         """One frame of the active law, which the conditions choose first."""
         state = self._chosen(state, observation, goal)
         inner, command = self.laws[state.active].law.step(state.inner, observation, goal, basis)
-        command = self._crossed_over(state, observation.t, command, basis)
-        command = replace(command, mode=self._first_modes[state.active] + command.mode)
+        if state.left is not None and not command.rest_reason and observation.t - state.left[0] < self.blend_s:
+            a = (observation.t - state.left[0]) / self.blend_s
+            u = a * command.u + (1 - a) * state.left[1].u
+            command = replace(command, u=u, twist=basis @ u, rates=None)
+        modes_before = sum(len(part.law.modes) or 1 for part in self.laws[: state.active])
+        command = replace(command, mode=modes_before + command.mode)
         return replace(state, inner=inner, last=(observation.t, command)), command
 
     @cached_property
     def _quantities(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for part in self.laws for name in part.until.quantities))
-
-    @cached_property
-    def _first_modes(self) -> tuple[int, ...]:
-        counts = [len(part.law.modes) or 1 for part in self.laws]
-        return tuple(sum(counts[:i]) for i in range(len(counts)))
 
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
@@ -361,17 +334,9 @@ class Switched(Law[SwitchedState]):
         wanted = state.active
         if self.prefer == "first" or barred[wanted]:
             wanted = next((i for i, out in enumerate(barred) if not out), wanted)
-        if wanted == state.active or not (first or t - state.since >= self.dwell_s - SLACK_S):
+        if wanted == state.active or not (first or t - state.since >= self.dwell_s - 1e-9):  # times are sums of floating-point numbers
             return state
         return replace(state, inner=self.laws[wanted].law.init(goal), active=wanted, since=t, left=state.last)
-
-    def _crossed_over(self, state: SwitchedState, t: float, command: Command, basis: Array) -> Command:
-        """The command, for `blend_s` after a switch mixed with the last one before it."""
-        if state.left is None or command.rest_reason or t - state.left[0] >= self.blend_s:
-            return command
-        a, before = (t - state.left[0]) / self.blend_s, state.left[1]
-        u = a * command.u + (1 - a) * before.u
-        return replace(command, u=u, twist=basis @ u, rates=None)
 
 
 def _reads_depth(law: Law[Any]) -> bool:

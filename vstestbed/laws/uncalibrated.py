@@ -66,13 +66,10 @@ class RecursiveLeastSquares:
         gain = Px / (self.forgetting + Px @ x)[:, None]
         J = J + (y - J @ x)[..., None] * gain[:, None, :]
         P = (P - gain[..., None] * Px[:, None, :]) / self.forgetting
-        return J, P if np.einsum("nii->n", P).max() <= most else _bounded(P, most)
-
-
-def _bounded(P: Array, most: float) -> Array:
-    """Symmetric matrices (N, m, m) with their eigenvalues in (0, most]."""
-    w, V = np.linalg.eigh(P)
-    return np.asarray((V * np.minimum(w, most)[:, None, :]) @ V.mT)
+        if np.einsum("nii->n", P).max() > most:  # only then may an eigenvalue be over the bound
+            w, V = np.linalg.eigh(P)
+            P = (V * np.minimum(w, most)[:, None, :]) @ V.mT
+        return J, P
 
 
 ESTIMATORS = Registry("estimator", Broyden, RecursiveLeastSquares)
@@ -118,22 +115,10 @@ class MotionSums(NamedTuple):
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
 FIRST = 0.01
 """The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
-GROWTH = 2.0
-"""Factor on the speed from frame to frame, until the picture moves."""
-VISIBLE = 0.2
-"""Share of the amplitude from which on the motion in the picture tells how much a velocity moves the markers: well over `RETURNED_PX`, the
-rest of the way of the velocity before."""
-SLOWEST = 4.0
-"""A leg is given up after this many times the time that it should take, latency included: a velocity that the markers do not show."""
-NEAREST = 0.02
-"""Distance kept from a joint's limit [rad, m]."""
 RETURNED_PX = 2.0
 """The way back is over at this distance from its start [px]."""
-APPROACH = 4.0
-"""The way back ends by an approach with this time constant [periods], which a servo can follow."""
 OUT, OVER, BACK = range(3)
-LEGS = {OUT: 1.0, OVER: 2.0, BACK: 1.0}
-"""Length of each leg: to one side, over to the other, and back."""
+"""The legs of a velocity: to one side, over to the other (twice as long), and back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +175,14 @@ class Excitation:
         state = self._sampled(state, uv, moved, len(robot.names))
         state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, len(robot.names)))
         while state.which < len(robot.names) and self._leg_ends(state, uv, robot):
-            state = _next_leg(state, uv)
+            if state.leg < BACK:
+                state = replace(state, leg=state.leg + 1, elapsed_s=0.0)
+            elif state.which + 1 == len(state.x):
+                state = replace(state, which=state.which + 1)  # all have moved
+            else:
+                i, slow = state.which + 1, state.speed / 4
+                state = replace(state, which=i, leg=OUT, side=0.0, speed=slow, pixels=float(state.known[i]), elapsed_s=0.0)
+                state = replace(state, uv_before=uv, x_before=float(state.x[i]))
         if state.which == len(robot.names):
             return state, None
         return self._ordered(state, robot)
@@ -202,10 +194,9 @@ class Excitation:
 
     def _sampled(self, state: Excited, uv: Array, moved: Array, n: int) -> Excited:
         """The state with one more sample: since the start, where noise counts least, or from picture to picture, where a target moves."""
-        x = state.x + moved
+        x, y = state.x + moved, uv - state.uv
         if len(x) == n:
-            return replace(state, x=x, samples=state.samples.with_one(x, uv - state.uv))
-        y = uv - state.uv
+            return replace(state, x=x, samples=state.samples.with_one(x, y))
         turn = state.turn.with_one(moved[[state.which, n]], y)
         return replace(state, x=x, samples=state.samples.with_one(moved, y), turn=turn, uv=uv)
 
@@ -219,13 +210,15 @@ class Excitation:
         else:
             per_unit = np.linalg.norm(state.turn.jacobian()[:, :, 0], axis=1)
         per_unit = per_unit[np.isfinite(per_unit)]
-        if not len(per_unit) or per_unit.mean() * x < VISIBLE * self.amplitude_px:
+        # The share is well over RETURNED_PX, the rest of the way of the velocity before.
+        if not len(per_unit) or per_unit.mean() * x < 0.2 * self.amplitude_px:
             return state.pixels
         return float(per_unit.mean())
 
     def _leg_ends(self, state: Excited, uv: Array, robot: OwnModel) -> bool:
         """Whether the velocity that moves has come far enough, cannot go on, or takes too long."""
-        if state.elapsed_s > SLOWEST * (LEGS[state.leg] * self.time_s / 4 + robot.underway_s):
+        expected_s = (2.0 if state.leg == OVER else 1.0) * self.time_s / 4 + robot.underway_s
+        if state.elapsed_s > 4 * expected_s:  # a velocity that the markers do not show
             return True
         ahead = _ahead(state, robot)
         if state.leg == BACK:
@@ -233,7 +226,8 @@ class Excitation:
             return max(abs(ahead), abs(float(robot.underway[state.which]))) * state.pixels <= RETURNED_PX
         side = _side(state, robot)
         lost = side * ahead > 0 and not np.isfinite(uv[np.isfinite(state.uv_before[:, 0])]).all()
-        return lost or side * ahead * state.pixels >= self.amplitude_px / 2 or _room(state.which, side, robot) <= NEAREST
+        near_limit = _room(state.which, side, robot) <= 0.02  # [rad, m]
+        return lost or near_limit or side * ahead * state.pixels >= self.amplitude_px / 2
 
     def _ordered(self, state: Excited, robot: OwnModel) -> tuple[Excited, Array]:
         i, side = state.which, _side(state, robot)
@@ -242,35 +236,15 @@ class Excitation:
         if state.pixels:
             speed = 2 * self.amplitude_px / (self.time_s * state.pixels)
         elif state.speed and abs(state.x[i] - state.x_before) >= abs(robot.underway[i]):
-            speed = GROWTH * speed  # not before the picture has shown what was ordered
+            speed = 2 * speed  # not before the picture has shown what was ordered
         state = replace(state, speed=min(speed, most), side=side if state.leg == OUT else state.side)
         rates = np.zeros(len(robot.names))
         if state.leg == BACK:
-            rates[i] = np.clip(-_ahead(state, robot) / (APPROACH * robot.period_s), -state.speed, state.speed)
+            # The time constant of this approach, four periods, is one that a servo can follow.
+            rates[i] = np.clip(-_ahead(state, robot) / (4 * robot.period_s), -state.speed, state.speed)
         else:
             rates[i] = side * state.speed
         return state, rates
-
-
-def _next_leg(state: Excited, uv: Array) -> Excited:
-    """The next side, or the next velocity."""
-    if state.leg < BACK:
-        return replace(state, leg=state.leg + 1, elapsed_s=0.0)
-    which = state.which + 1
-    if which == len(state.x):
-        return replace(state, which=which)  # all have moved
-    before = float(state.x[which])
-    return replace(
-        state,
-        which=which,
-        leg=OUT,
-        side=0.0,
-        speed=state.speed / 4,
-        pixels=float(state.known[which]),
-        elapsed_s=0.0,
-        uv_before=uv,
-        x_before=before,
-    )
 
 
 def _ahead(state: Excited, robot: OwnModel) -> float:
@@ -291,15 +265,8 @@ def _room(i: int, side: float, robot: OwnModel) -> float:
 
 
 EXCITES, SERVOES = range(2)
-NO_JACOBIAN = "the image Jacobian of the markers in sight is unknown"
 NO_CIRCLE = "the robot cannot turn on the spot, by which its velocities are not free to be excited one by one"
 TILTS = "the craft tilts when it moves, by which the picture does not depend on its own velocities alone"
-TIME_PXPS = 50.0
-"""Scale of the column of time: a target's motion in the picture that counts as much as the robot's [px/s]."""
-LEAST_COLUMN = 1e-3
-"""A velocity that moves the markers by less than this share of what the strongest one does counts as if it moved them by that."""
-PROGRESS = 0.8
-"""The error must fall to this share of its least value so far to count as progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -444,8 +411,8 @@ class Uncalibrated(Law[UncalibratedState]):
         with np.errstate(invalid="ignore"):
             scale = np.sqrt(np.nansum(J**2, axis=(0, 1)) / max(1, np.count_nonzero(np.isfinite(J[:, 0, 0]))))
         if self.dynamic:
-            scale[-1] = TIME_PXPS
-        scale = np.maximum(scale, LEAST_COLUMN * max(scale.max(), np.finfo(float).tiny))
+            scale[-1] = 50.0  # of the column of time: a target's motion in the picture that counts as much as the robot's [px/s]
+        scale = np.maximum(scale, 1e-3 * max(scale.max(), np.finfo(float).tiny))  # of a velocity that hardly moves the markers
         P = np.repeat(np.eye(len(scale))[None] / self.step_px**2, len(uv), axis=0)
         return ImageJacobian(J / scale, P, scale, uv, np.zeros(len(scale)))
 
@@ -457,15 +424,10 @@ class Uncalibrated(Law[UncalibratedState]):
         known = self._corrected(state.estimate, seen.uv, moved)
         rows = np.isfinite(known.J[:, 0, 0]) & seen.seen
         if np.count_nonzero(rows) < self.markers_needed(basis):
-            return replace(state, estimate=known), Command.rest(basis, NO_JACOBIAN)
-        e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(known.scale))
+            return replace(state, estimate=known), Command.rest(basis, "the image Jacobian of the markers in sight is unknown")
+        n, scale = len(robot.names), known.scale
+        e, J = (seen.uv - goal.uv)[rows].ravel(), known.J[rows].reshape(-1, len(scale))
         state = self._judged(replace(state, estimate=known), _mean(e), seen)
-        u = self._wanted(e, J, known.scale, robot)
-        return state, _command(u, robot, basis, SERVOES)
-
-    def _wanted(self, e: Array, J: Array, scale: Array, robot: OwnModel) -> Array:
-        """The robot's velocities (n,) for an error e (2N,) [px] and a scaled J (2N, m)."""
-        n = len(robot.names)
         if self.predict:
             ahead = np.append(robot.underway, robot.underway_s * np.ones(int(self.dynamic)))
             e = e + J @ (scale * ahead)
@@ -474,7 +436,8 @@ class Uncalibrated(Law[UncalibratedState]):
         u = -self.gain.at(solved) * solved
         if self.dynamic:
             u = u - self.solve.least_squares(J[:, :n], J[:, n] * scale[n], damping) / scale[:n]
-        return u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
+        u = u * min(1.0, self.most_pxps / max(_mean(J[:, :n] @ (scale[:n] * u)), np.finfo(float).tiny))
+        return state, _command(u, robot, basis, SERVOES)
 
     def _corrected(self, known: ImageJacobian, uv: Array, moved: Array) -> ImageJacobian:
         """The estimate after a displacement (m,) since the last picture."""
@@ -489,7 +452,7 @@ class Uncalibrated(Law[UncalibratedState]):
 
     def _judged(self, state: UncalibratedState, error_px: float, seen: Observation) -> UncalibratedState:
         """The state with the progress noted, or with an excitation begun where there was none for too long."""
-        if error_px < PROGRESS * state.least_px or error_px < self.settled_px:
+        if error_px < 0.8 * state.least_px or error_px < self.settled_px:
             return replace(state, least_px=error_px, t=seen.t)
         if not state.patience_s or seen.t - state.t <= state.patience_s:
             return state
