@@ -9,7 +9,7 @@ from vstestbed.features.moments import Ellipse, Moments
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.features.points import Point, Polar, Spherical
 from vstestbed.features.polygon import Polygon
-from vstestbed.features.pose import LogDepth, ThetaU, Translation
+from vstestbed.features.pose import ThetaU
 
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
 _VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)
@@ -19,14 +19,13 @@ FEATURES = Registry(
     default="point",
     contract=Contract(Feature, words={"inputs": _VIEW_FIELDS}),
 )
-"""Features of image points, for `ibvs`; LogDepth, ThetaU and Translation take a depth or a pose, and other laws combine them."""
+"""Features of image points, for `ibvs`; ThetaU takes a rotation, and other laws combine it with others."""
 
 __all__ = [
     "FEATURES",
     "Ellipse",
     "Feature",
     "LineFeature",
-    "LogDepth",
     "Moments",
     "Point",
     "Polar",
@@ -34,5 +33,4 @@ __all__ = [
     "Segment",
     "Spherical",
     "ThetaU",
-    "Translation",
 ]

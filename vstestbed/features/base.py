@@ -135,17 +135,6 @@ def bearing_weight(radius: Array, less_at_centre: bool) -> Array:
     return np.minimum(radius / CENTRE, 1.0) if less_at_centre else np.where(radius > ROUNDING, 1.0, 0.0)
 
 
-def bearing_error(s: Array, s_star: Array, weight: Array, weight_star: Array, together: bool) -> Array:
-    """Error of bearings w w* wrap(phi - phi*), of s and s* (..., N) [rad], with their weights w and w* (..., N) (`bearing_weight`).
-
-    With `together`, all have one sign near a half turn, that of the markers of full weight in both views (`wrap_together`). At
-    s* = s its derivative is w^2 phi_dot.
-    """
-    weight = weight * weight_star
-    e = np.subtract(s, s_star, dtype=float)
-    return weight * (wrap_together(e, weight >= 1) if together else wrap(e))
-
-
 def bounded_inverse(x: Array) -> Array:
     """1/x for x > 1e-3, else x/1e-6: continuous, at most 1e3, zero at zero; x >= 0, any shape."""
     x = np.asarray(x, dtype=float)

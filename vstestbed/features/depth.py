@@ -15,8 +15,8 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 
+# Least depth of a visible marker by an estimated pose: propagated by the camera's motion, a pose may drift through the target.
 NEAREST_M = 0.01
-"""Least depth of a visible marker by an estimated pose [m]: propagated by the camera's motion, a pose may drift through the target."""
 
 
 class DepthCues(NamedTuple):

@@ -340,7 +340,11 @@ class Moments(Feature):
         e = s[..., :n] - s_star[..., :n]
         if "alpha" in self.rows:
             i = self.rows.index("alpha")
-            e[..., i] = axis_error(e[..., i], s[..., n:], s_star[..., n:])
+            half = wrap(2 * e[..., i]) / 2
+            # Where both vectors t are long enough, half a turn more if that is nearer to the angle between them.
+            z, z_star = s[..., n] + 1j * s[..., n + 1], s_star[..., n] + 1j * s_star[..., n + 1]
+            whole = wrap(half + np.pi * np.round((np.angle(z * np.conj(z_star)) - half) / np.pi))
+            e[..., i] = np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
         return e
 
     def check_goal(self, xy: Array, depth: Array) -> None:
@@ -382,10 +386,8 @@ class Moments(Feature):
         c11 = m.complex(1, 1).real
         axial = self._named("alpha", "sx", "sy", "c1")
         if axial and np.abs(m.complex(2, 0)) < ROUND * c11:
-            words = (
-                f"may not have {axial}: the target is as wide as long in the goal view (a disc, a square, a regular polygon), and has no"
-            )
-            return f"{words} principal axis; leave them out, or use an elongated target"
+            words = f"may not have {axial}: the target is as wide as long in the goal view (a disc, a square, a regular polygon)"
+            return f"{words}, and has no principal axis; leave them out, or use an elongated target"
         odd = self._named("py", "c2", "c3", "c4", "c5", "c6", "c9", "c10")
         if odd and max(abs(m.complex(3, 0)), abs(m.complex(2, 1))) < SYMMETRIC * c11**1.5 / m.central(0, 0) ** 0.5:
             words = f"may not have {odd}: the target is symmetric about its centre in the goal view, where moments of odd order vanish"
@@ -410,17 +412,6 @@ class Moments(Feature):
 def skewness(m: MomentSet) -> Any:
     """The vector t = c21 sqrt(m00)/c11^(3/2), complex: it turns with the shape, and does not change with its size and place."""
     return m.complex(2, 1) * m.central(0, 0) ** 0.5 / m.complex(1, 1).real ** 1.5
-
-
-def axis_error(e: Array, t: Array, t_star: Array) -> Array:
-    """Error (...) [rad] of a principal axis from a difference e of angles, and the vectors t and t* (..., 2) of both views.
-
-    In (-pi/2, pi/2]; or, where both vectors are longer than DIRECTED, by half a turn more if that is nearer to the angle between them.
-    """
-    half = wrap(2 * e) / 2
-    z, z_star = t[..., 0] + 1j * t[..., 1], t_star[..., 0] + 1j * t_star[..., 1]
-    whole = wrap(half + np.pi * np.round((np.angle(z * np.conj(z_star)) - half) / np.pi))
-    return np.where(np.minimum(np.abs(z), np.abs(z_star)) > DIRECTED, whole, half)
 
 
 OFF = 0.02  # distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else
@@ -471,16 +462,16 @@ class Ellipse(Feature):
         """Refuse a goal view, xy (N, 2) and depth (N,) [m], without an ellipse, or with one that does not tell what the rows say."""
         require_plane(xy, depth, self.kind)
         s = fitted_ellipse(xy)
-        if not (np.isfinite(s).all() and np.abs(_distance(s, xy) - 1).max() < OFF):
+        d, n = xy - s[:2], np.array([[s[2], s[3]], [s[3], s[4]]])
+        # Distances of the markers from the centre, by that of the ellipse in their direction, are 1 on the outline.
+        if not (np.isfinite(s).all() and np.abs(np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d)) - 1).max() < OFF):
             words = "must have its markers on the outline of an ellipse for the feature ellipse (a disc, or a ball); use moments or point"
             raise ParameterError("target", words)
         m = ellipse_moments(s)
         scale = np.array([s[2] + s[4] if row[0] == "n" else place(m, "an") if row[1] == "n" else 1.0 for row in self.rows])
         if condition(self.interaction(xy, depth), scale, depth) > MOST_CONDITION:
-            words = (
-                f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on, tell"
-            )
-            raise ParameterError("law.feature.rows", f"{words} three motions; use [xn, yn, an], or a goal at a slant to a disc")
+            words = f"may not be {', '.join(self.rows)} at this goal, where they depend on one another: a ball, and a disc seen face on"
+            raise ParameterError("law.feature.rows", f"{words}, tell three motions; use [xn, yn, an], or a goal at a slant to a disc")
 
 
 def _row(m: MomentSet, row: str) -> Any:
@@ -516,9 +507,3 @@ def fitted_ellipse(xy: Array) -> Array:
     level = -(e + 0.5 * (c * xc + d * yc))  # the quadratic form at the ellipse, about its centre
     n = np.stack([1 - a, -b, 1 + a], axis=-1) * (0.25 * np.where(level > 0, level, np.nan) / det * unit**2)[..., None]
     return np.concatenate([middle + np.stack([xc, yc], axis=-1) * unit[..., None], n], axis=-1)
-
-
-def _distance(s: Array, xy: Array) -> Array:
-    """Distances (N,) of points xy (N, 2) from the centre of an ellipse s (5,), by that of the ellipse in their direction."""
-    d, n = xy - s[:2], np.array([[s[2], s[3]], [s[3], s[4]]])
-    return np.sqrt(np.einsum("ni,ij,nj->n", d, np.linalg.inv(4 * n), d))

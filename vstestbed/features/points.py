@@ -8,7 +8,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, joined
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, bearing_error, bearing_weight, checked
+from vstestbed.features.base import Feature, bearing_weight, checked, wrap, wrap_together
 
 
 @spec
@@ -60,11 +60,12 @@ class Bearings(Feature):
     rows_per_marker: ClassVar[int] = 2
 
     def error(self, s: Array, s_star: Array) -> Array:
-        """Error s - s* (..., 2N); the bearings wrapped and weighted (`bearing_error`)."""
+        """Error s - s* (..., 2N); that of bearings is w w* wrap(phi - phi*), whose derivative at s* = s is w^2 phi_dot."""
         s, s_star = np.asarray(s, dtype=float), np.asarray(s_star, dtype=float)
         e = s - s_star
         w, w_star = (bearing_weight(self._off_axis(x), self.centre_weight) for x in (s[..., 0::2], s_star[..., 0::2]))
-        e[..., 1::2] = bearing_error(s[..., 1::2], s_star[..., 1::2], w, w_star, self.together)
+        weight = w * w_star  # near a half turn the markers of full weight in both views decide the sign
+        e[..., 1::2] = weight * (wrap_together(e[..., 1::2], weight >= 1) if self.together else wrap(e[..., 1::2]))
         return e
 
     def _off_axis(self, first: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Features of the relative pose: rotation, translation, and the depth of a point as a logarithm."""
+"""The relative pose: the feature of its rotation, the interaction matrices of its translation and of the logarithm of a depth."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, quaternion_wxyz, skew
 from vstestbed.core.spec import spec
-from vstestbed.features.base import Feature, checked
 
 
 @spec
@@ -44,10 +42,6 @@ class ThetaU:
         L[..., 3:] = rotation_interaction(s) if self.rotation == "cdRc" else -rotation_interaction(-s)
         return L
 
-    def error(self, s: Array, s_star: Array) -> Array:
-        """The difference s - s* (..., 3) [rad]; at the goal s* = 0."""
-        return np.subtract(s, s_star, dtype=float)
-
 
 def theta_u(R: Array) -> Array:
     """The vector theta u (..., 3) [rad], theta in [0, pi], of rotations R (..., 3, 3), exact near 0 and near a half turn.
@@ -77,62 +71,27 @@ def rotation_interaction(theta_u: Array) -> Array:
     return np.eye(3) + 0.5 * S + c[..., None, None] * (S @ S)
 
 
-@spec
-class Translation:
-    """The translation t [m] of a pose: three rows, computed from the pose.
+def translation_interaction(T: Array, pose: Literal["cdMc", "cMcd", "cMo"]) -> Array:
+    """L (..., 3, 6) of the translation t [m] of a pose T (..., 4, 4).
 
-    Args:
-        pose: "cdMc" is T_goal_camera, with t_dot = R v; "cMcd" T_camera_goal and "cMo" T_camera_target, with t_dot = -v - w x t.
+    `cdMc`: T_goal_camera, t_dot = R v, [R, 0]. `cMcd`: T_camera_goal, and `cMo`: T_camera_target, t_dot = -v - w x t, [-I, [t]x].
 
     Reference: Chaumette & Hutchinson 2006, section on PBVS, doi:10.1109/MRA.2006.250573.
     """
-
-    kind: Literal["translation"] = "translation"
-    pose: Literal["cdMc", "cMcd", "cMo"] = "cdMc"
-    inputs: ClassVar[tuple[str, ...]] = ("T_camera_target",)
-    rows_per_marker: ClassVar[int] = 0
-
-    def measure(self, T: Array) -> Array:
-        """The vector s (..., 3) [m] of the pose T (..., 4, 4) that `pose` names."""
-        return np.asarray(T, dtype=float)[..., :3, 3].copy()
-
-    def interaction(self, T: Array) -> Array:
-        """L (..., 3, 6) of the pose T (..., 4, 4) that `pose` names: [R, 0] for cdMc, [-I, [t]x] for the others."""
-        T = np.asarray(T, dtype=float)
-        L = np.zeros((*T.shape[:-2], 3, 6))
-        if self.pose == "cdMc":
-            L[..., :3] = T[..., :3, :3]
-        else:
-            L[..., :3] = -np.eye(3)
-            L[..., 3:] = skew(T[..., :3, 3])
-        return L
-
-    def error(self, s: Array, s_star: Array) -> Array:
-        """The difference s - s* (..., 3) [m]; at the goal s* = 0 for cdMc and cMcd."""
-        return np.subtract(s, s_star, dtype=float)
+    L = np.zeros((*T.shape[:-2], 3, 6))
+    if pose == "cdMc":
+        L[..., :3] = T[..., :3, :3]
+    else:
+        L[..., :3] = -np.eye(3)
+        L[..., 3:] = skew(T[..., :3, 3])
+    return L
 
 
-@spec
-class LogDepth(Feature):
-    """log Z of each point, so that the error is log(Z/Z*): one row per point, with the depth as a measurement.
+def log_depth_interaction(xy: Array, depth: Array) -> Array:
+    """L (..., N, 6) of the logarithm of each point's depth, xy (..., N, 2) and depth (..., N) [m].
 
-    (log Z)_dot = -vz/Z - y wx + x wy
-
-    Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
+    (log Z)_dot = -vz/Z - y wx + x wy.  Reference: Malis, Chaumette & Boudet 1999, doi:10.1109/70.760345.
     """
-
-    kind: Literal["log_depth"] = "log_depth"
-    rows_per_marker: ClassVar[int] = 1
-
-    def measure(self, depth: Array) -> Array:
-        """The vector s (..., N) of depth (..., N) [m]; ParameterError where one is not positive."""
-        if not (np.asarray(depth) > 0).all():
-            raise ParameterError("depth", "must be > 0 m for every point")
-        return np.log(depth)
-
-    def interaction(self, xy: Array, depth: Array) -> Array:
-        """L (..., N, 6) of xy (..., N, 2) and depth (..., N) [m]."""
-        xy, depth = checked(xy, depth, self.inputs)
-        L = np.zeros((*depth.shape, 6))
-        L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]
-        return L
+    L = np.zeros((*depth.shape, 6))
+    L[..., 2], L[..., 3], L[..., 4] = -1 / depth, -xy[..., 1], xy[..., 0]
+    return L

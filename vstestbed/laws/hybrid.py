@@ -9,12 +9,13 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.spec import spec
-from vstestbed.features import LogDepth, Point, ThetaU
+from vstestbed.features import Point, ThetaU
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.features.pose import log_depth_interaction
 from vstestbed.laws.error_law import ErrorLaw
 
 FLAT = 1e-3  # markers lie in a plane (on a line) if they extend less than this share of the set's length off it
-_THETA_U, _POINT, _LOG_DEPTH = ThetaU(), Point(), LogDepth()
+_THETA_U, _POINT = ThetaU(), Point()
 
 
 @spec
@@ -96,7 +97,7 @@ class Hybrid(ErrorLaw):
         at, depth = xy[..., None, :], ratio * goal_middle[2]
         turn = _THETA_U.measure(R_goal_camera)
         # Rows in the order of e: x, y, log Z, theta u.
-        rows = (_POINT.interaction(at, depth), _LOG_DEPTH.interaction(at, depth), _THETA_U.interaction_at(turn))
+        rows = (_POINT.interaction(at, depth), log_depth_interaction(at, depth), _THETA_U.interaction_at(turn))
         e = np.concatenate([xy - goal_xy, np.log(ratio), turn], axis=-1)
         return e, np.concatenate(rows, axis=-2)
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, log
 from vstestbed.core.spec import spec
-from vstestbed.features import ThetaU, Translation
+from vstestbed.features import ThetaU
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.features.pose import translation_interaction
 from vstestbed.laws.error_law import ErrorLaw
 
 _THETA_U = ThetaU()
-_TRANSLATIONS = {"cdMc": Translation(pose="cdMc"), "cMcd": Translation(pose="cMcd"), "cMo": Translation(pose="cMo")}
 
 
 @spec
@@ -46,14 +46,13 @@ class PBVS(ErrorLaw):
         """The error (..., 6) and L (..., 6, 6) by the poses of the target in the camera frame and in the goal frame."""
         T_camera_target, T_goal_target = view.T_camera_target, goal.T_camera_target
         T_goal_camera = T_goal_target @ inverse(T_camera_target)
-        t, R = _TRANSLATIONS[self.translation], T_goal_camera[..., :3, :3]
         if self.translation == "cMo":
             pose, s_star = T_camera_target, T_goal_target[:3, 3]
         else:
             pose, s_star = inverse(T_goal_camera) if self.translation == "cMcd" else T_goal_camera, np.zeros(3)
-        turn = _THETA_U.measure(R)
-        e = np.concatenate([t.error(t.measure(pose), s_star), turn], axis=-1)
-        return e, np.concatenate([t.interaction(pose), _THETA_U.interaction_at(turn)], axis=-2)
+        turn = _THETA_U.measure(T_goal_camera[..., :3, :3])
+        e = np.concatenate([pose[..., :3, 3] - s_star, turn], axis=-1)
+        return e, np.concatenate([translation_interaction(pose, self.translation), _THETA_U.interaction_at(turn)], axis=-2)
 
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
         """Change of the pose since the last frame, as a displacement of the camera relative to the target (6,); here L = I."""

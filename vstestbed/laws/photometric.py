@@ -386,10 +386,8 @@ class Photometric(Law[PhotometricState]):
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:
             given = f"margin_px {self.margin_px}, levels {self.levels} and stride {self.stride}"
-            words = (
-                f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with {given}, and {LEAST_SIDE} are needed"
-            )
-            raise ParameterError("law", f"{words}; make one of them smaller")
+            words = f"leaves {max(inner, 0):.3g} px of the picture's {least} at the coarsest level with {given}"
+            raise ParameterError("law", f"{words}, and {LEAST_SIDE} are needed; make one of them smaller")
 
     def init(self, goal: Goal) -> PhotometricState:
         """No picture so far."""
