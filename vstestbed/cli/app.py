@@ -13,25 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from vstestbed.cli import complete
+from vstestbed.cli import complete, tools
 from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import export
 from vstestbed.cli.studies import basin, bench, gain_limit, sweep, tune
-from vstestbed.cli.tools import (
-    Json,
-    Plugins,
-    ScenarioName,
-    Settings,
-    describe,
-    doctor,
-    list_,
-    live,
-    load_scenario,
-    new,
-    optical_flow,
-    schema,
-)
+from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
 
@@ -205,23 +192,11 @@ def report(
 
 
 COMMANDS: dict[str, Callable[..., None]] = {
-    "run": run,
-    "render": render,
-    "report": report,
-    "export": export,
-    "compare": compare,
-    "tune": tune,
-    "basin": basin,
-    "gain-limit": gain_limit,
-    "sweep": sweep,
-    "live": live,
-    "new": new,
-    "list": list_,
-    "schema": schema,
-    "describe": describe,
-    "doctor": doctor,
-    "optical-flow": optical_flow,
-    "bench": bench,
+    command.__name__.rstrip("_").replace("_", "-"): command
+    for command in (
+        *(run, render, report, export, compare, tune, basin, gain_limit, sweep),
+        *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench),
+    )
 }
 
 

@@ -17,7 +17,6 @@ from vstestbed.core.errors import ParameterError
 if TYPE_CHECKING:
     from polars import DataFrame
 
-    from vstestbed.report.comparison.baseline import BaselineChanges
     from vstestbed.studies.comparison import Baseline, Comparison, ComparisonTable, Runner
 
 
@@ -67,19 +66,14 @@ def compare(
     elif not quiet:
         typer.echo(_summary_text(table, runner.folder), err=True)
     if table.baseline is not None:
-        _judge(table.baseline, tolerance, fail, shown)
+        from vstestbed.report.comparison.baseline import TOLERANCE, text
 
-
-def _judge(changes: BaselineChanges, tolerance: float | None, fail: bool, shown: bool) -> None:
-    """Say what changed, and what got worse by more than the tolerance; with `fail` this ends the command with REGRESSED."""
-    from vstestbed.report.comparison.baseline import TOLERANCE, text
-
-    worse = [f"worse: {words}" for words in changes.regressions(TOLERANCE if tolerance is None else tolerance)]
-    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
-    for line in lines:
-        typer.echo(line, err=True)
-    if fail and worse:
-        raise typer.Exit(REGRESSED)
+        worse = [f"worse: {words}" for words in table.baseline.regressions(TOLERANCE if tolerance is None else tolerance)]
+        lines = [text(table.baseline), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
+        for line in lines:
+            typer.echo(line, err=True)
+        if fail and worse:
+            raise typer.Exit(REGRESSED)
 
 
 def _carried_out(
@@ -120,8 +114,5 @@ def _summary_text(table: DataFrame, folder: Path) -> str:
     from vstestbed.report.comparison.tables import statistics_text
 
     done, good = len(table), int(table["success"].sum())
-    failed = f"; {done - good} did not reach the goal" if good < done else ""
-    statistics = statistics_text(folder)
-    return "\n".join(
-        filter(None, (f"{good} of {done} runs reached the goal{failed}", statistics, f"  results   {folder} (open report.html)"))
-    )
+    reached = f"{good} of {done} runs reached the goal{f'; {done - good} did not reach the goal' if good < done else ''}"
+    return "\n".join(filter(None, (reached, statistics_text(folder), f"  results   {folder} (open report.html)")))

@@ -20,8 +20,6 @@ from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, exampl
 from vstestbed.scenario.dump import block_text, flow_text
 from vstestbed.tasks.metrics import KNOWN, own_metrics
 
-SET_LINE = 100
-"""A line of a docstring that is shorter ends where its writer wanted it to end, as a line of an equation does [characters]."""
 _ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
 """The beginning of an item of a list, or of a row of definitions, whose few first words are set off: `xn, yn, an     xg/sqrt(a)`."""
 
@@ -72,7 +70,17 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
     names, cls = _names(entries), next(iter(field.owners.values()))
     console.print(Text(field.path, style="bold"))
     console.print()
-    _rows_of(field, names, console)
+    rows: dict[tuple[str, ...], list[str]] = {}  # one row where all blocks say the same of a field, else one for each that differs
+    for name, owner in field.owners.items():
+        rows.setdefault(tuple(map(str, _cells(owner, field.name, names))), []).append(name)
+    alike = len(rows) == 1
+    table = _field_table("field" if alike else "field of")
+    for same in rows.values():
+        table.add_row(Text(field.name if alike else "\n".join(same), style="cyan"), *_cells(field.owners[same[0]], field.name, names))
+    console.print(table)
+    console.print()
+    if alike and "scenario" not in field.owners:
+        _wrapped(f"A field of {', '.join(field.owners)}.", console)
     example = next(examples_of(cls, field.name, bundled_uses()), None)
     if example is not None:
         text = flow_text(example)
@@ -82,21 +90,6 @@ def describe_field(field: FieldPlace, entries: dict[str, Entry], console: Consol
     if len(held) == 1 and held[0]:
         console.print()
         describe_entry(entries[held[0]], entries, console)
-
-
-def _rows_of(field: FieldPlace, names: dict[type, str], console: Console) -> None:
-    """A table with one row where all blocks say the same of a field, and their names below it, else with a row for each that differs."""
-    rows: dict[tuple[str, ...], list[str]] = {}
-    for name, cls in field.owners.items():
-        rows.setdefault(tuple(map(str, _cells(cls, field.name, names))), []).append(name)
-    alike = len(rows) == 1
-    table = _field_table("field" if alike else "field of")
-    for same in rows.values():
-        table.add_row(Text(field.name if alike else "\n".join(same), style="cyan"), *_cells(field.owners[same[0]], field.name, names))
-    console.print(table)
-    console.print()
-    if alike and "scenario" not in field.owners:
-        _wrapped(f"A field of {', '.join(field.owners)}.", console)
 
 
 def _names(entries: dict[str, Entry]) -> dict[type, str]:
@@ -124,7 +117,7 @@ def _lines(paragraph: str) -> Iterator[str]:
             yield whole
             whole = ""
         whole = f"{whole} {line.strip()}" if whole else line
-        if len(line) < SET_LINE:
+        if len(line) < 100:  # a shorter line ends where its writer wanted it to end, as a line of an equation does
             yield whole
             whole = ""
     if whole:

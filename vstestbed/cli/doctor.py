@@ -7,7 +7,6 @@ import sys
 import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +14,7 @@ from rich.text import Text
 
 from vstestbed.core.errors import VstestbedError
 from vstestbed.core.geometry import Array
+from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.provenance import versions
 
 PIXEL_TOLERANCE_PX = 0.1
@@ -22,7 +22,7 @@ PIXEL_TOLERANCE_PX = 0.1
 well below the 0.5 px of a wrong pixel convention."""
 
 
-STATUS_WIDTH, WHAT_WIDTH, MISSING = 9, 13, "missing"
+STATUS_WIDTH, MISSING = 9, "missing"
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,13 @@ class Finding:
 
     def lines(self, width: int | None) -> Iterator[str]:
         """What was found, and where the check failed the remedy after an arrow; set off and wrapped, None: not wrapped."""
-        head = f"{'ok' if self.works else MISSING:{STATUS_WIDTH}}{self.what:{WHAT_WIDTH}}"
-        for text in self._texts():
+        head = f"{'ok' if self.works else MISSING:{STATUS_WIDTH}}{self.what:13}"
+        remedy = [] if self.works else self.remedy.splitlines()
+        for text in [*(self.found or "-").splitlines(), *(f"-> {line}" for line in remedy)]:
             room = None if width is None or text.startswith(" ") else max(width - len(head), 20)
             for line in [text] if room is None else textwrap.wrap(text, room, break_on_hyphens=False):
                 yield f"{head}{line}".rstrip()
                 head = " " * len(head)
-
-    def _texts(self) -> list[str]:
-        remedy = [] if self.works else self.remedy.splitlines()
-        return [*(self.found or "-").splitlines(), *(f"-> {line}" for line in remedy)]
 
 
 def show(findings: Iterable[Finding]) -> bool:
@@ -69,39 +66,19 @@ def examine() -> Iterator[Finding]:
     """Check everything that a run needs, in turn."""
     # every check gives a finding, also a failed one: one broken part must not hide the others
     yield Finding("python", sys.version_info >= (3, 11), sys.version.split()[0], "install Python 3.11 or newer")
-    yield _packages()
-    yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
-    yield _data()
-    yield from _pictures()
-    yield _codec()
-
-
-def examine_file(model: str) -> Iterator[Finding]:
-    """What of an arm's MJCF or URDF file the robot `mjcf` can use, and what is missing."""
-    from vstestbed.core.named_files import absolute_file
-    from vstestbed.sim.scene.model_report import examine_model
-
-    yield from (Finding(*line) for line in examine_model(absolute_file(model, Path.cwd())))
-
-
-def _packages() -> Finding:
-    found = versions()
-    missing = [name for name, version in found.items() if version == "missing"]
-    text = ", ".join(f"{name} {version}" for name, version in found.items() if name != "python")
-    major = found["mujoco"].split(".")[0]  # "missing" if it is not installed
+    found, remedy = versions(), "pip install vstestbed again"
+    major, whole = found["mujoco"].split(".")[0], MISSING not in found.values()
     if major.isdigit() and int(major) >= 4:
-        return Finding("packages", False, text, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'")
-    return Finding("packages", not missing, text, "pip install vstestbed again")
-
-
-def _data() -> Finding:
-    from vstestbed.core.named_files import bundled_scenarios
-
+        whole, remedy = False, "dm-control 1.0.50 does not work with mujoco 4: pip install 'mujoco>=3.17,<4'"
+    yield Finding("packages", whole, ", ".join(f"{name} {version}" for name, version in found.items() if name != "python"), remedy)
+    yield Finding("cores", True, f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()}")
     try:
         names = list(bundled_scenarios())
+        yield Finding("scenarios", bool(names), f"{len(names)} bundled (vstestbed list scenarios)", "install vstestbed again")
     except VstestbedError as error:
-        return Finding("scenarios", False, str(error))
-    return Finding("scenarios", bool(names), f"{len(names)} bundled (vstestbed list scenarios)", "install vstestbed again")
+        yield Finding("scenarios", False, str(error))
+    yield from _pictures()
+    yield _codec()
 
 
 def _pictures() -> Iterator[Finding]:

@@ -58,11 +58,15 @@ def export(
     if start is not None and to != "mcap":
         raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
     from vstestbed.cli.progress import FrameBar, show_notes
-    from vstestbed.core.files import make_parents
+    from vstestbed.core.files import make_parents, must_be_new
 
     found = _found(_folder(folder), plugin or [])
-    path = out or _beside(found, to)
-    _must_be_new(path, found, to)
+    beside, file = found.folder.resolve(), to == "mcap" and found.within is None
+    path = out or beside.with_name(f"{beside.name}.mcap" if file else f"{beside.name}_{to}")
+    if not file:
+        must_be_new(path, "give a new folder with --out")
+    elif path.exists() or path.is_symlink():
+        raise OutputError(path, "exists", "give a new file with --out")
     show_notes(not quiet)
     with FrameBar(found.frames, shown=not quiet) as bar:
         _write(found, to, make_parents(path), start or 0.0, bar.frame)
@@ -77,16 +81,6 @@ def _folder(given: Path) -> Path:
     if any((given.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
         return given.parent
     raise RunFolderError(given, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
-
-
-def _must_be_new(path: Path, found: Exported, to: Format) -> None:
-    if to == "mcap" and found.within is None:  # a file
-        if path.exists() or path.is_symlink():
-            raise OutputError(path, "exists", "give a new file with --out")
-        return
-    from vstestbed.core.files import must_be_new
-
-    must_be_new(path, "give a new folder with --out")
 
 
 def _found(folder: Path, plugins: list[str]) -> Exported:
@@ -116,11 +110,6 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
         words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
     return Exported(folder, runs, frames, table, tuple(words), comparison.plugins)
-
-
-def _beside(found: Exported, to: Format) -> Path:
-    folder = found.folder.resolve()
-    return folder.with_name(f"{folder.name}.mcap" if to == "mcap" and found.within is None else f"{folder.name}_{to}")
 
 
 def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:

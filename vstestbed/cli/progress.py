@@ -111,7 +111,9 @@ def summary_text(recording: Recording, folder: Path, filmed: bool) -> str:
         lines.append(f"  judged    {_judged(s)}")
         if s["judged_by"] != "truth":  # where the truth decided, the pose at the end is that of no goal
             lines.append(f"  error     {_error_text(recording)}")
-            lines.append(f"  path      {_path_text(s)}")
+            since, ratio = s["time_to_converge_s"], "" if s["path_ratio"] is None else f"; {s['path_ratio']:.2f} times the straight line"
+            reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
+            lines.append(f"  path      {reached}{ratio}; largest retreat {_number(s, 'max_retreat_m')}")
     speed = _number(s, "real_time_factor", " real time", digits=1) + (" with films and log" if filmed else " with its log")
     lines.append(f"  time      {_number(s, 'sim_time_s')} simulated in {_number(s, 'wall_time_s')}: {speed}")
     lines.append(f"  results   {folder} (open report.html)")
@@ -137,13 +139,6 @@ def _error_text(recording: Recording) -> str:
     if free:
         pose += f", where {free} motion{'s are' if free > 1 else ' is'} free (law.redundant)"
     return f"{error}; true pose of the {'vehicle' if recording.scenario.robot.base == 'planar' else 'camera'}: {pose}"
-
-
-def _path_text(summary: Mapping[str, Any]) -> str:
-    since = summary["time_to_converge_s"]
-    reached = "goal not reached" if since is None else f"at the goal from {since:.1f} s on"
-    ratio = "" if summary["path_ratio"] is None else f"; {summary['path_ratio']:.2f} times the straight line"
-    return f"{reached}{ratio}; largest retreat {_number(summary, 'max_retreat_m')}"
 
 
 def _why_no_error(recording: Recording) -> str:

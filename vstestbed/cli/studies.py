@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from vstestbed.studies.comparison import Job
     from vstestbed.studies.convergence import Ended, RunEnding
     from vstestbed.studies.delay import Limit
-    from vstestbed.studies.tuning import Search, TuningResult
 
 
 RESULTS = "  results   {} (open report.html)"
@@ -181,10 +180,6 @@ def sweep(
         typer.echo(RESULTS.format(folder), err=True)
 
 
-LAGGING = 0.95  # a limit below this share of the theory for the delay alone shows the lag of the servos
-EXPLAINED = 0.9  # a limit below this share of the nearest model is told as not explained by it
-
-
 def gain_limit(
     scenario: Annotated[
         str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
@@ -204,7 +199,11 @@ def gain_limit(
     """
     from vstestbed.studies.delay import delays_of, find_limits, write
 
-    chosen, delays = load_scenario(scenario, set_, plugin), _numbers(frames)
+    chosen = load_scenario(scenario, set_, plugin)
+    try:
+        delays = sorted({int(part) for part in frames.split(",")})  # in order, and no delay twice
+    except ValueError:
+        raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", frames) from None
     limits: list[Limit] = []
     total = len(delays_of(chosen, delays))
 
@@ -216,13 +215,6 @@ def gain_limit(
     with _results_in("gain-limit", out, limits, total, "delays", lambda folder: write(folder, limits, chosen.name, _command())) as folder:
         find_limits(chosen, delays, done)
     _tell(as_json, quiet, lambda: [limit.row() for limit in limits], lambda: RESULTS.format(folder))
-
-
-def _numbers(text: str) -> list[int]:
-    try:
-        return sorted({int(part) for part in text.split(",")})  # in order, and no delay twice
-    except ValueError:
-        raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", text) from None
 
 
 def _summary_line(limit: Limit) -> str:
@@ -241,8 +233,8 @@ def _summary_line(limit: Limit) -> str:
     if not with_servos:
         return line
     nearest = min((limit.g / g for g in (limit.g_lag, limit.g_linear) if g is not None), key=lambda ratio: abs(1 - ratio))
-    left = "; what is left is not explained" if nearest < EXPLAINED else ""
-    why = ", since its servos lag" if limit.g < LAGGING * limit.g_theory else ""
+    left = "; what is left is not explained" if nearest < 0.9 else ""
+    why = ", since its servos lag" if limit.g < 0.95 * limit.g_theory else ""
     return f"{line}{why}; {', '.join(with_servos)}{left}"
 
 
@@ -274,9 +266,9 @@ def tune(
 ) -> None:
     """The settings with which a scenario does best: a search over ranges and choices, each trial from the same random starts."""
     from vstestbed.cli.compare import vary_of
-    from vstestbed.cli.progress import show_notes
+    from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.studies.comparison import must_be_known
-    from vstestbed.studies.tuning import begun, planned
+    from vstestbed.studies.tuning import begun, finished, planned
 
     must_be_known(executor)
     plan, settings = None, settings_of(set_)
@@ -288,30 +280,19 @@ def tune(
     with begun(plan, out, trials, plugin or []) as search:
         show_notes(not quiet)
         search.jobs, search.executor = jobs, executor
-        result = _finished(search, shown=not quiet and not as_json)
-    _tell(as_json, quiet, result.plain, lambda: _text(result))
-    if result.best is None:
-        raise typer.Exit(NOT_REACHED)
-
-
-def _finished(search: Search, shown: bool) -> TuningResult:
-    from vstestbed.cli.progress import Counter
-    from vstestbed.studies.tuning import finished
-
-    try:
-        with Counter(search.total, 0, shown) as counter:
-            search.listener = counter
-            return finished(search)
-    except KeyboardInterrupt:
-        words = f"interrupted: {len(search.trials)} of {search.plan.trials} trials are done; go on with: "
-        typer.echo(f"{words}vstestbed tune --resume --out {shlex.quote(str(search.folder))}", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-
-
-def _text(result: TuningResult) -> str:
+        try:
+            with Counter(search.total, 0, not quiet and not as_json) as counter:
+                search.listener = counter
+                result = finished(search)
+        except KeyboardInterrupt:
+            words = f"interrupted: {len(search.trials)} of {search.plan.trials} trials are done; go on with: "
+            typer.echo(f"{words}vstestbed tune --resume --out {shlex.quote(str(search.folder))}", err=True)
+            raise typer.Exit(INTERRUPTED) from None
     lines = [result.headline, *(f"  {words}" for words in result.sentences())]
     lines += [f"  take it   {result.command}"] if result.best else []
-    return "\n".join([*lines, RESULTS.format(result.folder)])
+    _tell(as_json, quiet, result.plain, lambda: "\n".join([*lines, RESULTS.format(result.folder)]))
+    if result.best is None:
+        raise typer.Exit(NOT_REACHED)
 
 
 def bench(

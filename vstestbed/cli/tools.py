@@ -82,32 +82,25 @@ def list_(
     registry: Annotated[Listed | None, typer.Argument(help="What to list. [default: everything]")] = None, plugin: Plugins = None
 ) -> None:
     """What there is, one line each."""
-    from vstestbed.scenario.plugins import load_plugins
+    from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
+    from vstestbed.scenario import plugins
+    from vstestbed.scenario.yaml_marks import bundled_mapping
 
-    load_plugins(plugin or [])
+    plugins.load_plugins(plugin or [])
     for name in [registry] if registry else get_args(Listed):
         if registry is None:
             typer.echo(f"{name}:")
-        entries = _entries(name)
+        if name in ("scenarios", "comparisons"):
+            files = bundled_scenarios() if name == "scenarios" else bundled_comparisons()
+            # as they are written: an arm's file may be in a package that is not installed
+            entries = [(word, str(bundled_mapping(path)["description"])) for word, path in files.items()]
+        else:
+            entries = [(word, (cls.__doc__ or "").strip().split("\n")[0]) for word, cls in plugins.registry(name).members.items()]
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
             typer.echo(f"{'' if registry else '  '}none; a plugin may add some")
         for entry, text in entries:
             typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
-
-
-def _entries(what: str) -> list[tuple[str, str]]:
-    """Names of the scenarios, or of the kinds in a registry, each with its description: of kinds the first line of their docstring."""
-    if what not in ("scenarios", "comparisons"):
-        from vstestbed.scenario.plugins import registry
-
-        return [(kind, (cls.__doc__ or "").strip().split("\n")[0]) for kind, cls in registry(what).members.items()]
-    from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
-    from vstestbed.scenario.yaml_marks import bundled_mapping
-
-    # as they are written: an arm's file may be in a package that is not installed
-    files = bundled_scenarios() if what == "scenarios" else bundled_comparisons()
-    return [(name, str(bundled_mapping(path)["description"])) for name, path in files.items()]
 
 
 def schema(
@@ -169,9 +162,15 @@ def doctor(
     model: Annotated[str | None, typer.Argument(metavar="[FILE.xml]", help="An arm's MJCF or URDF: what of it can be used.")] = None,
 ) -> None:
     """Versions, OpenGL, codecs, cores: what works here, and the command that mends what does not; or what works of an arm's file."""
-    from vstestbed.cli.doctor import examine, examine_file, show
+    from vstestbed.cli.doctor import Finding, examine, show
+    from vstestbed.core.named_files import absolute_file
 
-    sound = show(examine() if model is None else examine_file(model))
+    if model is None:
+        sound = show(examine())
+    else:
+        from vstestbed.sim.scene.model_report import examine_model
+
+        sound = show(Finding(*line) for line in examine_model(absolute_file(model, Path.cwd())))
     raise typer.Exit(0 if sound else EnvironmentLackError.exit_code if model is None else ParameterError.exit_code)
 
 
@@ -188,9 +187,6 @@ def optical_flow(
         typer.echo(str(path))
 
 
-TEMPLATES = Path(__file__).parent / "templates"
-
-
 NewKind = Literal[
     "law", "feature", "robot", "detector", "keypoints", "lens", "target", "motion", "metric", "noise", "effect", "monitor", "task"
 ]
@@ -205,7 +201,12 @@ def new(
 ) -> None:
     """Write a commented file for a kind of one's own, with its test; it runs as it is."""
     path = out or Path(f"{name}.py")
-    _check_name(kind, name)
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind}", name)
+    from vstestbed.scenario.plugins import registry  # after the cheap check: it imports much of the package
+
+    if name in registry(REGISTRY_OF.get(kind, f"{kind}s")).members:
+        raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
     _check_file(path, out)
     text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
@@ -221,23 +222,13 @@ def new(
 def text_of(kind: str, name: str, path: str) -> str:
     """The file of a kind's template under another name: the word, the class, and the file in its commands."""
     camel, quoted = "".join(part.capitalize() for part in name.split("_")), f'"{path}"' if " " in path else path
-    text = (TEMPLATES / f"{kind}.py").read_text(encoding="utf-8").replace(f"my_{kind}.py", quoted)
+    text = (Path(__file__).parent / "templates" / f"{kind}.py").read_text(encoding="utf-8").replace(f"my_{kind}.py", quoted)
     return text.replace(f"my_{kind}", name).replace(f"My{kind.capitalize()}", camel)
 
 
 def commands_of(text: str) -> list[str]:
     """The commands in the docstring of a template: its lines that are indented."""
     return [line.strip() for line in text.split('"""')[1].splitlines() if line.startswith("    ")]
-
-
-def _check_name(kind: NewKind, name: str) -> None:
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind}", name)
-    from vstestbed.scenario.plugins import registry  # after the cheap check: it imports much of the package
-
-    members = registry(REGISTRY_OF.get(kind, f"{kind}s")).members
-    if name in members:
-        raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
 
 
 def _check_file(path: Path, given: Path | None) -> None:
