@@ -122,7 +122,12 @@ def render(
     from vstestbed.report.video.gif import gif_of
     from vstestbed.scenario.dump import load_run
 
-    size_px, ending = _size(size), ".gif" if gif else ".mp4"
+    size_px, ending = None, ".gif" if gif else ".mp4"
+    if size is not None:
+        width, _, height = size.lower().partition("x")
+        if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
+            raise ParameterError("--size", "must be WIDTHxHEIGHT in pixels, such as 1280x720", size)
+        size_px = int(width), int(height)
     if out is not None and out.suffix.lower() != ending:
         raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))
     path = out or run_dir / f"{camera}{ending}"
@@ -152,15 +157,6 @@ def _must_hold(folder: Path, *names: str) -> None:
     except OSError as error:
         found = f"cannot be read ({error.strerror})"
     raise RunFolderError(folder, found)
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
-        raise ParameterError("--size", "must be WIDTHxHEIGHT in pixels, such as 1280x720", text)
-    return int(width), int(height)
 
 
 def report(

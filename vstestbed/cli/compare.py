@@ -17,8 +17,6 @@ from vstestbed.core.errors import ParameterError
 if TYPE_CHECKING:
     from polars import DataFrame
 
-    from vstestbed.studies.comparison import Baseline, Comparison, ComparisonTable, Runner
-
 
 def compare(
     scenarios: Annotated[
@@ -46,20 +44,26 @@ def compare(
     plugin: Plugins = None,
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
-    from vstestbed.cli.progress import show_notes
-    from vstestbed.studies.comparison import Baseline, must_be_known, prepared
+    from vstestbed.cli.progress import Counter, show_notes
+    from vstestbed.studies.comparison import Baseline, carry_out, must_be_known, prepared
 
     must_be_known(executor)
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
-    with prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit) as (
-        runner,
-        plan,
-    ):
+    ready = prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit)
+    with ready as (runner, plan):
         show_notes(not quiet)
-        table = _carried_out(runner, plan, jobs, executor, before, shown, figures)
+        total = len(runner.jobs)
+        try:
+            with Counter(total, runner.done, shown) as counter:
+                table = carry_out(runner, plan, jobs, executor, counter.run_done, counter.say, baseline=before, figures=figures)
+        except KeyboardInterrupt:
+            # counted in the folder: finished runs are there in full, others not at all
+            words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
+            typer.echo(words, err=True)
+            raise typer.Exit(INTERRUPTED) from None
     if as_json:
         runs, changed = table.write_json(), table.baseline
         sys.stdout.write((runs if changed is None else f'{{"runs": {runs}, "baseline": {json.dumps(changed.plain())}}}') + "\n")
@@ -74,23 +78,6 @@ def compare(
             typer.echo(line, err=True)
         if fail and worse:
             raise typer.Exit(REGRESSED)
-
-
-def _carried_out(
-    runner: Runner, plan: Comparison, jobs: int | None, executor: str, baseline: Baseline | None, shown: bool, figures: bool
-) -> ComparisonTable:
-    from vstestbed.cli.progress import Counter
-    from vstestbed.studies.comparison import carry_out
-
-    total = len(runner.jobs)
-    try:
-        with Counter(total, runner.done, shown) as counter:
-            return carry_out(runner, plan, jobs, executor, counter.run_done, counter.say, baseline=baseline, figures=figures)
-    except KeyboardInterrupt:
-        # counted in the folder: finished runs are there in full, others not at all
-        words = f"interrupted: {runner.done} of {total} runs are done; go on with: vstestbed compare --resume --out {runner.folder}"
-        typer.echo(words, err=True)
-        raise typer.Exit(INTERRUPTED) from None
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:

@@ -13,7 +13,6 @@ from rich.console import Console
 from rich.text import Text
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.provenance import versions
 
@@ -95,21 +94,17 @@ def _pictures() -> Iterator[Finding]:
         errors, renderer = pixel_convention("rays")
     else:
         yield Finding("OpenGL", True, renderer)
-    yield _pixels(errors, renderer)
-
-
-def _pixels(errors: Array, renderer: str) -> Finding:
-    """The finding on the pixel convention; errors: rendered minus projected positions (N, 2) [px], NaN where a ball was not found."""
-    seen = np.isfinite(errors).all(axis=1)
+    seen = np.isfinite(errors).all(axis=1)  # rendered minus projected positions (N, 2) [px], NaN where a ball was not found
     remedy = "this OpenGL driver does not render correctly; try another MUJOCO_GL, or another driver"
     if renderer.startswith("rays"):
         remedy = "this MuJoCo does not cast rays correctly; install the version in requirements.lock"
     if not seen.all():
-        return Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
+        yield Finding("pixels", False, f"only {np.count_nonzero(seen)} of {len(errors)} rendered balls were found in the picture", remedy)
+        return
     worst = float(np.abs(errors).max())  # over both coordinates of all balls
     found = f"{len(errors)} rendered balls within {worst:.3f} px of the camera model ({PIXEL_TOLERANCE_PX} allowed)"
     found += f", by {renderer}" if renderer.startswith("rays") else ""
-    return Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
+    yield Finding("pixels", worst < PIXEL_TOLERANCE_PX, found, remedy)
 
 
 def _codec() -> Finding:

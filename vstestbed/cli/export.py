@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,8 +15,6 @@ from vstestbed.core.errors import OutputError, ParameterError, RunFolderError
 if TYPE_CHECKING:
     import polars
 
-    from vstestbed.report.export.source import RecordedRun
-
 WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
@@ -25,25 +23,17 @@ Format = Literal["mcap", "lerobot", "csv"]  # what other tools read
 
 @dataclass(frozen=True)
 class Exported:
-    """What is exported: the folders of the runs. table: of a comparison's runs, None of one run. left_out: what is missing or cut off."""
+    """What is exported: the folders of the runs. within: the comparison's folder, and table: of its runs, None of one run. left_out: what
+    is missing or cut off.
+    """
 
     folder: Path
+    within: Path | None
     runs: tuple[Path, ...]
     frames: int
     table: polars.DataFrame | None
     left_out: tuple[str, ...]
     plugins: tuple[str, ...]
-
-    def opened(self) -> Iterator[RecordedRun]:
-        """The runs, one at a time."""
-        from vstestbed.report.export.source import opened
-
-        return opened(self.runs, self.plugins)
-
-    @property
-    def within(self) -> Path | None:
-        """The comparison's folder; None of one run."""
-        return None if self.table is None else self.folder
 
 
 def export(
@@ -92,7 +82,7 @@ def _found(folder: Path, plugins: list[str]) -> Exported:
     run = RecordedRun.of(folder, plugins)
     frames = len(run.log)
     cut = () if run.summary else (f"{folder}: the run has no summary: it was cut off, or goes on; its {frames} frames so far are exported",)
-    return Exported(folder, (folder,), frames, None, cut, tuple(plugins))
+    return Exported(folder, None, (folder,), frames, None, cut, tuple(plugins))
 
 
 def _comparison(folder: Path, plugins: list[str]) -> Exported:
@@ -109,22 +99,23 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
     if left := total - len(places):
         words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
-    return Exported(folder, runs, frames, table, tuple(words), comparison.plugins)
+    return Exported(folder, folder, runs, frames, table, tuple(words), comparison.plugins)
 
 
 def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
-    if to == "csv":
-        from vstestbed.report.export.source import write_csv
+    from vstestbed.report.export.source import opened, write_csv
 
-        write_csv(found.opened(), path, tick, found.within, found.table)
+    runs = opened(found.runs, found.plugins)  # one at a time
+    if to == "csv":
+        write_csv(runs, path, tick, found.within, found.table)
     elif to == "lerobot":
         from vstestbed.report.export.lerobot import write_dataset
 
-        write_dataset(found.opened(), path, tick, found.within)
+        write_dataset(runs, path, tick, found.within)
     else:
         from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
 
         if found.within is None:
-            write_mcap(next(found.opened()), path, start_s, tick)
+            write_mcap(next(runs), path, start_s, tick)
         else:
-            write_mcaps(found.opened(), path, found.within, start_s, tick)
+            write_mcaps(runs, path, found.within, start_s, tick)

@@ -200,10 +200,6 @@ class Goal:
     def _of_points(self) -> dict[str, Array]:
         return {name: getattr(self, name) for name in COLUMNS}
 
-    def deepened(self, scale: Array) -> Goal:
-        """The same view with each marker's depth and range times `scale` (N,), their middle's times the mean of it."""
-        return replace(self, depth=self.depth * scale, range=self.range * scale, middle=self.middle * scale.mean())
-
 
 def _plane(p: Array) -> tuple[Array, Array]:
     """Mean (3,) of points (N, 3), and the unit normal (3,) of the plane that fits them best, away from the origin."""

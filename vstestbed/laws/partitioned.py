@@ -138,7 +138,14 @@ class Partitioned(ErrorLaw):
         """Camera twists (..., 6) for given errors of size and angle (...); e (..., 2N) and L (..., 2N, 6) of the points."""
         twist = np.empty((*e.shape[:-1], 6))
         for axis in self.axes:
-            twist[..., COLUMN[axis]] = self._speed(axis, view.xy, view.depth, goal.xy, too_large, turn)
+            i = COLUMN[axis]
+            if axis == "z":
+                twist[..., i] = -self.gain_z * too_large
+            elif axis == "wz":
+                twist[..., i] = self.gain_turn * turn
+            else:
+                aside = (view.xy[..., i] - goal.xy[..., i]).mean(axis=-1)
+                twist[..., i] = self.gain_xy * aside / (1 / view.depth).mean(axis=-1)
         for i, axis in enumerate(("x", "y")):
             if axis in self.axes:  # the equations of this coordinate, from the markers' mean
                 e, L = e.copy(), L.copy()
@@ -150,16 +157,6 @@ class Partitioned(ErrorLaw):
         carried = (L[..., given] @ twist[..., given, None])[..., 0]
         twist[..., rest] = -self.gain.at(by_points) * by_points - self.solve.least_squares(L[..., rest], carried)
         return twist
-
-    def _speed(self, axis: Axis, xy: Array, depth: Array, goal_xy: Array, too_large: Array, turn: Array) -> Array:
-        """Speeds (...) along one of `axes` by its own feature [m/s, rad/s]."""
-        if axis == "z":
-            return -self.gain_z * too_large
-        if axis == "wz":
-            return self.gain_turn * turn
-        i = COLUMN[axis]
-        aside = (xy[..., i] - goal_xy[..., i]).mean(axis=-1)
-        return np.asarray(self.gain_xy * aside / (1 / depth).mean(axis=-1))
 
     @cached_property
     def _columns(self) -> tuple[list[int], list[int]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -222,20 +221,18 @@ class GoalLevel:
         if along is None and w is None and n == 6:
             return self.H, _summed(self.L, e[None])[:, 0]
         H, b = np.zeros((n, n)), np.zeros(n)
-        for band, L in self._banded(along, which, near):
+        columns = None if along is None else [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
+        for start in range(0, self.L.shape[1], BAND_PX):
+            band = slice(start, start + BAND_PX)
+            L = self.L[:, band]
+            if columns is not None:
+                current = rows(*(column[band] for column in columns))
+                L = np.float32(0.5) * (current + L) if which == "mean" else current
             L = L if n == 6 else np.concatenate([L, self.of_light[:, band]])
             weighted = L if w is None else L * w[band]
             H += weighted @ L.T
             b += weighted @ e[band]
         return H, b
-
-    def _banded(self, along: tuple[Grey, Grey] | None, which: Which, near: Grey) -> Iterator[tuple[slice, Grey]]:
-        """Bands of pixels with their rows of L transposed, (6, band), of a picture's gradient; of the goal's for None."""
-        columns = None if along is None else [g.ravel() for g in (*self.normalised(along), self.x, self.y, near)]
-        for start in range(0, self.L.shape[1], BAND_PX):
-            band = slice(start, start + BAND_PX)
-            L = self.L[:, band] if columns is None else rows(*(column[band] for column in columns))
-            yield band, np.float32(0.5) * (L + self.L[:, band]) if columns is not None and which == "mean" else L
 
 
 def _weights(robust: Robust, e: Grey, known: NDArray[np.bool_]) -> Grey | None:

@@ -300,5 +300,6 @@ def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0
     if scale is not None:
         # A shown goal is known by its picture alone, so that its pose is estimated with the wrong depths, too.
         pose = pose_by_depth(made.T_camera_target, points, scale) if setup.goal_shown else made.T_camera_target
-        made = replace(made.deepened(scale), T_camera_target=pose)
+        depth, reach, middle = made.depth * scale, made.range * scale, made.middle * scale.mean()
+        made = replace(made, depth=depth, range=reach, middle=middle, T_camera_target=pose)
     return replace(made, view=number) if number else made
