@@ -12,8 +12,7 @@ from vstestbed.camera import Camera
 from vstestbed.core.geometry import Array, transform
 from vstestbed.robots.own_model import OwnModel
 
-COLUMNS = ("uv", "depth", "ray", "range")
-"""Fields with a row for each marker, of an observation and of a goal view."""
+COLUMNS = ("uv", "depth", "ray", "range")  # fields with a row for each marker, of an observation and of a goal view
 
 
 @dataclass(frozen=True, slots=True)

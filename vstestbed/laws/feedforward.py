@@ -32,8 +32,7 @@ from vstestbed.features.observation import EgoMotion
 from vstestbed.laws.solve import PSEUDO_INVERSE, Solve, least_squares
 
 Ahead = Annotated[float, Ge(0), Le(2)]
-LEARNS = 1e3
-"""Initial variance of the unknown derivatives, as a multiple of their steady value: large, so that the first frames set them."""
+LEARNS = 1e3  # initial variance of the unknown derivatives, as a multiple of their steady value: large, so that the first frames set them
 
 
 @dataclass(frozen=True, slots=True)

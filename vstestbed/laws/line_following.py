@@ -20,8 +20,7 @@ from vstestbed.laws.solve import Solve
 
 _LINE = LineFeature()
 LEAST_AHEAD_M = 0.05  # least distance of the mean look distance from the vehicle's origin: the turn rate is a speed divided by it
-LineState = tuple[float, Array] | None
-"""Time [s] and command u (n,) of the last frame with a visible line; None before the first."""
+LineState = tuple[float, Array] | None  # time [s] and command u (n,) of the last frame with a visible line; None before the first
 
 
 @spec

@@ -21,8 +21,7 @@ from vstestbed.laws.error_law import ErrorLaw
 from vstestbed.laws.points import NO_AREA, check_goal, moved_markers, points
 from vstestbed.laws.solve import least_squares
 
-COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}
-"""Column of the twist of each motion that a single feature can command."""
+COLUMN = {"x": 0, "y": 1, "z": 2, "wz": 5}  # column of the twist of each motion that a single feature can command
 Axis = Literal["x", "y", "z", "wz"]
 _POINT, _POLYGON = Point(), Polygon()
 # An angle is known up to a full turn: the candidates beside it are the same orientation, the other way round.

@@ -57,15 +57,12 @@ def weights(kind: Robust, e: NDArray[np.float32]) -> NDArray[np.float32] | None:
 
 
 # Luminance as a feature: the grey levels of all pixels, their interaction matrix, and the normal equations that it gives.
-Grey = NDArray[np.float32]
-"""Luminance (h, w) [grey levels, 0 to 255]."""
+Grey = NDArray[np.float32]  # luminance (h, w) [grey levels, 0 to 255]
 Which = Literal["current", "desired", "mean"]
-BAND_PX = 16384
-"""Pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache."""
+BAND_PX = 16384  # pixels whose rows of L are held at a time: six float32 columns of them fit into a core's cache
 DIFFERENCE, ONE = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12, np.array([1.0])
 """Kernels of a central difference of fourth order, and of none."""
-PROBES = 5
-"""Points along each side of the picture by whose mean motion a step of the camera is measured in pixels."""
+PROBES = 5  # points along each side of the picture by whose mean motion a step of the camera is measured in pixels
 MOTION = np.array([0.01, 0.01, 0.01, *np.radians([1.0, 1.0, 1.0])])
 """Size of the motions by which a picture's structure is measured, along and about each axis: 10 mm and 1 degree [m, rad]."""
 
@@ -279,8 +276,7 @@ NO_DEPTH = "the depth camera measured no pixel: all is nearer than its near_m or
 LEAST_CHANGE = 0.05
 """Least RMS change of the goal's picture [grey levels] by a motion of 10 mm or 1 degree, whichever changes it least. With structure it is
 some 0.4; a wall with 0.01 was once taken as the goal's from 0.26 m away."""
-LEAST_SIDE = 12
-"""Least height and width of the coarsest level, without its border [px]."""
+LEAST_SIDE = 12  # least height and width of the coarsest level, without its border [px]
 
 
 @spec

@@ -20,8 +20,7 @@ from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits
 
-MOST_PX = 1e6
-"""Bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited."""
+MOST_PX = 1e6  # bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited
 
 
 def observed(seen: Observation, goal: Goal) -> dict[str, Array]:
@@ -50,8 +49,7 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     return np.where(turns, rate, speed)
 
 
-Act = Callable[[Mapping[str, Array]], Any]
-"""From what a policy sees to an action (n,) in [-1, 1]; None where it has none."""
+Act = Callable[[Mapping[str, Array]], Any]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
 ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 

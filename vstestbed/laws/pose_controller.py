@@ -36,8 +36,7 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 # doi:10.1007/978-3-319-54413-7; Brockett 1983, in Differential Geometric Control Theory, pp. 181-191.
 
 
-Gains = tuple[float, float, float]
-"""Gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]."""
+Gains = tuple[float, float, float]  # gains k_rho, k_alpha, k_beta of distance, bearing and heading at the goal [1/s]
 
 
 def polar(place: Array, goal: Array, direction: Array) -> tuple[Array, Array, Array]:

@@ -48,8 +48,7 @@ from vstestbed.robots.own_model import OwnModel
 # only the motions that the law's features do not see.
 Weight = Annotated[float, Gt(0), Le(1e3)]
 Priority = Literal["weighted", "strict"]
-STEP = 1e-5
-"""Step of finite differences of the manipulability [rad, m]."""
+STEP = 1e-5  # step of finite differences of the manipulability [rad, m]
 
 
 @spec
@@ -183,8 +182,7 @@ def among_solutions(
     return replace(solution, x=np.clip(x + N @ found.x, low, high), bound=solution.bound or found.bound)
 
 
-SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")
-"""Laws whose motion a quadratic program may take."""
+SERVO = Registry("law", IBVS, Partitioned, PBVS, Hybrid, default="ibvs")  # laws whose motion a quadratic program may take
 GIVE_WAY = ("singularity", "border", "plane", "twist", "shared", "acceleration")
 """Constraints in the order in which they give way; those of joint position and joint speed never do."""
 

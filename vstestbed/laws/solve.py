@@ -166,5 +166,4 @@ class Solve:
         return np.asarray(Vt[rank:].T, dtype=float)
 
 
-PSEUDO_INVERSE = Solve()
-"""The default: no damping, a cutoff far below what features at a usual distance have."""
+PSEUDO_INVERSE = Solve()  # the default: no damping, a cutoff far below what features at a usual distance have

@@ -113,12 +113,9 @@ class MotionSums(NamedTuple):
 
 
 # Excitation: each velocity of a robot in turn to one side, to the other and back, by which the image Jacobian is measured.
-FIRST = 0.01
-"""The speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture."""
-RETURNED_PX = 2.0
-"""The way back is over at this distance from its start [px]."""
-OUT, OVER, BACK = range(3)
-"""The legs of a velocity: to one side, over to the other (twice as long), and back."""
+FIRST = 0.01  # the speed that is tried first [rad/s, m/s], or less where the limits ask for it: slow for any robot and picture
+RETURNED_PX = 2.0  # the way back is over at this distance from its start [px]
+OUT, OVER, BACK = range(3)  # the legs of a velocity: to one side, over to the other (twice as long), and back
 
 
 @dataclass(frozen=True, slots=True)
