@@ -94,13 +94,8 @@ class LineFollowing(Law[LineState]):
         if not seen.any():
             u = state[1] if state is not None and observation.t - state[0] <= self.coast_s else None
             return state, held(self.limits, u, basis, TOO_FEW)
-        aim = _on_floor(goal.xy, goal)[..., 1].mean(axis=1)  # the desired lateral position of each line, to the left [m]
-        u = self._motion(observation.xy.reshape(-1, 2, 2)[seen], aim[seen], goal, basis)
-        return (observation.t, u), self.limits.command(u, basis)
-
-    def _motion(self, xy: Array, aim: Array, goal: Goal, basis: Array) -> Array:
-        """The motion u (n,) for lines through normalised points xy (lines, 2, 2) with desired positions `aim` (lines,) [m] to the left."""
-        mount, v = goal.T_base_camera, self.cruise_mps
+        aim = _on_floor(goal.xy, goal)[seen, :, 1].mean(axis=1)  # the desired lateral position of each line, to the left [m]
+        xy, mount, v = observation.xy.reshape(-1, 2, 2)[seen], goal.T_base_camera, self.cruise_mps
         near, far = np.moveaxis(floor_point(xy, mount)[..., 0], -1, 0)
         middle, exact = (near + far) / 2, near * far / (near + far)
         rho, theta = np.moveaxis(_LINE.measure(xy), -1, 0)
@@ -113,7 +108,8 @@ class LineFollowing(Law[LineState]):
         A, b = rows[:, 0], -np.clip(self.gain * (e - aim), -steepest, steepest)
         if basis.shape[1] > 2:  # a car's two motions are determined by the speed and by e
             A, b = np.concatenate([A, rows[:, 1]]), np.concatenate([b, -v * slope / (middle + aim * slope)])
-        return np.concatenate([[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])])  # the given speed, moved to the right side
+        u = np.concatenate([[v], self.solve.least_squares(A[:, 1:], b - v * A[:, 0])])  # the given speed, moved to the right side
+        return (observation.t, u), self.limits.command(u, basis)
 
 
 def _on_floor(xy: Array, goal: Goal) -> Array:
