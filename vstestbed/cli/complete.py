@@ -83,16 +83,11 @@ def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -
 
 def _within(rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     for rule in rules:
-        yield from _children(rule, whole)
+        if "$ref" in rule:
+            rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]
+        yield from rule.get("properties", {}).items()
+        yield from _within(rule.get("anyOf", []), whole)
 
 
 def _schema() -> dict[str, Any]:
     return json.loads((folder("scenarios") / "scenario.schema.json").read_text(encoding="utf-8"))
-
-
-def _children(rule: dict[str, Any], whole: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    if "$ref" in rule:
-        rule = whole["$defs"][rule["$ref"].rpartition("/")[2]]
-    yield from rule.get("properties", {}).items()
-    for choice in rule.get("anyOf", []):
-        yield from _children(choice, whole)

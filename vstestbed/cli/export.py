@@ -47,10 +47,12 @@ def export(
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
     if start is not None and to != "mcap":
         raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
-    from vstestbed.cli.progress import FrameBar, show_notes
+    from rich.progress import Progress, TimeRemainingColumn
+
+    from vstestbed.cli.progress import ProgressBar, show_notes
     from vstestbed.core.files import make_parents, must_be_new
 
-    found = _found(_folder(folder), plugin or [])
+    found = _found(folder, plugin or [])
     beside, file = found.folder.resolve(), to == "mcap" and found.within is None
     path = out or beside.with_name(f"{beside.name}.mcap" if file else f"{beside.name}_{to}")
     if not file:
@@ -58,23 +60,19 @@ def export(
     elif path.exists() or path.is_symlink():
         raise OutputError(path, "exists", "give a new file with --out")
     show_notes(not quiet)
-    with FrameBar(found.frames, shown=not quiet) as bar:
-        _write(found, to, make_parents(path), start or 0.0, bar.frame)
+    columns = *Progress.get_default_columns()[:-1], TimeRemainingColumn()
+    with ProgressBar(columns, not quiet, "exporting", found.frames) as bar:
+        _write(found, to, make_parents(path), start or 0.0, bar.were_done)
     if not quiet:
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
 
 
-def _folder(given: Path) -> Path:
-    """The folder of a run or a comparison that a person names by itself, or by one of its files; else RunFolderError."""
-    if not given.is_file():
-        return given
-    if any((given.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
-        return given.parent
-    raise RunFolderError(given, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
-
-
 def _found(folder: Path, plugins: list[str]) -> Exported:
     """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame."""
+    if folder.is_file():  # a person may name one of its files
+        if not any((folder.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
+            raise RunFolderError(folder, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
+        folder = folder.parent
     if (folder / "comparison.yaml").is_file():
         return _comparison(folder, plugins)
     from vstestbed.report.export.source import RecordedRun

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vstestbed.tasks.frame import Frame
 
 
-class _Shown:
+class ProgressBar:
     """A progress bar on standard error, one task; hidden if that is no terminal, or `shown` is False."""
 
     def __init__(self, columns: Sequence[str | ProgressColumn], shown: bool, what: str, total: float, **fields: Any):
@@ -33,6 +33,10 @@ class _Shown:
         """Show what is being done."""
         self._bar.update(self._task, description=words)
 
+    def were_done(self, runs: int = 1) -> None:
+        """Advance the bar."""
+        self._bar.update(self._task, advance=runs)
+
     def __enter__(self) -> Self:
         self._bar.start()
         return self
@@ -41,7 +45,7 @@ class _Shown:
         self._bar.stop()
 
 
-class Progress(_Shown):
+class Progress(ProgressBar):
     """Progress bar of a run (a Watcher)."""
 
     def __init__(self, scenario: Scenario, shown: bool):
@@ -57,7 +61,7 @@ class Progress(_Shown):
         self._bar.update(self._task, completed=frame.t, error=error)
 
 
-class Counter(_Shown):
+class Counter(ProgressBar):
     """Progress bar of a comparison: runs done, failures, time left. done: number of runs that were done before (`--resume`)."""
 
     def __init__(self, total: int, done: int, shown: bool):
@@ -72,24 +76,6 @@ class Counter(_Shown):
         """Advance the bar by one run."""
         self._failed += not summary["success"]  # a bool counts as 0 or 1
         self._bar.update(self._task, advance=1, failed=self._failed)
-
-    def were_done(self, runs: int) -> None:
-        """Advance the bar by runs that were done before."""
-        self._bar.update(self._task, advance=runs)
-
-
-class FrameBar(_Shown):
-    """Progress bar of an export."""
-
-    def __init__(self, total: int, shown: bool):
-        from rich.progress import Progress as Bar
-        from rich.progress import TimeRemainingColumn
-
-        super().__init__((*Bar.get_default_columns()[:-1], TimeRemainingColumn()), shown, "exporting", total)
-
-    def frame(self) -> None:
-        """Advance the bar by one frame."""
-        self._bar.update(self._task, advance=1)
 
 
 def show_notes(shown: bool) -> None:

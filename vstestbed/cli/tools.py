@@ -207,7 +207,14 @@ def new(
 
     if name in registry(REGISTRY_OF.get(kind, f"{kind}s")).members:
         raise ParameterError("NAME", f"is bundled already ({kind}); take another, such as my_{name}", name)
-    _check_file(path, out)
+    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
+        raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
+    if path.exists() or path.is_symlink():
+        raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
+    if (taken := importlib.util.find_spec(path.stem)) is not None:
+        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
+        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
+        raise ParameterError("NAME" if out is None else "--out", f"{words}; take another, such as {other}", path.stem)
     text = text_of(kind, name, str(path))
     from vstestbed.core.files import make_parents, write_whole
 
@@ -229,18 +236,6 @@ def text_of(kind: str, name: str, path: str) -> str:
 def commands_of(text: str) -> list[str]:
     """The commands in the docstring of a template: its lines that are indented."""
     return [line.strip() for line in text.split('"""')[1].splitlines() if line.startswith("    ")]
-
-
-def _check_file(path: Path, given: Path | None) -> None:
-    """Refuse a file that is there, and one whose name Python finds elsewhere; given: with --out."""
-    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
-        raise ParameterError("--out", f"must be a Python file, such as {re.sub(r'[^0-9A-Za-z_]', '_', path.stem) or 'my'}_.py", str(path))
-    if path.exists() or path.is_symlink():
-        raise OutputError(path, "is there already, and is not written over", "give another name, or --out FILE.py")
-    if (taken := importlib.util.find_spec(path.stem)) is not None:
-        other = f"{path.stem}_2" if path.stem.startswith("my_") else f"my_{path.stem}"
-        words = f"is the name of a module that Python finds already ({taken.origin}), and pytest would import that in its place"
-        raise ParameterError("NAME" if given is None else "--out", f"{words}; take another, such as {other}", path.stem)
 
 
 def live(
