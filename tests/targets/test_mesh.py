@@ -38,7 +38,7 @@ def written(path: Path, content: bytes | str) -> str:
 
 @pytest.mark.parametrize(("name", "content"), [("box.stl", as_stl(BOX)), ("text.STL", TEXT), ("box.obj", OBJ)])
 def test_every_kind_of_file_holds_the_same_box(tmp_path: Path, name: str, content: bytes | str):
-    found = read_triangles(Path(written(tmp_path / name, content)))
+    found = read_triangles(Path(written(tmp_path / name, content)), 0)
     volume = np.einsum("ij,ij->i", found[:, 0], np.cross(found[:, 1], found[:, 2])).sum() / 6
     assert found.shape == (12, 3, 3) and volume == pytest.approx(24)
 
@@ -87,7 +87,7 @@ def test_discs_belong_on_flat_places(tmp_path: Path):
     with pytest.raises(ParameterError, match=r"marker.radius does not fit at marker 0 \(rim\): the surface is curved or ends there, 15 mm"):
         solid(**edge, marker=Disc(radius=0.02))
     assert len(solid(**edge, marker=Sphere(radius=0.02)).points) == 1
-    assert not solid(**edge, marker=Disc(radius=0.02), draw_markers=False).shows_markers
+    assert not solid(**edge, marker=Disc(radius=0.02), draw_markers=False).draw_markers
     with pytest.raises(ParameterError, match="marker"):
         solid(**edge, marker={"kind": "tag"})
 

@@ -28,7 +28,7 @@ def saved(path: Path, image: np.ndarray) -> str:
 
 def texture(path: str) -> np.ndarray:
     """The picture without its margin as it is drawn, red first."""
-    image = np.asarray(cv2.imdecode(np.frombuffer(read_picture(Path(path))[0], np.uint8), cv2.IMREAD_COLOR_RGB))
+    image = np.asarray(cv2.imdecode(np.frombuffer(read_picture(Path(path), 0)[0], np.uint8), cv2.IMREAD_COLOR_RGB))
     return image[: round(image.shape[0] * SHARE), : round(image.shape[1] * SHARE)]
 
 
@@ -47,7 +47,7 @@ def test_its_markers_are_its_corners(plain: str):
 def test_or_points_in_pixels_of_the_file(plain: str):
     target = picture(file=plain, width=0.6, at_px=((-0.5, -0.5), (29.5, 14.5), (59.5, 29.5)), draw_markers=False)
     np.testing.assert_allclose(target.points, [[-0.3, -0.15, 0], [0, 0, 0], [0.3, 0.15, 0]], atol=1e-12)
-    assert target.board_half_m == pytest.approx((0.3, 0.15)) and not target.shows_markers
+    assert target.board_half_m == pytest.approx((0.3, 0.15)) and not target.draw_markers
     with pytest.raises(ParameterError, match=r"at_px.1 must be in the picture, which has 60 x 30 px, got \[60.0, 0.0\]"):
         picture(file=plain, width=0.6, at_px=((0, 0), (60, 0)))
 
@@ -68,7 +68,7 @@ def test_pictures_of_all_kinds_are_drawn_in_their_colours(tmp_path: Path, kind: 
 def test_the_margin_repeats_the_edges_that_are_next_to_it(tmp_path: Path):
     image = np.zeros((56, 56, 3), np.uint8)
     image[:, 28:] = 255
-    png, _ = read_picture(Path(saved(tmp_path / "a.png", image)))
+    png, _ = read_picture(Path(saved(tmp_path / "a.png", image)), 0)
     whole = np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE))
     assert whole.shape == (64, 64) and SHARE == 0.875
     np.testing.assert_array_equal(whole[30, 56:], [255] * 4 + [0] * 4)  # the right edge's, then that of the left, to which it leads
@@ -76,7 +76,7 @@ def test_the_margin_repeats_the_edges_that_are_next_to_it(tmp_path: Path):
 
 
 def test_a_large_one_is_reduced(tmp_path: Path):
-    png, size = read_picture(Path(saved(tmp_path / "large.png", np.zeros((40, 3000), np.uint8))))
+    png, size = read_picture(Path(saved(tmp_path / "large.png", np.zeros((40, 3000), np.uint8))), 0)
     assert size == (3000, 40)
     assert np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)).shape == (64, MOST_PX, 3)
 

@@ -18,7 +18,6 @@ from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, Positi
 from vstestbed.core.spec import spec
 
 DEFAULT_FOVY_DEG = 64.0  # 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
-
 X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
 
@@ -61,10 +60,8 @@ class Perspective(Camera):
             raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
         if self.focal_length_m is None and self.fovy_deg is None:
             object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run states it
-        if self.distortion is not None:
-            self._check_distortion()
-
-    def _check_distortion(self) -> None:
+        if self.distortion is None:
+            return
         u, v = self.width - 0.5, self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])

@@ -38,9 +38,6 @@ the front one comes to right, back, left; `up` and `down` stand at the front's u
 
 
 # Wide lenses with radial symmetry: image radius as a function of the angle from the optical axis, up to 180 degrees.
-RIM = 1e-9  # relative tolerance for rounding at the border of the image circle
-
-
 @spec
 class Radial(Camera):
     """Lens with a symmetric picture, u = f m(theta) cos(phi) + cx, v = f m(theta) sin(phi) + cy; square pixels.
@@ -110,15 +107,11 @@ class Radial(Camera):
 def _within(value: Array, limits: tuple[float, float]) -> Array:
     """`value` clipped to limits that it exceeds by rounding, NaN where it exceeds them by more."""
     low, high = limits
-    slack = RIM * high
+    slack = 1e-9 * high
     return np.where((value >= low - slack) & (value <= high + slack), np.minimum(np.maximum(value, low), high), np.nan)
 
 
 # The fisheye lens: equidistant, or with a calibrated polynomial in the angle (OpenCV's fisheye model).
-KNOTS, ROUNDS = 257, 8
-"""Size of the inverse's table, and Newton iterations: 3 reach rounding, 8 next to an angle where the polynomial has its maximum."""
-
-
 @spec
 class Fisheye(Radial):
     """Kannala and Brandt's lens, m(theta) = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
@@ -170,9 +163,9 @@ class Fisheye(Radial):
             return radius
         k1, k2, k3, k4 = self.coefficients
         knots, radii = self._table
-        after = np.clip(np.searchsorted(radii, radius), 1, KNOTS - 1)
+        after = np.clip(np.searchsorted(radii, radius), 1, len(knots) - 1)
         theta = np.interp(radius, radii, knots)
-        for _ in range(ROUNDS):
+        for _ in range(8):  # 3 reach rounding, 8 next to an angle where the polynomial has its maximum
             t2 = theta * theta
             slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
             theta = np.clip(theta - (self.radius(theta) - radius) / slope, knots[after - 1], knots[after])
@@ -180,7 +173,7 @@ class Fisheye(Radial):
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
-        knots = np.linspace(*self.reach, KNOTS)
+        knots = np.linspace(*self.reach, 257)
         return knots, self.radius(knots)
 
 
@@ -231,12 +224,6 @@ class Catadioptric(Radial):
         return np.arctan(radius) + np.arcsin(np.minimum(sine, 1.0))
 
 
-FACE_DEG = 100.0
-"""Field of view of each of the six pictures [deg]: 10 more than a cube's face, so that a marker at a seam, up to 5 degrees
-in radius, is whole in one of the two. More would cost pixels in the middle: a face has face_px / 2 / tan(FACE_DEG / 2) to
-the radian there."""
-
-
 @spec
 class SphericalCamera(Radial):
     """The full sphere; its own picture is the azimuthal equidistant map about the optical axis, m(theta) = theta.
@@ -255,9 +242,13 @@ class SphericalCamera(Radial):
 
     @cached_property
     def panels(self) -> tuple[Panel, ...]:
-        """The six pictures in which markers are looked for, FACE_DEG wide each, in the order of `CUBE`."""
+        """The six pictures in which markers are looked for, in the order of `CUBE`.
+
+        Each is 10 degrees wider than a cube's face, so that a marker at a seam, up to 5 degrees in radius, is whole in one of the two. More
+        would cost pixels in the middle: a face has face_px / 2 / tan(50 deg) to the radian there.
+        """
         same = {name: getattr(self, name) for name in ("rate_hz", "multisampling", "anisotropy", "shadows")}
-        lens = Perspective(width=self.face_px, height=self.face_px, fovy_deg=FACE_DEG, **same)
+        lens = Perspective(width=self.face_px, height=self.face_px, fovy_deg=100.0, **same)
         return tuple(Panel(lens, R) for R in CUBE.values())
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:

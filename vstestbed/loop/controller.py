@@ -153,7 +153,7 @@ def never_found(scenario: Scenario) -> str:
     words = f"detector {scenario.detector.kind} has not found one of {n} marker{'s' * (n != 1)} in any picture"
     if scenario.detector.needs_sheet:
         return f"{words}: at the start the picture may be outside of it, too small, too oblique or without structure"
-    if target.shows_markers:
+    if target.draw_markers:
         return words + GUESS
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 

@@ -302,13 +302,13 @@ def _check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> N
     if set(law.inputs) == {"image"} and detector.needs_goal:
         words = f"may not be {detector.kind}: law {law.kind} works on the whole picture, and reads no points of it; use none"
         raise ParameterError("detector", words)
-    if set(law.inputs) == {"image"} and detector.markers and not target.shows_markers:
+    if set(law.inputs) == {"image"} and detector.markers and not target.draw_markers:
         words = f"may not be {detector.kind}: no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
         raise ParameterError("detector", words)
     if detector.needs_sheet and target.sheet is None:
         words = f"must be a picture for detector {detector.kind}, which tracks it"
         raise ParameterError("target", f"{words}: `target: {{kind: picture, file: poster.png, width: 0.6}}`", shown)
-    if detector.markers and not target.shows_markers and target.sheet is None:
+    if detector.markers and not target.draw_markers and target.sheet is None:
         able = [kind for kind, member in of_markers.items() if not member.markers]
         words = f"may not be false with detector {detector.kind}: a {shown} without markers shows it nothing to detect"
         raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)

@@ -76,6 +76,7 @@ class Target:
     one_sided: ClassVar[bool] = False  # whether only its front has markers: seen from behind its plane it counts as lost
     outlined: ClassVar[bool] = False
     """Whether its points are the outline of one region of one colour, in order, and not markers that can be told apart."""
+    draw_markers = True  # a field of some; without markers its picture or its body shows what is to be seen of them
 
     @cached_property
     @abstractmethod
@@ -117,11 +118,6 @@ class Target:
     def body(self) -> Body | None:
         """The solid that carries the markers, or whose outline they are; None without one."""
         return None
-
-    @property
-    def shows_markers(self) -> bool:
-        """Whether its markers are drawn; otherwise its picture or its body shows what is to be seen of them."""
-        return True
 
     @cached_property
     def normals(self) -> Array:

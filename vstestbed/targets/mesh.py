@@ -25,16 +25,12 @@ RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<
 Triangles = NDArray[np.float64]  # corners (F, 3, 3), counter-clockwise from outside
 
 
-def read_triangles(path: Path) -> Triangles:
-    """The triangles of an STL (binary or text) or OBJ file, in its units, without those that have no area.
+@functools.lru_cache(maxsize=8)
+def read_triangles(path: Path, written_ns: int) -> Triangles:
+    """The triangles of an STL (binary or text) or OBJ file, last written at a time [ns], in its units, without those that have no area.
 
     Of an OBJ file vertices and faces count; polygons are cut into triangles, normals, textures and materials are left out.
     """
-    return _read(path, path.stat().st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=8)
-def _read(path: Path, changed: int) -> Triangles:
     raw = path.read_bytes()
     try:
         found = _obj(raw) if path.suffix.lower() == ".obj" else _stl(raw)
@@ -117,34 +113,7 @@ def _on_edge(p: Array, q: Array, point: Array) -> Array:
     return p + np.clip(share, 0, 1)[:, None] * way
 
 
-def hidden_by(triangles: Triangles, eye: Array, points: Array, slack: float) -> NDArray[np.bool_]:
-    """Which points (N, 3) a triangle hides from an eye (3,): it cuts the way to them more than `slack` before its end.
-
-    Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection, doi:10.1080/10867651.1997.10487468.
-    """
-    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    off = eye - a
-    q = np.cross(off, e1)
-    covered = np.zeros(len(points), bool)
-    for i, point in enumerate(points):
-        way = point - eye
-        reach = float(np.linalg.norm(way))
-        p = np.cross(way, e2)
-        with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen edge on hides nothing
-            det = (e1 * p).sum(axis=1)
-            u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
-            covered[i] = bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - slack / max(reach, 1e-9))).any())
-    return covered
-
-
-KINDS = (".stl", ".obj")
-ON_SURFACE_M, ON_SURFACE = 1e-3, 5e-3
-"""Largest distance of a marker point from the surface, and as a share of the solid's size: the triangles of a file deviate from curved
-surfaces by tenths of a millimetre."""
-FLAT_M = 1e-3  # largest distance of a disc's rim from the surface [m]
-RIM = 12
 Channel = Annotated[float, Ge(0), Le(1)]
-LARGEST_M = 100.0  # largest size of a solid [m]: a part of 0.1 m or more whose millimetres were taken for metres is larger
 SOLID_MARKERS = Registry("marker", Disc, Sphere, default="disc")
 
 
@@ -170,41 +139,38 @@ class MeshTarget(Target):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its solid is
-        if not self.file.lower().endswith(KINDS):
+        if not self.file.lower().endswith((".stl", ".obj")):
             raise ParameterError("file", "must be a solid, FILE.stl or FILE.obj", self.file)
         if self.pad:
             raise ParameterError("pad", "has no place on a solid; works: target square or points")
         size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))  # the diagonal of its box
-        if not 1e-4 <= size <= LARGEST_M:
+        if not 1e-4 <= size <= 100:  # a part of 0.1 m or more whose millimetres were taken for metres is larger
             words = f"makes the solid {size:.3g} m large; give the metres of one unit of the file, 0.001 for millimetres"
             raise ParameterError("scale", words, self.scale)
         for i, (point, (on, _)) in enumerate(zip(self.at, self._nearest, strict=True)):
             off = float(np.linalg.norm(np.array(point) * self.scale - on))
-            if off > max(ON_SURFACE_M, ON_SURFACE * size):
+            if off > max(1e-3, 5e-3 * size):  # the triangles of a file deviate from curved surfaces by tenths of a millimetre
                 near = [round(float(x), 6) for x in on / self.scale]
-                raise ParameterError(
-                    f"at.{i}", f"must lie on the solid's surface: it is {off * 1e3:.3g} mm off, nearest is {near}", list(point)
-                )
+                words = f"must lie on the solid's surface: it is {off * 1e3:.3g} mm off, nearest is {near}"
+                raise ParameterError(f"at.{i}", words, list(point))
         self._check_markers()
         if self.draw_markers and not self.marker.height_m:
             self._check_flat()
 
     def _check_flat(self) -> None:
-        angle, normals = np.arange(RIM) * (2 * np.pi / RIM), self.normals
+        angle, normals = np.arange(12) * (2 * np.pi / 12), self.normals
         for i, (p, n) in enumerate(zip(self.points, normals, strict=True)):
             across = np.cross(n, [1.0, 0, 0] if abs(n[0]) < 0.7 else [0, 1.0, 0])
             across /= np.linalg.norm(across)
             rim = p + self.marker.radius * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(n, across))
             off = max(float(np.linalg.norm(nearest(self._triangles, q)[0] - q)) for q in rim)
-            if off > FLAT_M:
-                words = (
-                    f"does not fit at marker {self.called(i)}: the surface is curved or ends there, {off * 1e3:.3g} mm from the disc's rim"
-                )
-                raise ParameterError("marker.radius", f"{words}; take a smaller disc, or spheres", self.marker.radius)
+            if off > 1e-3:
+                words = f"does not fit at marker {self.called(i)}: the surface is curved or ends there, {off * 1e3:.3g} mm from"
+                raise ParameterError("marker.radius", f"{words} the disc's rim; take a smaller disc, or spheres", self.marker.radius)
 
     @cached_property
     def _triangles(self) -> Array:
-        return read_triangles(self.source) * self.scale
+        return read_triangles(self.source, self.source.stat().st_mtime_ns) * self.scale
 
     @cached_property
     def _nearest(self) -> list[tuple[Array, int]]:
@@ -233,11 +199,22 @@ class MeshTarget(Target):
         """The solid."""
         return self._triangles, (self.color[0], self.color[1], self.color[2]), True
 
-    @property
-    def shows_markers(self) -> bool:
-        """Whether the markers are drawn."""
-        return self.draw_markers
-
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:
-        """Which markers the solid hides from a camera at a pose (4, 4) in the target's frame, shape (N,)."""
-        return hidden_by(self._triangles, T_target_camera[:3, 3], self.points, self.marker.height_m + HIDDEN_M)
+        """Which markers (N,) a triangle hides: it cuts the camera's way to them more than their height before its end.
+
+        Reference: Moeller & Trumbore 1997, Fast, minimum storage ray/triangle intersection, doi:10.1080/10867651.1997.10487468.
+        """
+        triangles, eye, slack = self._triangles, T_target_camera[:3, 3], self.marker.height_m + HIDDEN_M
+        a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+        off = eye - a
+        q = np.cross(off, e1)
+        covered = np.zeros(len(self.points), bool)
+        for i, point in enumerate(self.points):
+            way = point - eye
+            reach = float(np.linalg.norm(way))
+            p = np.cross(way, e2)
+            with np.errstate(divide="ignore", invalid="ignore"):  # a triangle seen edge on hides nothing
+                det = (e1 * p).sum(axis=1)
+                u, v, t = (off * p).sum(axis=1) / det, q @ way / det, (e2 * q).sum(axis=1) / det
+                covered[i] = bool(((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < 1 - slack / max(reach, 1e-9))).any())
+        return covered

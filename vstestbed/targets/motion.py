@@ -173,8 +173,6 @@ class Lissajous(MotionBase):
 
 
 DRAW_S = 0.01  # sampling period of a random walk, which is interpolated by cubic Hermite polynomials of position and speed [s]
-DAMPING = 1.0 / math.sqrt(2.0)
-"""Damping ratio of the random walk's oscillator: a spectrum that is flat up to the corner frequency (Butterworth)."""
 
 
 @spec
@@ -219,7 +217,8 @@ class RandomWalk(MotionBase):
         from scipy.linalg import expm
 
         W = 2 * math.pi * self.corner_hz
-        F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * DAMPING * W]]) * dt), dtype=float)
+        damping = 1.0 / math.sqrt(2.0)  # damping ratio: a spectrum that is flat up to the corner frequency (Butterworth)
+        F = np.asarray(expm(np.array([[0.0, 1.0], [-W * W, -2 * damping * W]]) * dt), dtype=float)
         # The noise that keeps the stationary covariance P where it is: P = F P F^T + Q.
         stationary = np.diag([1.0, W * W])
         return F, np.asarray(np.linalg.cholesky(stationary - F @ stationary @ F.T), dtype=float)

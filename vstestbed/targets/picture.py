@@ -22,14 +22,12 @@ from vstestbed.core.spec import spec
 from vstestbed.targets.base import BOARD_MARGIN, Target
 
 MOST_PX = 2048  # longest side of a texture, with its margin [px]
+# The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right
+# edge would shine through at its left edge, from afar most.
 MARGIN = 16
-"""The margin is two sixteenths of the texture, one for the edges on each side: OpenGL repeats textures, and without it a picture's right
-edge would shine through at its left edge, from afar most."""
 SHARE = 1 - 2 / MARGIN  # of the texture's width and height that the picture takes up, without the margin
 KINDS = (".png", ".jpg", ".jpeg")
 TEXTURE = "texture:"  # before the name of a bundled texture, in place of a file's
-
-
 Texture = tuple[bytes, tuple[int, int]]  # a PNG file, and width and height [px] of the picture that it was made of
 
 
@@ -55,18 +53,14 @@ def place_of_picture(file: str) -> Path:
     return textures()[file.removeprefix(TEXTURE)] if file.startswith(TEXTURE) else place_of_file(file)
 
 
-def read_picture(path: Path) -> Texture:
-    """A PNG or JPEG file as a texture, its pixels as of `decoded`."""
-    return _read(path, path.stat().st_mtime_ns)
-
-
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Pixels (H, W, 3) of a PNG or JPEG file, red first, as of `decoded`, at the file's own size."""
     return np.ascontiguousarray(decoded(path)[..., ::-1])
 
 
 @functools.lru_cache(maxsize=8)
-def _read(path: Path, changed: int) -> Texture:
+def read_picture(path: Path, written_ns: int) -> Texture:
+    """A PNG or JPEG file, last written at a time [ns], as a texture, its pixels as of `decoded`."""
     return texture_of(decoded(path))
 
 
@@ -187,7 +181,7 @@ class PictureTarget(Target):
 
     @cached_property
     def _texture(self) -> Texture:
-        return read_picture(self.source)
+        return read_picture(self.source, self.source.stat().st_mtime_ns)
 
     @property
     def png(self) -> bytes:
@@ -225,11 +219,6 @@ class PictureTarget(Target):
     def sheet(self) -> Self:
         """Itself."""
         return self
-
-    @property
-    def shows_markers(self) -> bool:
-        """Whether markers are drawn over the picture."""
-        return self.draw_markers
 
     @property
     def board_half_m(self) -> tuple[float, float]:

@@ -52,7 +52,9 @@ def ellipse_points(C: Array, count: int) -> Array:
     """
     A, b = C[..., :2, :2], C[..., :2, 2]
     with np.errstate(invalid="ignore", divide="ignore"):
-        inverse = _inverse_2x2(A)
+        det = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
+        adjugate = np.stack([A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1).reshape(A.shape)
+        inverse = adjugate / det[..., None, None]
         middle = -(inverse @ b[..., None])[..., 0]
         level = -(C[..., 2, 2] + (b * middle).sum(axis=-1))
         S2 = inverse * level[..., None, None]
@@ -77,13 +79,6 @@ def unit_circle(count: int) -> Array:
     """(cos, sin) at `count` equal angles from 0 on, shape (count, 2); kept, so nobody may write to it."""
     angle = np.arange(count) * (2 * np.pi / count)
     return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def _inverse_2x2(A: Array) -> Array:
-    det = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
-    out = np.empty_like(A)
-    out[..., 0, 0], out[..., 1, 1], out[..., 0, 1], out[..., 1, 0] = A[..., 1, 1], A[..., 0, 0], -A[..., 0, 1], -A[..., 1, 0]
-    return out / det[..., None, None]
 
 
 # Polygons in a plane: moments of their area, whether they cross themselves, triangles.
@@ -165,7 +160,6 @@ def _is_ear(xy: Array, left: list[int], k: int) -> bool:
     return not bool(np.logical_and.reduce([side >= 0 for side in sides]).any())
 
 
-DISC_CORNERS = 256  # corners with which a disc is drawn; a polygon of its area, whose border is within 5e-5 of its radius
 Corner = Annotated[tuple[Length, ...], Len(2, 2)]
 
 
@@ -233,9 +227,9 @@ class DiscFigure(Figure):
 
     @cached_property
     def corners(self) -> Array:
-        """A regular polygon with the disc's area."""
-        swell = math.sqrt(2 * math.pi / (DISC_CORNERS * math.sin(2 * math.pi / DISC_CORNERS)))
-        return self.radius * swell * unit_circle(DISC_CORNERS)
+        """A regular polygon with the disc's area, whose border is within 5e-5 of its radius."""
+        n = 256
+        return self.radius * math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n))) * unit_circle(n)
 
     def outline(self, count: int) -> Array:
         """Points on the circle."""

@@ -17,10 +17,7 @@ from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
 SPACING_M = 0.01  # distance between the samples of a route [m]. Linear interpolation between them misses a bend of 1 m radius by 12.5 um
-
 LONGEST_M = 10_000.0  # longest track [m]: its table has a million samples
-
-
 Samples = tuple[Array, Array, Array, Array]
 """A route as a table: arc length s (K,) [m], xy (K, 2) [m], heading (K,) [rad] without jumps, curvature (K,) [1/m]."""
 

@@ -23,10 +23,7 @@ from vstestbed.vision.colour import Blob, Region, Rim, find_blobs, noise_level
 from vstestbed.vision.pnp import solve_pose_from_rays, three_ray_poses
 
 # Perspective bias: the centroid of a marker's image is not the image of its centre (discs and spheres).
-BALL_ROUNDS = 5  # iterations after which distance and bias have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)
 CORNERS = 32  # corners of the polygon that approximates an outline: its bias and area are then right to 1e-4
-
-
 # Closed polygon with the area of the unit circle: cosines and sines, shape (CORNERS + 1,) each.
 _ANGLE = np.arange(CORNERS + 1) * (2 * math.pi / CORNERS)
 _SWELL = math.sqrt(2 * math.pi / (CORNERS * math.sin(2 * math.pi / CORNERS)))
@@ -73,7 +70,7 @@ def ball_bias(camera: Camera, radius: float, centroid: Array, area: Array) -> Ar
     """The bias (N, 2) [px] of balls from centroids (N, 2) [px] and areas (N,) [px^2], which give their distances; NaN stays NaN."""
     bias, reach = np.zeros_like(centroid), np.full(len(area), 10 * radius)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(BALL_ROUNDS):
+        for _ in range(5):  # distance and bias then have converged to 1e-4 (balls of 2 to 60 px, to 65 degrees off axis)
             p = camera.ray(centroid - bias) * reach[:, None]
             bias, expected, _ = _of_rims(camera, _sphere_rims(p, radius))
             # The area falls with the square of the distance; never closer than the ball's own surface.
@@ -118,28 +115,28 @@ Placed = tuple[int, Blob]  # index of the camera's panel, and a blob in it
 Candidates = list[list[Placed]]  # for each marker the blobs of its hue
 Hypothesis = tuple[Array, Candidates, int]  # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
 
-MOST_OF_A_HUE = 4  # candidates of one marker at most: blobs that are not cut first, then the largest. Bounds the number of hypotheses
-SEEDS = 4  # markers whose blobs make hypotheses: at most 4^4 of four
-OFF_PX, OFF_SHARE = 3.0, 0.03
-"""A blob farther than this from the predicted marker is another object [px], or by this share of the target's size in the image.
-It is far more than the detection's error, and more than the distortion of a target by a lens some percent out of calibration."""
+MOST_OF_A_HUE, SEEDS = 4, 4  # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
 NEAR_PX, NEAR_SHARE = 15.0, 0.15  # search radius around a marker under the last pose [px], or this share of the target's size in the image
 LIKE_AREA = 0.3  # largest |log(area / predicted area)| of a marker's blob: rejects balls of another size elsewhere in the scene
 
 
 def allowed_px(uv: Array) -> float:
-    """Largest distance of a blob from its predicted marker, in an image of markers at uv (N, 2) [px]."""
+    """Distance from the predicted marker beyond which a blob is another object, in an image of markers at uv (N, 2) [px].
+
+    It is far more than the detection's error, and more than the distortion of a target by a lens some percent out of calibration.
+    """
     seen = [(u, v) for u, v in uv.tolist() if math.isfinite(u)]
-    return max([OFF_PX, *(OFF_SHARE * (max(side) - min(side)) for side in zip(*seen, strict=True))])
+    return max([3.0, *(0.03 * (max(side) - min(side)) for side in zip(*seen, strict=True))])
 
 
 def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
     """One blob for each marker, None where none fits, from the blobs of each marker's hue in a camera of one panel.
 
-    Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs of the markers with the fewest candidates
-    gives a pose. The pose that explains most blobs by position and area wins, each blob weighted by how well it fits. Four blobs
-    must agree with a pose, or three near the previous pose (4, 4): three blobs have a pose wherever they are, so only continuity tells
-    them from others. Fewer than three markers determine no pose: then the first candidate, or the one nearest to the last pose, is taken.
+    Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs (uncut and large ones first) of the markers with the
+    fewest candidates gives a pose. The pose that explains most blobs by position and area wins, each blob weighted by how well it fits.
+    Four blobs must agree with a pose, or three near the previous pose (4, 4): three blobs have a pose wherever they are, so only continuity
+    tells them from others. Fewer than three markers determine no pose: then the first candidate, or the one nearest to the last pose, is
+    taken.
     """
     few = [sorted(c, key=lambda f: (f[1].whole, f[1].area), reverse=True)[:MOST_OF_A_HUE] for c in candidates]
     present = [i for i, c in enumerate(few) if c]
@@ -210,13 +207,8 @@ def _away(blob: Blob, uv: Array) -> float:
 
 
 # Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
-REACH = 0.1
-"""In a camera with panels, windows are enlarged by this share of a panel on each side, and continue on the next panel where they
-leave the first, so that a marker a little outside of its predicted window is still rendered."""
-MEASURED_PX = 2
-"""Blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched."""
-TWIN_COSINE = math.cos(math.radians(3))
-"""Two blobs of one hue less than 3 degrees apart, in two overlapping panels, are one marker seen twice."""
+MEASURED_PX = 2  # blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched
+TWIN_COSINE = math.cos(math.radians(3))  # of two blobs of one hue, in overlapping panels, that are one marker seen twice: 3 degrees apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +245,7 @@ def regions_of(state: BlobsState, camera: Camera, margin: int) -> Regions | None
         if blob is None:
             return None
         lens = camera.panels[home].lens
-        wide = margin + REACH * lens.width
+        wide = margin + 0.1 * lens.width  # so that a marker a little outside of its predicted window is still rendered
         # In its own panel and, near the border, in every other that sees it.
         for panel in [home] if _slack(blob, move, lens) >= wide else range(len(camera.panels)):
             seen = (blob, move) if panel == home else seen_from(blob, move, home, panel, camera)
@@ -337,10 +329,7 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.
 AREA_NOISE_PX = 3.5  # error of a blob's area by rounding to pixels, three standard deviations [px^2] (drawn ellipses of 2 to 8 px radius)
-SAME_BIAS_PX = 0.02  # the bias has converged when it changes by less than this [px]; another round would change it by a tenth of that
-MOST_ROUNDS = 3  # most poses solved for one picture, besides one for each rejected marker
-SURPRISE = 0.15
-"""Sum over three markers of |log(area / predicted)|: under .05 for the right pose of rendered discs, over .6 for most others."""
+SURPRISE = 0.15  # sum over three markers of |log(area / predicted)|: the right pose of rendered discs has under .05, most others over .6
 
 
 class MarkerFit:
@@ -385,7 +374,7 @@ class MarkerFit:
         `centroid` (N, 2) and `area` (N,), in place.
         """
         T = self._pose(centroid - assumed, area, previous)
-        for _ in range(len(centroid) + MOST_ROUNDS):
+        for _ in range(len(centroid) + 3):  # one pose for each rejected marker, and three
             if T is None:
                 break
             expected = self._expected(T)
@@ -398,7 +387,8 @@ class MarkerFit:
                 continue
             if misfit > 1:
                 centroid[worst] = area[worst] = np.nan
-            elif not np.abs(bias - assumed).max() > SAME_BIAS_PX:  # "not >" so that the NaN of lost markers ends the loop
+            # Under .02 px another round would change it by a tenth of that. "not >", so that the NaN of lost markers ends the loop.
+            elif not np.abs(bias - assumed).max() > 0.02:
                 break
             assumed = bias
             T = self._pose(centroid - assumed, area, T if previous is None else previous)
@@ -518,8 +508,6 @@ def _off(centroid: Array, expected: Outlines) -> Array:
     return lengths(centroid - (expected.centre + expected.bias))[:, 0]
 
 
-EDGE_PX = 0.15  # error of a smoothed, shaded blob's border, inwards or outwards [px] (measured on rendered balls of 5 px radius and more)
-
 Place = tuple[int, Window]  # index of the camera's panel, and a window in it
 Found = tuple[int, Blob] | None  # index of the camera's panel and a marker's blob in it; None: not found
 
@@ -590,8 +578,8 @@ class Blobs(DetectorBase):
         # A marker that is not found stays in the panel in which it was seen last, at first 0.
         panels = [f[0] if f else last for f, last in zip(found, state.panels or (0,) * len(found), strict=True)]
         noisy = any(noise[f[0]] > 0 for f in found if f)
-        # A clean image of one sample a pixel has exact colours.
-        edge = EDGE_PX if noisy or _smooth(camera.panels[0].lens) else 0.0
+        # Error of a smoothed, shaded blob's border [px] (rendered balls of 5 px radius and more); a clean, sharp image has exact colours.
+        edge = 0.15 if noisy or _smooth(camera.panels[0].lens) else 0.0
         markers = MarkerFit(camera, target, panels, self.area_tolerance, edge)
         uv, T, bias = markers.centres(blobs, state, self.correct_centre)
         for i in np.flatnonzero(markers.outliers):
@@ -632,17 +620,18 @@ class Blobs(DetectorBase):
             u, v = last.u + move[0], last.v + move[1]
             alike = [b for b in blobs if self._has_hue(b, hue, len(own))]
             blob = min(alike, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
-            if blob is None or blob.cut_by(window, lens.width, lens.height):
+            if blob is None:
                 return None
+            left, top, right, bottom = blob.box
+            if left <= window[0] > 0 or top <= window[1] > 0 or right >= window[2] < lens.width or bottom >= window[3] < lens.height:
+                return None  # it may go on beyond an edge of the window
             if len(camera.panels) > 1 and _slack(blob, (0.0, 0.0), lens) <= 0:
                 return None  # at the image's border: another panel may have the whole of it
             found.append((panel, blob))
         return found
 
     def _search(self, picture: Picture, noise: list[float], state: BlobsState, camera: Camera, target: Target) -> list[Found]:
-        """Each marker's blob in the whole image: of those with its hue the one that the target's geometry explains; with panels the largest
-        one.
-        """
+        """Each marker's blob in the whole image: of those of its hue the one that the geometry explains; with panels the largest."""
         hues, drawn = target.hues_deg, [i for i, image in enumerate(picture.images) if image is not None]
         whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
         # One by one: a panel is too large for the time of a call to count.

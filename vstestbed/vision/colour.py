@@ -19,19 +19,13 @@ from vstestbed.camera import Image, Window
 Rim = Literal["sharp", "binary", "grey"]
 
 STRIP_PX = 38400  # pixels masked at a time: the intermediate images then stay in the core's cache (640x480: .1 ms instead of 1 ms)
-ROUGHNESS = 0.005  # share of its area by which a whole ellipse of pixels may seem incomplete (distortion, a ball drawn with facets) ...
-ROUGHNESS_PX = {"sharp": 1.0, "binary": 1.5, "grey": 1.5}
-"""... and how much more [px^2]: rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2. A disc of 8 px of which
-7 % are hidden is past both."""
-
-NOISE_ROWS = 60
-"""Noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few percent. Of an image with fewer
-rows the middle one is taken."""
+# A whole ellipse of pixels may seem incomplete by this share of its area (distortion, a ball drawn with facets) and this area [px^2]
+# (rendered discs and balls of 2 to 24 px radius reach .3, .8 and 1.2), more by noise [px^2 per grey level of its standard deviation]
+# (balls of 4 to 30 px). A disc of 8 px of which 7 % are hidden is past all.
+ROUGHNESS, ROUGHNESS_PX, NOISE_ROUGHNESS_PX = 0.005, {"sharp": 1.0, "binary": 1.5, "grey": 1.5}, 0.1
+NOISE_ROWS = 60  # noise is estimated from one row in so many: 480 rows give 5112 differences, enough for a few percent
+# Median absolute difference of two independent Gaussian numbers of standard deviation 1; .6745 is the normal upper quartile.
 MEDIAN_STEP = 0.6745 * math.sqrt(2)
-"""Median absolute difference of two independent Gaussian numbers of standard deviation 1; .6745 is the normal upper quartile."""
-NOISE_ROUGHNESS_PX = 0.1
-"""Added to ROUGHNESS_PX by noise [px^2 per grey level of its standard deviation] (rendered discs and balls of 4 to 30 px radius)."""
-
 _NEIGHBOURS = np.ones((3, 3), np.uint8)
 
 
@@ -51,11 +45,6 @@ class Blob:
     box: Window
     whole: bool
 
-    def cut_by(self, window: Window, width: int, height: int) -> bool:
-        """Whether it reaches an edge of the window inside the image (width x height), and may continue beyond."""
-        left, top, right, bottom = self.box
-        return left <= window[0] > 0 or top <= window[1] > 0 or right >= window[2] < width or bottom >= window[3] < height
-
 
 def chroma(image: Image) -> Image:
     """max(r, g, b) - min(r, g, b), shape (H, W), of an RGB image (H, W, 3): zero for every grey, and on grey proportional to coverage."""
@@ -65,7 +54,7 @@ def chroma(image: Image) -> Image:
 
 
 def noise_rows(height: int) -> range:
-    """The rows, of an image of that height [px], from which the level of its noise is estimated."""
+    """The rows, of an image of that height [px], from which the level of its noise is estimated; of a low one the middle row."""
     return range(min(NOISE_ROWS, height) // 2, height, NOISE_ROWS)
 
 
@@ -128,8 +117,15 @@ class Region(NamedTuple):
 
 
 def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> list[list[Blob]]:
-    """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in each of the regions."""
-    mask, lefts = _masks(regions, threshold)
+    """All blobs of at least `least_area` [px^2] whose chroma exceeds the threshold (0..255), in each of the regions (one or more)."""
+    parts = [region.searched for region in regions]
+    lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
+    canvas = parts[0]
+    if len(parts) > 1:  # side by side, a pixel apart: one call of OpenCV takes longer to make than to run on a window of some 40 pixels
+        canvas = np.zeros((max(map(len, parts)), lefts[-1], 3), np.uint8)
+        for part, left in zip(parts, lefts[:-1], strict=True):
+            canvas[: len(part), left : left + part.shape[1]] = part
+    mask = chroma_mask(canvas, threshold)
     boxed = [(contour, cv2.boundingRect(contour)) for contour in cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]]
     where = [bisect_right(lefts, box[0]) - 1 for _, box in boxed]
     out: list[list[Blob]] = [[] for _ in regions]
@@ -146,21 +142,6 @@ def find_blobs(regions: Sequence[Region], threshold: int, least_area: float) -> 
         if blob is not None and blob.area >= least_area:
             out[i].append(blob)
     return out
-
-
-def _masks(regions: Sequence[Region], threshold: int) -> tuple[Image, list[int]]:
-    """The chroma masks of all regions in one image, side by side with a gap of a pixel, and the column at which each begins.
-
-    One call of OpenCV takes longer to make than to run on a window of some 40 pixels.
-    """
-    if len(regions) == 1:
-        return chroma_mask(regions[0].searched, threshold), [0]
-    parts = [region.searched for region in regions]
-    lefts = list(accumulate((part.shape[1] + 1 for part in parts), initial=0))
-    canvas = np.zeros((max(len(part) for part in parts), lefts.pop(), 3), np.uint8)
-    for part, left in zip(parts, lefts, strict=True):
-        canvas[: len(part), left : left + part.shape[1]] = part
-    return chroma_mask(canvas, threshold), lefts
 
 
 def _blob(region: Region, alone: Image, box: Window) -> Blob | None:

@@ -21,8 +21,6 @@ from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, TruthView, goal_of_points, points_of
 from vstestbed.vision.local_features import KEYPOINTS, Extractor, Features, Matcher, Sift, extracted, grey, matched, mutual_matches
 
-LEVELS = 3  # levels of the pyramid besides the picture itself: a window reaches 2^3 times as far
-
 
 @spec
 class NoTracking:
@@ -67,7 +65,8 @@ def followed(klt: Klt, before: NDArray[np.uint8], now: NDArray[np.uint8], uv: Ar
     if not known.any():
         return out
     size, start = (klt.window_px, klt.window_px), uv[known].astype(np.float32)[:, None]
-    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=size, maxLevel=LEVELS)
+    # Three levels of the pyramid besides the picture itself: a window reaches 2^3 times as far.
+    there, found, _ = cv2.calcOpticalFlowPyrLK(before, now, start, start.copy(), winSize=size, maxLevel=3)
     # Back from where it began: a point that is another now does not stay there.
     back, returned, _ = cv2.calcOpticalFlowPyrLK(
         now, before, there, start.copy(), winSize=size, maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
@@ -167,16 +166,13 @@ def _normalised(patches: Array) -> tuple[Array, Array]:
 
 # The homography between two views of one plane, robust against wrong matches, for any lens with one image.
 LEAST_INLIERS = 8  # a homography has eight unknowns; one that fewer pairs agree with may be a chance
-SEED = 1  # of the random samples, so that a run repeats
-CONFIDENCE, MOST_SAMPLES = 0.9999, 5000
-STEP_PX = 0.5  # half the distance over which the map's derivatives are taken [px]
 
 
 def map_derivatives(camera: Camera, H: Array, uv_goal: Array) -> Array:
     """How the homography H of rays, r ~ H r*, turns, stretches and shears the picture at uv_goal (K, 2): d uv / d uv_goal (K, 2, 2)."""
-    steps = STEP_PX * np.eye(2)
+    steps = 0.5 * np.eye(2)  # [px]
     ahead, back = (camera.project(camera.ray(uv_goal[:, None] + sign * steps) @ H.T) for sign in (1, -1))  # (K, 2 directions, 2)
-    return ((ahead - back) / (2 * STEP_PX)).mT
+    return (ahead - back).mT
 
 
 def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
@@ -196,8 +192,8 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     if np.count_nonzero(usable) < LEAST_INLIERS:
         return None
     method = cv2.UsacParams()
-    method.threshold, method.confidence = within_px, CONFIDENCE
-    method.maxIterations, method.randomGeneratorState = MOST_SAMPLES, SEED
+    method.threshold, method.confidence, method.maxIterations = within_px, 0.9999, 5000
+    method.randomGeneratorState = 1  # a seed, so that a run repeats
     H, mask = cv2.findHomography(f * a[usable], f * b[usable], method)  # in pixels: of smaller numbers it loses its way
     if H is None or mask is None or np.count_nonzero(mask) < LEAST_INLIERS:
         return None
@@ -269,12 +265,6 @@ class Slots:
         stays = self.taken & np.isfinite(uv).all(axis=1)
         goal = np.where(stays[:, None], self.uv_goal, np.nan)
         return Slots(goal, np.where(stays[:, None], uv, np.nan), np.where(stays, self.ids, -1), self.next_id)
-
-
-SPARE, FURTHER, LEAST_TRIED = 1.5, 4, 16
-"""Points whose places are measured below a pixel, as a multiple of those that are reported, since some are not found; the most, as a
-multiple of the first ones; and the fewest at first, since a plane needs eight that agree."""
-SLIPPED_PX = 0.25  # a patch that is farther than this from where the other patches' homography maps it has slipped [px]
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,22 +360,19 @@ class Keypoints(DetectorBase):
             raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
         if self.within == "board" and target.board_half_m is None:
             raise ParameterError("detector.within", f"may not be board with target {kind_of(type(target))}, which has none; use picture")
-        learned = self._learned(goal, target) if self._extractor else None
+        learned = None
+        if self._extractor is not None:
+            uv, descriptors = extracted(self._extractor, goal.image.image)
+            there = self._usable(goal, target, uv)
+            if np.count_nonzero(there) < self._matching:
+                raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
+            learned = uv[there], descriptors[there]
         return KeypointsState(goal, learned, smooth(grey(goal.image.image)), Slots.empty(self.best))
 
     @property
     def _matching(self) -> int:
         """Fewest key points of the goal's picture that must match: `least`, and as many as tell a plane where one is asked for."""
         return max(self.least, LEAST_INLIERS) if self.ransac == "homography" else self.least
-
-    def _learned(self, goal: Goal, target: Target) -> tuple[Array, NDArray[Any]]:
-        assert goal.image is not None
-        assert self._extractor is not None
-        uv, descriptors = extracted(self._extractor, goal.image.image)
-        there = self._usable(goal, target, uv)
-        if np.count_nonzero(there) < self._matching:
-            raise ParameterError("detector.features", self._too_few(len(uv), int(np.count_nonzero(there))))
-        return uv[there], descriptors[there]
 
     def _too_few(self, found: int, usable: int) -> str:
         plane = self._matching > self.least
@@ -498,8 +485,8 @@ class Keypoints(DetectorBase):
 
     def _measured(self, state: KeypointsState, pairs: Pairs, first: int, dim: Image, camera: Camera, H: Array) -> Pairs:
         """The best pairs whose patches are found; where some are not, the next ones are tried in their place, up to a limit."""
-        tried = max(round(SPARE * self.best), LEAST_TRIED)
-        most = FURTHER * tried
+        tried = max(round(1.5 * self.best), 16)  # more than are reported, since some are not found; a plane needs eight that agree
+        most = 4 * tried
         while True:
             some = self._best(pairs, first, tried)
             uv = self._refined(state, *some, dim, camera, H)
@@ -516,5 +503,5 @@ class Keypoints(DetectorBase):
     def _refined(self, state: KeypointsState, uv_goal: Array, uv: Array, dim: Image, camera: Camera, H: Array) -> Array:
         """Places (M, 2) below a pixel; NaN where the pictures are not alike, or a patch has slipped off the plane."""
         found = refined(state.smooth, smooth(dim), uv_goal, uv, map_derivatives(camera, H, uv_goal))
-        better = planar_map(camera, uv_goal, found, SLIPPED_PX) if self.ransac == "homography" else None
+        better = planar_map(camera, uv_goal, found, within_px=0.25) if self.ransac == "homography" else None
         return found if better is None else np.where(better[1][:, None], found, np.nan)

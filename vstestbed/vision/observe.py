@@ -27,12 +27,9 @@ from vstestbed.vision.pnp import solve_pose_from_rays
 # Depth from motion: recursive least squares for each marker's inverse range from the flow of its ray, for any lens.
 FLOW_NOISE = 3e-4  # standard deviation of a ray along one direction [rad]: 0.1 px at a focal length of 350 px
 RANGE = 50.0  # the estimate is limited to the initial depth divided and multiplied by this
-BESIDE = 0.2  # a unit ray with a z below this starts with the initial depth as its range: there depth is a small share of the range
+# Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at half the full rate. Weaker frames
+# forget less: information fades as new information arrives, not as the motion fades.
 CLEAR = 30.0
-"""Evidence, in units of that of the noise, at which a frame (it gives the range to 18 %) forgets at half the full rate. Weaker
-frames forget less: information fades as new information arrives, not as the motion fades."""
-
-_AHEAD = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +77,14 @@ def update_flow(estimate: Estimate, state: FlowState, t: float, ray: Array, twis
     Ljung 1999, System Identification, section 11.2 (least squares with forgetting).
     """
     dt = t - state.t
-    begin = np.where(ray[:, 2] > BESIDE, ray[:, 2], 1.0) / estimate.initial_m
+    # Of a marker at the side depth is a small share of the range, which then is the initial depth.
+    begin = np.where(ray[:, 2] > 0.2, ray[:, 2], 1.0) / estimate.initial_m
     theta = np.where(np.isnan(state.inverse_range) & np.isfinite(ray[:, 0]), begin, state.inverse_range)
     if not dt > 0:  # also the first frame, whose dt is NaN
         return FlowState(theta, state.information, np.where(np.isfinite(ray), ray, state.ray), t, state.ids)
     known = np.isfinite(ray[:, 0]) & np.isfinite(state.ray[:, 0])
     # Lost markers get any unit ray, so that no NaN spreads; `known` masks the result.
-    middle = np.where(known[:, None], ray + state.ray, _AHEAD)
+    middle = np.where(known[:, None], ray + state.ray, [0.0, 0.0, 1.0])
     middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     nearing = middle @ twist[:3]
     theta = _advance(theta, nearing, dt / 2)  # to mid-interval, where the flow is measured
@@ -313,19 +311,15 @@ class Observer:
         seen = np.isfinite(ray[:, 0])  # noise may put a pixel outside a lens's image circle
         if np.count_nonzero(seen) < (1 if self.depth.on_floor else 3):
             return predicted, False
-        found = self._solved_pose(ray[seen], seen, predicted)
-        return (predicted, False) if found is None else (found, True)
-
-    def _solved_pose(self, rays: Array, seen: NDArray[np.bool_], predicted: Array | None) -> Array | None:
-        """The pose from the rays (n, 3) of those markers that are `seen` (N,); None where they do not determine it."""
-        points, mount, place = self._points[seen], self.camera.mount.T, self.target.pose.T
+        rays, points, mount, place = ray[seen], self._points[seen], self.camera.mount.T, self.target.pose.T
         if self.depth.on_floor:
-            return pose_on_floor(rays, points, mount, place, predicted)
-        found = solve_pose_from_rays(rays, points, predicted)
-        if found is None and predicted is None and self.grounded:
-            # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
-            found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
-        return found
+            found = pose_on_floor(rays, points, mount, place, predicted)
+        else:
+            found = solve_pose_from_rays(rays, points, predicted)
+            if found is None and predicted is None and self.grounded:
+                # Three markers leave up to four poses; of a vehicle's, one has the base upright on the floor.
+                found = solve_pose_from_rays(rays, points, pose_on_floor(rays, points, mount, place, None))
+        return (predicted, False) if found is None else (found, True)
 
     def _leveled(self, view: Observation, tilt: Array) -> Observation:
         """The same in the level camera's frame."""

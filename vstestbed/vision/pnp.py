@@ -29,7 +29,7 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
 
     The two signs are the mirror poses, which become one where the plane is orthogonal to the ray. (OpenCV's IPPE takes the root
     of 1 minus a squared column, which rounding makes negative in such a view: NaN at one roll in seven. It also loses poses near a half
-    turn.) The translation is the least-squares one for the rotation.
+    turn.)
     Reference: Collins & Bartoli 2014, section 4, doi:10.1007/s11263-014-0725-5.
     """
     flat, R_target_plane = _plane(np.ascontiguousarray(points, dtype=float).tobytes())
@@ -38,7 +38,8 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
         return []
     H = H / H[2, 2]
     v = H[:2, 2]
-    R_v = _rotation_to(v)
+    x, y, z = np.array([*v, 1.0]) / np.sqrt(1 + v @ v)
+    R_v = np.array([[1 - x * x / (1 + z), -x * y / (1 + z), x], [-x * y / (1 + z), 1 - y * y / (1 + z), y], [-x, -y, z]])
     A = np.linalg.solve(R_v[:2, :2] - v[:, None] * R_v[2, :2], H[:2, :2] - v[:, None] * H[2, :2])
     (s1, s2), Vt = np.linalg.svd(A)[1:]
     if not s1 > 0:
@@ -47,8 +48,14 @@ def planar_poses(xy: Array, points: Array) -> list[Array]:
     columns = np.empty((2, 3, 2))
     columns[:, :2], columns[0, 2], columns[1, 2] = A / s1, tilt, -tilt
     R = np.array([_rotation_of(R_v @ both) for both in columns]) @ R_target_plane.T
+    # Translations by least squares: x (r_z p + t_z) = r_x p + t_x, and alike for y.
+    p, A = points @ R.transpose(0, 2, 1), np.zeros((len(xy), 2, 3))
+    A[:, 0, 0] = A[:, 1, 1] = 1.0
+    A[:, :, 2] = -xy
+    A = A.reshape(-1, 3)
+    t = np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T
     T = np.zeros((2, 4, 4))
-    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, _translations(R, points, xy), 1.0
+    T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = R, t, 1.0
     return list(T)
 
 
@@ -56,22 +63,6 @@ def _rotation_of(columns: Array) -> list[list[float]]:
     """The rotation, three rows, of given first two columns (3, 2)."""
     (a, d), (b, e), (c, f) = columns.tolist()
     return [[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]]
-
-
-def _translations(R: Array, points: Array, xy: Array) -> Array:
-    """The least-squares translations (2, 3) for rotations (2, 3, 3): x (r_z p + t_z) = r_x p + t_x, and alike for y."""
-    p = points @ R.transpose(0, 2, 1)
-    A = np.zeros((len(xy), 2, 3))
-    A[:, 0, 0] = A[:, 1, 1] = 1.0
-    A[:, :, 2] = -xy
-    A = A.reshape(-1, 3)
-    return np.asarray(np.linalg.solve(A.T @ A, A.T @ (xy * p[..., 2:] - p[..., :2]).reshape(2, -1).T).T, dtype=float)
-
-
-def _rotation_to(v: Array) -> Array:
-    """The shortest rotation (3, 3) from the optical axis to the ray (v, 1)."""
-    x, y, z = np.array([*v, 1.0]) / np.sqrt(1 + v @ v)
-    return np.array([[1 - x * x / (1 + z), -x * y / (1 + z), x], [-x * y / (1 + z), 1 - y * y / (1 + z), y], [-x, -y, z]])
 
 
 @lru_cache(maxsize=4096)
@@ -147,20 +138,14 @@ def _refined(rays: Array, points: Array, T: Array) -> tuple[Array, float]:
 
 
 _K, _EYE = np.eye(3), np.eye(4)
-STANDS = 1e-3
-"""A refined previous pose is accepted if its reprojection error is below this share of the image points' spread: a
-mirror pose that fits as well is indistinguishable from the right one."""
-MIRRORED = 0.4
-"""... and below this times the cube of the spread. A mirror pose is a local minimum only if the plane's tilt is larger than about the
-spread, and its error is some spread^2 x tilt: 1.5 spread^3 was the least of 3000 views nearly frontal."""
-CONTINUES = 0.2
-"""... and if it is nearer to the previous pose than this (radians plus share of the distance); from nearer the refinement's few
-iterations converge to rounding."""
+# A refined previous pose is accepted if its reprojection error is below STANDS times the image points' spread (a mirror pose that fits as
+# well is indistinguishable from the right one) and below MIRRORED times its cube: a mirror pose is a local minimum only if the plane's tilt
+# is larger than about the spread, with an error of some spread^2 x tilt; 1.5 spread^3 was the least of 3000 views nearly frontal.
+STANDS, MIRRORED = 1e-3, 0.4
+CONTINUES = 0.2  # ... and nearer to the previous pose (radians plus share of the distance), from where few iterations converge to rounding
 CLEARLY_WORSE = 6.0  # a mirror pose whose reprojection error is larger by this factor is rejected, whatever the previous pose
-SAME_SCENE = 0.5
-"""Three markers have up to four poses; one farther than this from the last (radians plus share of the distance) is rejected."""
+SAME_SCENE = 0.5  # of the up to four poses of three markers, one farther than this from the last (as of CONTINUES) is rejected
 WIDE = 0.2  # least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z
-
 FITS = 0.5  # a pose whose reprojection error exceeds this share of the image points' spread is no solution
 ROUNDING = 1e-12  # reprojection errors (normalised) that differ by this are equal
 _SETTLED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-14)
@@ -169,8 +154,6 @@ tilted previous pose to a far frontal view, where each step only halves the tilt
 Layout = Literal["line", "line and one", "plane", "space"]  # collinear; collinear but for one point; coplanar; in space
 _START_VECTOR = np.array([[0.0], [0.0], [1.0]])
 _START = exp(np.array([0, 0, 0, 0, 0, 1.0]))[:3, :3]
-
-
 _Candidate = tuple[float, Array]  # reprojection error [rms of one coordinate] of a pose (4, 4) that a solver found, and the pose
 
 

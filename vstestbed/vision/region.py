@@ -24,13 +24,9 @@ from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
 from vstestbed.vision.colour import Region, chroma_mask, noise_level
 
-FULL, NONE = 0.85, 0.15
-"""Coverage of pixels inside and outside, two pixels from the border; where they are not, at corners and in slots, no border is
-measured."""
 REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)
-NEAR = (7, 7)
-"""A pixel's neighbours whose mean gives the colours that meet at a border: of those wholly covered, and of those not covered at all."""
+NEAR = (7, 7)  # a pixel's neighbours whose mean colours, of those wholly covered and of those not covered at all, meet at a border
 
 
 def coverage(part: Image, alone: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -94,7 +90,7 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
     four = np.stack([c[v, u + k] for k in range(4)], axis=1)  # pixels u .. u + 3; the border is between the middle two
     leaves = inside[v, u + 1]
     four = np.where(leaves[:, None], four, four[:, ::-1])
-    clear = (four[:, 0] > FULL) & (four[:, 3] < NONE)
+    clear = (four[:, 0] > 0.85) & (four[:, 3] < 0.15)  # no border is measured at corners and in slots
     way = four.sum(axis=1)
     at = np.where(leaves, u - 0.5 + way, u + 3.5 - way)
     return np.column_stack([at, v])[clear].astype(float)
@@ -102,14 +98,10 @@ def _crossings(c: NDArray[np.float32], steep: NDArray[np.bool_]) -> Array:
 
 # Fit of a polygon in a plane to the points of a region's border in a picture: the homography between them.
 TURNS = 36  # rotations that are tried where none is known: every 10 degrees
-TRIED = 3  # of these the best are refined
-COARSE = 40  # points of the border by which they are compared
 ROUNDS = 12  # most Gauss-Newton steps: from the affine guess three to six are enough
 SETTLED = 1e-5  # a step that moves no point by more than this share of the region's size ends the fit
 OUTLIER = 4.0  # points farther than so many times the usual distance from the polygon (but at least FAINT) have no weight
 FAINT = 2e-3  # share of the region's size under which no distance is unusual
-FLAT = 1e3
-"""Condition of a homography between both round figures over which it has folded the picture onto a line; of a region it is under ten."""
 PREFERRED = 1.02  # of fits that differ by less than this factor, as of a square's four, the one that is turned least is taken
 
 
@@ -155,7 +147,7 @@ def _better(off: Array, turn: float, best: PolygonFit, expected: float) -> bool:
 
 def _likely(e: Array, q: Array, expected: float) -> list[float]:
     """The rotations for which round points e (K, 2) are nearest to a round polygon q (E, 2), the best first."""
-    few = e[:: max(1, len(e) // COARSE)]
+    few = e[:: max(1, len(e) // 40)]
     turns = expected + np.arange(TURNS) * (2 * math.pi / TURNS)
     c, s = np.cos(turns), np.sin(turns)
     turned = few @ np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -1)  # rotated back by each, (TURNS, K, 2)
@@ -164,7 +156,7 @@ def _likely(e: Array, q: Array, expected: float) -> list[float]:
     lowest = np.flatnonzero((cost <= np.roll(cost, 1)) & (cost <= np.roll(cost, -1)))
     # A figure with n-fold symmetry has n such minima, and all are to be compared.
     kept = lowest[cost[lowest] <= 1.5 * cost.min() + FAINT]
-    return [float(turns[k]) for k in sorted(kept, key=lambda k: cost[k])[: max(TRIED, len(kept))]]
+    return [float(turns[k]) for k in sorted(kept, key=lambda k: cost[k])]
 
 
 def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | None:
@@ -190,7 +182,7 @@ def _refined(e: Array, q: Array, turn: float) -> tuple[Array, Array, float] | No
         G = G + np.append(step, 0.0).reshape(3, 3)
         if np.abs(step).max() < SETTLED:
             break
-    if not np.linalg.cond(G) < FLAT:
+    if not np.linalg.cond(G) < 1e3:  # folded onto a line: between round figures it is under ten
         return None
     return G, off, math.atan2(G[0, 1] - G[1, 0], G[0, 0] + G[1, 1])
 
@@ -233,9 +225,6 @@ def _affine(A: Array, shift: Array) -> Array:
     out = np.eye(3)
     out[:2, :2], out[:2, 2] = A, shift
     return out
-
-
-CLOSE = 200  # points of a polygon's outline by which it is compared with the border in the picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,27 +273,11 @@ def fit_outline(border: Border, target: Target, turn: float | None, expected: fl
         turn: the rotation in the last picture [rad]; None where it is to be sought all round.
         expected: the rotation that is taken where several fit alike [rad].
     """
-    rays = border.rays(border.edge)
-    if target.figure_corners is not None:
-        return _polygon(border, rays, target, target.figure_corners, turn, expected)
-    # A round region of pixels with standard deviation s has the radius 2 s.
-    found = target.round_outline(rays)
-    return None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
-
-
-def turn_at(goal: Goal, target: Target) -> float:
-    """How a shape is turned in the goal view [rad]; 0 for what is round."""
-    if target.figure_corners is None or not np.isfinite(goal.xy).all():
-        return 0.0
-    seen, flat = goal.xy, target.points[:, :2]
-    # The affine map that fits best, without what makes both shapes round: a rotation.
-    to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
-    R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
-    return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
-
-
-def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: float | None, expected: float) -> OutlineFit | None:
-    """The image of a polygon with `corners` (E, 2) that fits rays (K, 3)."""
+    rays, corners = border.rays(border.edge), target.figure_corners
+    if corners is None:
+        # A round region of pixels with standard deviation s has the radius 2 s.
+        found = target.round_outline(rays)
+        return None if found is None else OutlineFit(found[0], found[1] * 2 * border.size_px, found[0])
     if not (rays[:, 2] > LEAST_AHEAD).all():
         return None
     xy = rays[:, :2] / rays[:, 2:]
@@ -313,25 +286,17 @@ def _polygon(border: Border, rays: Array, target: Target, corners: Array, turn: 
     m = near[:, :2] / near[:, 2:]
     middle, J = m[0], (m[1:] - m[0]).T
     plane, turns = (centroid(corners), covariance(corners)), () if turn is None else (turn,)
-    found = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
-    if found is None:
+    fit = fit_polygon(xy, middle, J @ border.spread @ J.T, corners, plane, turns, expected)
+    if fit is None:
         return None
-    H, turned, off = found
-    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ H.T for xy in (target.points[:, :2], evenly_along(corners, CLOSE)))
+    H, turned, off = fit
+    # of the outline 200 points, by which it is compared with the border in the picture
+    p, close = (np.column_stack([xy, np.ones(len(xy))]) @ H.T for xy in (target.points[:, :2], evenly_along(corners, 200)))
     # directions, turned to lie before the camera
     return OutlineFit(p * np.sign(p[:, 2:]), off * border.size_px, close * np.sign(close[:, 2:]), turned)
 
 
-MOST_EDGES = 400  # points of a border that are fitted at most, evenly spread: with more the outline hardly becomes better
-LEAST_EDGES = 24  # fewest points from which an outline is fitted
-MOST_TRIED = 3  # regions of the target's hue that are tried, the largest first
-NOISE_PX = 0.05  # added to the tolerance by noise [px per grey level of its standard deviation]
-PIXEL_PX = 1.0
-"""Added to the tolerance where the outline is compared with whole pixels [px]: outlines that were right, sharp, blurred over up to 8 px or
-under noise, then had under 0.015 of their length farther from the region's pixels."""
 BESIDE_PX = 3  # a region is measured so far beyond its box [px], which may touch the window in which it was searched
-
-
 Found = tuple[Window, Array, OutlineFit]  # a region: its box [px], its centroid (2,) [px], and the outline fitted to it
 
 
@@ -340,7 +305,7 @@ class RegionState:
     """State of the region detector.
 
     Attributes:
-        expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry.
+        expected: how a shape is turned in the goal view [rad]: the first guess, which decides for a shape with symmetry; 0 if round.
         box, middle, turn: of the region in the last picture [px, rad]. move: its displacement since the picture before [px].
     """
 
@@ -394,7 +359,13 @@ class RegionDetector(DetectorBase):
 
     def begin(self, goal: Goal, camera: Camera, target: Target) -> RegionState:
         """Nothing seen yet; a shape is expected as the goal view shows it."""
-        return RegionState(expected=turn_at(goal, target))
+        if target.figure_corners is None or not np.isfinite(goal.xy).all():
+            return RegionState()
+        seen, flat = goal.xy, target.points[:, :2]
+        # The affine map that fits best, without what makes both shapes round: a rotation.
+        to, _, _, _ = np.linalg.lstsq(np.column_stack([flat, np.ones(len(flat))]), seen, rcond=None)
+        R = roundness(covariance(seen)) @ to[:2].T @ inverted(roundness(covariance(flat)))
+        return RegionState(expected=math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
 
     def regions_of_interest(self, state: RegionState, camera: Camera, target: Target) -> Regions | None:
         """A window around the predicted region; None where it is lost or large, and in a camera with panels."""
@@ -406,13 +377,7 @@ class RegionDetector(DetectorBase):
         return own[0] if own else None
 
     def detect(
-        self,
-        state: RegionState,
-        picture: Picture | None,
-        view: TruthView | None,
-        camera: Camera,
-        target: Target,
-        rng: np.random.Generator,
+        self, state: RegionState, picture: Picture | None, view: TruthView | None, camera: Camera, target: Target, rng: np.random.Generator
     ) -> tuple[RegionState, Detection]:
         """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole."""
         picture = self._given(picture)
@@ -442,14 +407,16 @@ class RegionDetector(DetectorBase):
         mask = chroma_mask(region.searched, self.chroma)
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         order = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")
-        for label in order[:MOST_TRIED].tolist():
+        for label in order[:3].tolist():  # the largest ones
             x, y, w, h, area = stats[label].tolist()
             if area < self.least_area_px:
                 break
             alone = np.asarray(255 * (labels[y : y + h, x : x + w] == label), np.uint8)
             left, top = window[0] + x, window[1] + y
             box = (left, top, left + w, top + h)
-            if not self._has_hue(image[top : top + h, left : left + w], alone, target.hues_deg[0]) or not _inside(box, window, lens):
+            # Beyond an edge of the window, or the image's border, it may go on.
+            inside = left > window[0] and top > window[1] and left + w < window[2] and top + h < window[3]
+            if not inside or not self._has_hue(image[top : top + h, left : left + w], alone, target.hues_deg[0]):
                 continue
             if (found := self._fitted(region, alone, box, panel, state, camera, target)) is not None:
                 return found
@@ -469,36 +436,23 @@ class RegionDetector(DetectorBase):
         found[box[1] - top : box[3] - top, box[0] - left : box[2] - left] = alone
         cover = coverage(part, found)
         edge = edge_points(cover) + [left, top]
-        if len(edge) < LEAST_EDGES:
+        if len(edge) < 24:
             return None
-        edge = edge[np.linspace(0, len(edge) - 1, min(len(edge), MOST_EDGES)).astype(int)]
+        # Of a long border evenly spread points: with more than 400 the outline hardly becomes better.
+        edge = edge[np.linspace(0, len(edge) - 1, min(len(edge), 400)).astype(int)]
         m = cv2.moments(cover)
         mass = m["m00"]
         middle = np.array([left + m["m10"] / mass, top + m["m01"] / mass])
         spread = np.array([[m["mu20"], m["mu11"]], [m["mu11"], m["mu02"]]]) / mass
         border = Border(edge, middle, spread, camera.panels[panel])
-        fit = self._fitting(border, found, (left, top), self.tolerance_px + NOISE_PX * region.noise, state, target)
-        return None if fit is None else (box, middle, fit)
-
-    def _fitting(
-        self, border: Border, found: NDArray[np.uint8], corner: tuple[int, int], tolerance: float, state: RegionState, target: Target
-    ) -> OutlineFit | None:
-        """The outline that fits a border, turned as in the last picture or else all round; None where neither fits.
-
-        `found` is 255 in the region's pixels; its first pixel is at `corner` of the image.
-        """
-        for turn in [None] if state.box is None else [state.turn, None]:
+        tolerance = self.tolerance_px + 0.05 * region.noise  # [px], and [px per grey level of its standard deviation]
+        for turn in [None] if state.box is None else [state.turn, None]:  # as in the last picture, or else all round
             fit = fit_outline(border, target, turn, state.expected)
             if fit is None:
                 continue
-            bare = bare_share(border.project(fit.close) - corner, found, tolerance + PIXEL_PX)
+            # One more against whole pixels: outlines that were right, sharp, blurred over up to 8 px or under noise, then had under
+            # 0.015 of their length farther from the region's pixels.
+            bare = bare_share(border.project(fit.close) - (left, top), found, tolerance + 1.0)
             if float(np.mean(fit.off_px > tolerance)) <= self.hidden_share and bare <= self.hidden_share:
-                return fit
+                return box, middle, fit
         return None
-
-
-def _inside(box: Window, window: Window, lens: Camera) -> bool:
-    """Whether a box neither reaches the image's border nor an edge of the window that was searched, beyond which it may go on."""
-    left, top, right, bottom = box
-    in_image = left > 0 and top > 0 and right < lens.width and bottom < lens.height
-    return in_image and left > window[0] and top > window[1] and right < window[2] and bottom < window[3]

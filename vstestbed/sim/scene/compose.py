@@ -263,7 +263,7 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
         add_stripe(scene, body, edges, i, target.colors[i * points_a_line], target.marker.lit)
     for i, p in enumerate(target.places):
         body.add_site(name=f"target/marker_{i}", pos=p, group=SITE_GROUP, size=[0.005] * 3)
-        if target.shows_markers and (solid := target.marker.solid):
+        if target.draw_markers and (solid := target.marker.solid):
             _add_marker(scene, body, target, i, p, solid)
     if target.body is not None:
         add_body(scene, body, target.body)
@@ -275,7 +275,7 @@ def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> Non
         _add_pad(body, target.pad)
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
-        front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.shows_markers else 0.0
+        front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.draw_markers else 0.0
         front = BEHIND_SHEET_M if target.body is not None else front
         if target.sheet is not None:
             front = add_sheet(scene, body, target.sheet, front)
