@@ -14,8 +14,6 @@ from vstestbed.core.quantity import Narrower, PositiveTime
 from vstestbed.core.spec import spec
 
 AIR = 1.184  # density of the air [kg/m^3] at 25 degrees, as in models/quadrotor.xml
-LEAST_RADII = 0.5
-"""Least height, in rotor radii: below it Cheeseman & Bennett's equation, infinite at R/4, does not hold, and the height counts as this."""
 Share = Annotated[float, Ge(0), Le(1)]
 
 
@@ -80,6 +78,6 @@ class Downwash:
 
 
 def nearness(z: float, radius: float) -> float:
-    """(R/z)^2 of a height z [m], 0 over nothing; heights under R/2 count as R/2."""
-    ratio = radius / z if z > LEAST_RADII * radius else 1.0 / LEAST_RADII
+    """(R/z)^2 of a height z [m], 0 over nothing; under R/2 Cheeseman & Bennett's equation, infinite at R/4, does not hold: R/2 counts."""
+    ratio = radius / z if z > 0.5 * radius else 2.0
     return ratio * ratio

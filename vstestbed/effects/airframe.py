@@ -15,12 +15,10 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.battery import Battery
-from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, _four, inertia_torque
+from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, _four
 from vstestbed.effects.vibration import Vibration
 
-ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)
-"""Where front, right, back and left are, along x and y, in arms."""
-DRAWN_AHEAD = 64  # for how many instants noise is drawn at once
+ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)  # where front, right, back and left are, along x and y, in arms
 NOTHING: Vector = (0.0, 0.0, 0.0)
 ALIKE: Four = (1.0, 1.0, 1.0, 1.0)
 
@@ -51,11 +49,6 @@ class FlightBlocks:
     def blocks_draw(self) -> bool:
         """Whether the seed makes a difference: motors that are not listed, a wake that fluctuates, vibration."""
         return (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
-
-    @property
-    def imperfect(self) -> bool:
-        """Whether any block is given."""
-        return any(getattr(self, name) is not None for name in LAB)
 
 
 LAB: dict[str, object] = {
@@ -130,13 +123,20 @@ class Airframe:
         speeds = _four([math.sqrt(x) for x in self._W])
         reached = self._driven(orders, speeds, dt)
         force, torque = self._lifted(air, below, dt)
+        (vx, vy, _), (wx, wy, wz) = air, rates
         if self._drag:
-            force, torque = _added((force, torque), self._dragged(air, rates, speeds))
-        if self._spin:
+            arm, h = self._craft.arm_m, ROTOR_M
+            fx = fy = turn = 0.0
+            for i in range(4):
+                x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
+                px, py = -k * (vx + wy * h - wz * y), -k * (vy + wz * x - wx * h)
+                fx, fy, turn = fx + px, fy + py, turn + x * py - y * px
+            force, torque = (force[0] + fx, force[1] + fy, force[2]), (torque[0] - h * fy, torque[1] + h * fx, torque[2] + turn)
+        if self._spin:  # the equation of `RotorInertia`; omega x z = (w_y, -w_x, 0)
             half = 0.5 / self._craft.rotor_lag_s
-            turning = _four([half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in zip(reached, self._W, speeds, strict=True)])
-            x, y, z = inertia_torque(self._spin, rates, speeds, turning)
-            torque = torque[0] + x, torque[1] + y, torque[2] + z
+            turning = [half * (u - W) / w if w > 1.0 else 0.0 for u, W, w in zip(reached, self._W, speeds, strict=True)]
+            momentum, change = (self._spin * (front - right + back - left) for front, right, back, left in (speeds, turning))
+            torque = torque[0] - momentum * wy, torque[1] + momentum * wx, torque[2] - change
         if self._given.vibration:
             self._angles = _four([(phi + w * dt) % (2 * math.pi) for phi, w in zip(self._angles, speeds, strict=True)])
         return force, torque, reached
@@ -176,31 +176,13 @@ class Airframe:
         for i in range(4):
             usual = b * self._W[i]
             thrust = usual * self._thrust[i]
-            if self.probes:
-                thrust *= _near_ground(ground, wash, below[4 * i : 4 * i + 4], R, thrust, speed, self._rough[i])
+            if self.probes:  # the mean over its probes of what the ground, and the wake from it, make of a rotor's thrust
+                near = [nearness(z, R) for z in below[4 * i : 4 * i + 4]]
+                gain = 0.25 * sum([ground.gain(n, R, thrust, speed) for n in near]) if ground else 1.0
+                thrust *= gain + (wash.turbulence * 0.25 * sum(near) * self._rough[i] if wash else 0.0)
             more = thrust - usual
             up, x, y = up + more, x + ACROSS[i] * arm * more, y - ALONG[i] * arm * more
         return (0.0, 0.0, up), (x, y, 0.0)
-
-    def _dragged(self, air: Vector, rates: Vector, speeds: Four) -> tuple[Vector, Vector]:
-        (vx, vy, _), (wx, wy, wz), arm, h = air, rates, self._craft.arm_m, ROTOR_M
-        fx = fy = turn = 0.0
-        for i in range(4):
-            x, y, k = ALONG[i] * arm, ACROSS[i] * arm, self._drag * speeds[i]
-            px, py = -k * (vx + wy * h - wz * y), -k * (vy + wz * x - wx * h)
-            fx, fy, turn = fx + px, fy + py, turn + x * py - y * px
-        return (fx, fy, 0.0), (-h * fy, h * fx, turn)
-
-
-def _near_ground(
-    ground: GroundEffect | None, wash: Downwash | None, below: Sequence[float], radius: float, thrust: float, speed: float, rough: float
-) -> float:
-    """By what the ground, and the wake from it, multiply a rotor's thrust [N], the mean over its probes; speed: along the disc [m/s]."""
-    near = [nearness(z, radius) for z in below]
-    gain = 1.0
-    if ground:
-        gain = 0.25 * sum([ground.gain(n, radius, thrust, speed) for n in near])
-    return gain + (wash.turbulence * 0.25 * sum(near) * rough if wash else 0.0)
 
 
 def _probes(craft: _Craft) -> tuple[Vector, ...]:
@@ -211,15 +193,10 @@ def _probes(craft: _Craft) -> tuple[Vector, ...]:
     )
 
 
-def _added(a: tuple[Vector, Vector], b: tuple[Vector, Vector]) -> tuple[Vector, Vector]:
-    (f, t), (g, u) = a, b
-    return (f[0] + g[0], f[1] + g[1], f[2] + g[2]), (t[0] + u[0], t[1] + u[1], t[2] + u[2])
-
-
 def _normal(rng: np.random.Generator, n: int) -> Iterator[list[float]]:
     """Normal numbers (n,), one instant after the other."""
     while True:
-        yield from rng.standard_normal((DRAWN_AHEAD, n)).tolist()
+        yield from rng.standard_normal((64, n)).tolist()  # for so many instants at once
 
 
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -20,8 +20,7 @@ Vector = tuple[float, float, float]
 Four = tuple[float, float, float, float]  # of rotors front, right, back, left
 ASSETS = "assets"  # folder, in a scene, of the files in memory
 RANGE_GROUP = 5  # geoms that range finders alone meet, which nothing draws
-MOTOR = "rotor_"
-"""Before the name of a joint: that of the joint of its motor, where an effect has parted the two."""
+MOTOR = "rotor_"  # before the name of a joint: that of the joint of its motor, where an effect has parted the two
 
 
 @dataclass(frozen=True)

@@ -73,29 +73,23 @@ def couple(model: mujoco.MjSpec, joint: str, coefficients: tuple[float, ...]) ->
     pair.data[:5] = coefficients
 
 
-PLAY_STOP = [0.004, 1.0], [0.99, 0.999, 0.001]
-"""solref and solimp of the ends of a play: as stiff as the steering's couplings."""
-OUTPUT_ARMATURE, OUTPUT_DAMPING, OUTPUT_FRICTION = 0.003, 0.5, 1.5
-"""Inertia [kg m^2], damping [Nm s/rad] and Coulomb friction [Nm] of what is behind a play: a crank of the car's steering, as the file has
-it, the damping of its column, and king pins (chosen). Without friction, wheels that were turned would swing on to the play's other end."""
-OUTPUT_KG, OUTPUT_M = 1e-3, 0.01  # mass and radius of its body, since MuJoCo demands some [kg, m]
-
-
 def loosen(model: mujoco.MjSpec, joint: str, width: float) -> None:
     """Put a play of a width [rad] between a joint and all that follows it: a new joint `<joint>_output`, free within the play."""
     import mujoco
 
     servo, output = _named(model, "joint", joint), f"{joint}_output"
     holder = servo.parent.parent.add_body(name=output, pos=servo.parent.pos)
-    holder.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[OUTPUT_M, 0, 0], mass=OUTPUT_KG, contype=0, conaffinity=0, group=2)
-    made = holder.add_joint(name=output, type=servo.type, axis=servo.axis, armature=OUTPUT_ARMATURE, frictionloss=OUTPUT_FRICTION)
-    made.damping[0] = OUTPUT_DAMPING
+    # MuJoCo demands some mass. Behind the play are a crank of the car's steering, as the file has it [kg m^2], king pins (chosen) [Nm] and
+    # the damping of the column [Nm s/rad]; without friction, wheels that were turned would swing on to the play's other end.
+    holder.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], mass=1e-3, contype=0, conaffinity=0, group=2)
+    made = holder.add_joint(name=output, type=servo.type, axis=servo.axis, armature=0.003, frictionloss=1.5)
+    made.damping[0] = 0.5
     for pair in model.equalities:
         if pair.name2 == joint:
             pair.name2 = output
-    # The difference of the two angles as a tendon with limits: each end of the play is a stop.
+    # The difference of the two angles as a tendon with limits: each end of the play is a stop, as stiff as the steering's couplings.
     play = model.add_tendon(name=f"{joint}_play", limited=True, range=[-width / 2, width / 2])
-    play.solref_limit[:2], play.solimp_limit[:3] = PLAY_STOP
+    play.solref_limit[:2], play.solimp_limit[:3] = [0.004, 1.0], [0.99, 0.999, 0.001]
     play.wrap_joint(output, 1.0)
     play.wrap_joint(joint, -1.0)
 

@@ -25,7 +25,6 @@ FloorSeed = Annotated[int, Ge(0), Le(MOST_SEED)]
 CELLS = 5  # cells of the field in a correlation length
 RELIEF = "floor_relief"
 HALF_M = 20.0  # half the edge of the height field, as far as the floor is drawn [m]
-THICKNESS_M = 0.1  # of the field under its lowest place [m]
 
 
 @spec
@@ -71,7 +70,7 @@ class UnevenFloor(Effect):
         scene, heights = robot.scene, self.heights(HALF_M)
         low, high, n = float(heights.min()), float(heights.max()), len(heights)
         scene.meshdir = ASSETS
-        size = [HALF_M, HALF_M, high - low, THICKNESS_M]
+        size = [HALF_M, HALF_M, high - low, 0.1]  # the last: thickness under the lowest place [m]
         scene.add_hfield(name=RELIEF, file=f"{RELIEF}.bin", content_type="image/vnd.mujoco.hfield", size=size)
         floor = scene.geom("floor")
         # As the plane has them, also where the scenario has its friction.

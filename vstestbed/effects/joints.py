@@ -152,14 +152,6 @@ class CurrentLoops:
     delay_s: MilliSeconds = 0.0
 
 
-NO_LOAD = 1e-6
-"""Load under which a gear lies in the middle of its play [Nm]: what rounding leaves of the weight on a vertical axis is less."""
-ROTOR_KG, ROTOR_KGM2 = 1e-6, 1e-9
-"""Mass and inertia of the rotor's body, which MuJoCo asks for. The rotor's true inertia is the armature of its hinge: it counts for its own
-turning alone. As the inertia of a body the squared gear ratio would be in it for all joints before it, too, where the motor's rotor counts
-as it is (Spong 1987, assumption 2, doi:10.1115/1.3143860)."""
-
-
 def _add_spring(model: mujoco.MjSpec, name: str, prefix: str, free: float, stiffness: float, damping: float = 0.0) -> None:
     """A spring between the rotor of a joint and its link, which acts where they differ by more than `free` [rad]."""
     spring = model.add_tendon(name=f"{prefix}{name}", springlength=[-free, free])
@@ -169,12 +161,16 @@ def _add_spring(model: mujoco.MjSpec, name: str, prefix: str, free: float, stiff
 
 
 def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
-    """The rotor of a joint, turning about the joint's own axis on the same parent."""
+    """The rotor of a joint, turning about the joint's own axis on the same parent.
+
+    Its inertia is the armature of its hinge, which counts for its own turning alone. As the inertia of a body the squared gear ratio would
+    be in it for all joints before it, too, where the motor's rotor counts as it is (Spong 1987, assumption 2, doi:10.1115/1.3143860).
+    """
     import mujoco
 
     link = model.joint(name)
-    body = link.parent.parent.add_body(name=f"{MOTOR}{name}", pos=link.parent.pos, quat=link.parent.quat, mass=ROTOR_KG)
-    body.inertia, body.explicitinertial = [ROTOR_KGM2] * 3, True
+    body = link.parent.parent.add_body(name=f"{MOTOR}{name}", pos=link.parent.pos, quat=link.parent.quat, mass=1e-6)
+    body.inertia, body.explicitinertial = [1e-9] * 3, True  # which MuJoCo asks for
     body.ipos = link.pos  # on the axis: its weight turns nothing
     for field in ("type", "axisangle", "euler", "xyaxes", "zaxis"):  # the orientation as the file writes it
         setattr(body.alt, field, getattr(link.parent.alt, field))
@@ -237,7 +233,8 @@ class ElasticJoints(Effect):
         if not soft.any():
             return
         asked = load[at.qvel][soft]
-        play = np.where(np.abs(asked) > NO_LOAD, np.sign(asked) * self.play[soft] / 2, 0.0)
+        # Without a load a gear lies in the middle of its play; rounding leaves less than 1e-6 Nm of the weight on a vertical axis.
+        play = np.where(np.abs(asked) > 1e-6, np.sign(asked) * self.play[soft] / 2, 0.0)
         body.data.qpos[at.motor_qpos[soft]] += self.torsion(load[at.qvel])[soft] + play
         load[at.motor_qvel] = load[at.qvel]
 
@@ -294,10 +291,6 @@ def quickest(M: Array, rotors: Array, stiffness: Array) -> tuple[float, int]:
     return math.sqrt(max(float(w2[-1]), 0.0)), int(soft[np.argmax(np.abs(mode[soft] - mode[at]))])
 
 
-DRIVES_STEP_S = 0.001
-"""Largest physics step with current loops, which sample the servo at it [s]: half a millisecond on average beside a lag of as much."""
-
-
 @dataclass(frozen=True, eq=False)
 class Motors(Effect):
     """`Ripple` and `CurrentLoops` of an arm of n joints in plain numbers.
@@ -313,8 +306,8 @@ class Motors(Effect):
 
     @property
     def longest_step_s(self) -> float:
-        """That of current loops, which sample the servo."""
-        return np.inf if self.loops is None else DRIVES_STEP_S
+        """With current loops, which sample the servo at it, 1 ms: half of that on average beside a lag of as much."""
+        return np.inf if self.loops is None else 0.001
 
     def edit(self, robot: RobotModel) -> None:
         """With current loops MuJoCo's servos are left without force; integrals of commands and gains stay where they are."""
@@ -351,7 +344,9 @@ class MotorTorques(Actor):
         self._kp, self._kv = -model.actuator_biasprm[self._actuators, 1], -model.actuator_biasprm[self._actuators, 2]
         self._integrates = model.actuator_dyntype[self._actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         self._act = np.where(self._integrates, model.actuator_actadr[self._actuators], 0)
-        self._most = _limits(model, self._actuators)
+        joints = model.actuator_trnid[self._actuators, 0]
+        own = np.where(model.actuator_forcelimited[self._actuators].astype(bool), model.actuator_forcerange[self._actuators, 1], np.inf)
+        self._most = np.minimum(own, np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf))
         self._ripples = motors.ripple > 0 or bool(motors.cogging.any())
         if motors.loops is not None:
             h = body.step_s
@@ -389,9 +384,3 @@ class MotorTorques(Actor):
         mean = u + (self._tau - u) * self._mean
         self._tau = u + (self._tau - u) * self._left
         return mean
-
-
-def _limits(model: mujoco.MjModel, actuators: Array) -> Array:
-    joints = model.actuator_trnid[actuators, 0]
-    own = np.where(model.actuator_forcelimited[actuators].astype(bool), model.actuator_forcerange[actuators, 1], np.inf)
-    return np.minimum(own, np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf))

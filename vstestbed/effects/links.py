@@ -130,29 +130,18 @@ class Payload(Effect):
         body.gravcomp = robot.carried if self.declared else 0.0
 
     def remedy(self, body: RobotBody, weight: Array, holds: Array) -> tuple[str, str, float]:
-        """The largest payload that the motors hold there."""
+        """The largest payload m that the motors hold there: |without + m a_kilogram| <= holds in every joint."""
         import mujoco
 
         # What a kilogram asks of each joint: -J^T g, with the Jacobian J of its centre.
         model, J = body.model, np.zeros((3, body.model.nv))
         mujoco.mj_jacBodyCom(model, body.data, J, None, model.body(f"robot/{PAYLOAD}").id)
         a_kilogram = -(J.T @ model.opt.gravity)[body.at.qvel]
-        most = _most_kg(weight, weight - self.mass_kg * a_kilogram, holds, self.mass_kg)
-        words = f"at most {_down(most):g} kg here" if most > 0 else "another start, for it falls without a payload, too"
-        return "robot.payload.mass_kg", words, self.mass_kg
-
-
-def _most_kg(weight: Array, without: Array, holds: Array, mass_kg: float) -> float:
-    """The largest payload m for which |without + (weight - without) m / mass_kg| <= holds in every joint; 0 where none is held."""
-    if (np.abs(without) > holds).any():
-        return 0.0
-    each = (weight - without) / mass_kg
-    with np.errstate(divide="ignore", invalid="ignore"):
-        most = (holds - np.sign(each) * without) / np.abs(each)
-    return float(np.nanmin(np.where(each == 0, np.inf, most)))
-
-
-def _down(value: float) -> float:
-    """A number under the value, of three digits: one that was rounded up would be too much."""
-    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
-    return float(f"{np.floor(value / unit) * unit:.3g}")
+        without = weight - self.mass_kg * a_kilogram
+        if (np.abs(without) > holds).any():
+            return "robot.payload.mass_kg", "another start, for it falls without a payload, too", self.mass_kg
+        with np.errstate(divide="ignore", invalid="ignore"):
+            each = np.where(a_kilogram == 0, np.inf, (holds - np.sign(a_kilogram) * without) / np.abs(a_kilogram))
+        most = float(np.nanmin(each))
+        unit = 10.0 ** (np.floor(np.log10(most)) - 2)  # three digits; rounded up it would be too much
+        return "robot.payload.mass_kg", f"at most {np.floor(most / unit) * unit:.3g} kg here", self.mass_kg

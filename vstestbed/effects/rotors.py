@@ -9,11 +9,10 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.spec import spec
-from vstestbed.effects.base import Four, Vector
+from vstestbed.effects.base import Four
 
 ROTOR_M = 0.045  # height of the rotors over the centre of mass [m], by models/quadrotor.xml
-X4_KG, X4_ROTOR_RADIUS_M = 4.0, 0.165  # of the X-4 Flyer, whose rotors' inertia is known [kg, m]
-X4_ROTOR = 6.49e-5  # inertia of an X-4 rotor about its axis [kg m^2], as in models/quadrotor.xml
+X4_ROTOR = 6.49e-5  # inertia of a rotor of the X-4 Flyer about its axis [kg m^2], as in models/quadrotor.xml
 SPIN = (1.0, -1.0, 1.0, -1.0)  # sense of rotation of front, right, back, left about the craft's z
 
 
@@ -56,26 +55,12 @@ class RotorInertia:
     inertia_kgm2: Annotated[float, Gt(0), Le(10)] | None = None
 
     def of(self, craft: _Craft) -> float:
-        """J [kg m^2] of a craft's rotor."""
-        scaled = X4_ROTOR * (craft.mass_kg / X4_KG) * (craft.rotor_radius_m / X4_ROTOR_RADIUS_M) ** 2
+        """J [kg m^2] of a craft's rotor; the X-4 has 4 kg, and rotors of .165 m."""
+        scaled = X4_ROTOR * (craft.mass_kg / 4.0) * (craft.rotor_radius_m / 0.165) ** 2
         return scaled if self.inertia_kgm2 is None else self.inertia_kgm2
 
 
-def inertia_torque(J: float, rates: Vector, speeds: Four, accelerations: Four) -> Vector:
-    """The torque (3,) [Nm] on the body.
-
-    J: of one rotor [kg m^2]. rates: of the body, body axes (3,) [rad/s].
-    speeds, accelerations: of the rotors, front right back left, without sign (4,) [rad/s, rad/s^2].
-    """
-    a, b, c, d = speeds
-    h = J * (a - b + c - d)
-    a, b, c, d = accelerations
-    # omega x z = (w_y, -w_x, 0)
-    return -h * rates[1], h * rates[0], -J * (a - b + c - d)
-
-
 Factors = Annotated[tuple[Annotated[float, Ge(0.2), Le(2)], ...], Len(4, 4)]
-MOST_SIGMAS = 3.0  # a drawn factor is off by at most so many standard deviations
 
 
 @spec
@@ -105,7 +90,7 @@ class MotorSpread:
 
     def drawn(self, rng: np.random.Generator) -> tuple[Four, Four]:
         """The factors f and l (4,) of a run."""
-        off = np.clip(rng.standard_normal((2, 4)), -MOST_SIGMAS, MOST_SIGMAS)
+        off = np.clip(rng.standard_normal((2, 4)), -3.0, 3.0)  # by three standard deviations at most
         f = 1.0 + self.thrust_sigma * off[0] if self.thrust is None else np.array(self.thrust)
         limit = 1.0 - self.limit_sigma * np.abs(off[1]) if self.limit is None else np.array(self.limit)
         return _four(f.tolist()), _four(limit.tolist())

@@ -35,10 +35,7 @@ from vstestbed.effects.base import Actor, Effect, RobotBody
 from vstestbed.effects.wheels import WHEELS
 
 LOW_SPEED = 0.5  # speed below which the damper acts [m/s]; chosen
-DAMPING = 0.22
-"""Share of the critical damping of the load on a tyre at rest; chosen such that a wheel that is let go stops after two swings."""
-STIFFEST = 200.0
-"""Largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms."""
+STIFFEST = 200.0  # largest stiffness / relaxation_m [1/m]: beyond, a wheel swings too fast for physics steps of 2 ms
 Pair = tuple[float, float]  # along and across a wheel
 
 
@@ -105,8 +102,8 @@ class Tyres(Effect):
 
     @cached_property
     def _damper(self) -> float:
-        """Of a tyre at rest, over its load [s/m]."""
-        return 2 * DAMPING * math.sqrt(self.stiffness / (self.relaxation_m * GRAVITY))
+        """Of a tyre at rest, over its load [s/m]: .22 of the critical one (chosen), so that a wheel let go stops after two swings."""
+        return 2 * 0.22 * math.sqrt(self.stiffness / (self.relaxation_m * GRAVITY))
 
 
 class TyreForces(Actor):

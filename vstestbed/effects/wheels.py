@@ -11,7 +11,6 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.spec import spec
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-MOST_ERROR = 0.19  # a drawn error is at most so large
 RadiusError = Annotated[float, Gt(-0.2), Lt(0.2)]
 Errors = Annotated[tuple[RadiusError, ...], Len(4, 4)]
 
@@ -38,7 +37,7 @@ class WheelSpread:
         """With four errors listed that are drawn from `rng`; itself where sigma is 0."""
         if not self.sigma:
             return self
-        errors = np.clip(self.sigma * rng.standard_normal(4), -MOST_ERROR, MOST_ERROR)
+        errors = np.clip(self.sigma * rng.standard_normal(4), -0.19, 0.19)
         return WheelSpread(errors=tuple(np.round(errors, 9).tolist()))
 
     @property

@@ -51,17 +51,13 @@ def resolved_rate(J: Array, twist: Array, unit_m: float, threshold: float = THRE
     """
     scale = unit_scale(unit_m)
     U, s, Vt = np.linalg.svd(J * scale[:, None], full_matrices=False)
-    damping2 = _damping2(float(s[-1]), threshold)
+    damping2 = max(0.0, threshold**2 - float(s[-1]) ** 2)
     return Vt.T @ (s / (s**2 + damping2) * (U.T @ (twist * scale)))
 
 
 def singularity_damping2(J: Array, unit_m: float, threshold: float = THRESHOLD) -> float:
     """The lambda^2 of `resolved_rate`: 0 away from singularities."""
-    return _damping2(float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]), threshold)
-
-
-def _damping2(least: float, threshold: float) -> float:
-    return max(0.0, threshold**2 - least**2)
+    return max(0.0, threshold**2 - float(np.linalg.svd(J * unit_scale(unit_m)[:, None], compute_uv=False)[-1]) ** 2)
 
 
 @functools.cache
@@ -78,10 +74,7 @@ def share(realised: Array, commanded: Array, unit_m: float) -> float:
     return min(1.0, max(0.0, float(a @ b) / size)) if size > 0 else 1.0
 
 
-MOST_STEPS = 200
-LARGEST_STEP = 0.3  # largest change of a joint in one step [rad, m]: within it the Jacobian is a fair guess
-NEAR_M, NEAR_RAD = 1e-7, 1e-7
-"""Distance from the wanted pose at which the joints count as found: a ten-thousandth of what a camera can tell."""
+NEAR_M, NEAR_RAD = 1e-7, 1e-7  # from the wanted pose, where the joints count as found: a ten-thousandth of what a camera can tell
 
 
 def joints_at(
@@ -107,7 +100,7 @@ def joints_at(
     Reference: Siciliano, Sciavicco, Villani & Oriolo 2009, Robotics, section 3.7, doi:10.1007/978-1-84628-642-1.
     """
     q, away_m, away_rad = np.clip(near, *limits.T), np.inf, np.inf
-    for _ in range(MOST_STEPS):
+    for _ in range(200):
         T, J = kinematics(q)
         away_m, away_rad = rigid_error(T, T_world_flange)
         if away_m < NEAR_M and away_rad < NEAR_RAD:
@@ -116,7 +109,8 @@ def joints_at(
         if len(q) > 6:
             free = inward(q) * min(1.0, away_rad + away_m / unit_m)  # it fades: with the damped inverse it moves the flange a little
             step = step + free - resolved_rate(J, J @ free, unit_m)
-        q = np.clip(q + step * min(1.0, LARGEST_STEP / max(float(np.abs(step).max()), 1e-12)), *limits.T)
+        # By .3 rad or m at most: within it the Jacobian is a fair guess.
+        q = np.clip(q + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12)), *limits.T)
     words = f"is out of its reach: it stays {1000 * away_m:.0f} mm and {np.degrees(away_rad):.1f} deg away"
     raise UnreachableError("robot.start", words)
 
@@ -134,15 +128,9 @@ def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Arr
     return step
 
 
-LIMIT_MARGIN = math.radians(1.0)
-"""Distance from its hard stop at which a joint comes to rest [rad; m for one that slides]."""
-LIMIT_HORIZON_S = 0.25
-"""Velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]."""
-INNER = 0.8  # central share of a joint's range in which limit avoidance leaves it alone
-
-
-SHORTEST_STEP_S = 1e-4
-"""Shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms."""
+LIMIT_MARGIN = math.radians(1.0)  # distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
+LIMIT_HORIZON_S = 0.25  # velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]
+SHORTEST_STEP_S = 1e-4  # shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms
 
 
 @spec
@@ -279,9 +267,8 @@ class Arm(Realistic):
         if gears is None:
             return None
         k, stages, rotors = self._springs(gears)
-        return ElasticJoints(
-            self.chain.names, k, k * gears.damping_s, gears.play(k, slides), stages, rotors, functools.cache(self._gears_step)
-        )
+        play, step = gears.play(k, slides), functools.cache(self._gears_step)
+        return ElasticJoints(self.chain.names, k, k * gears.damping_s, play, stages, rotors, step)
 
     @cached_property
     def acting(self) -> tuple[Effect, ...]:
@@ -454,7 +441,7 @@ class Arm(Realistic):
         """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
         limits = self.chain.limits
         with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
-            low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+            low, high = (limits.mean(axis=1) + side * 0.8 * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
         low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
         return -self.avoid_limits * (q - np.clip(q, low, high))
 

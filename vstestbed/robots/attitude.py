@@ -23,9 +23,6 @@ from vstestbed.core.quantity import GRAVITY, Bias, GainOrZero, PositiveGain, Sig
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Vector
 
-LEAST_PULL, MOST_PULL = 0.5 * GRAVITY, 1.5 * GRAVITY
-"""Between these specific forces the accelerometer is taken to indicate the vertical [m/s^2]."""
-
 Level = tuple[float, float, float, float, float, float, float, float, float]
 """R_level_body (3, 3) row by row: from body axes to the level frame, which has z up and the body's heading; its yx is always 0.
 
@@ -83,7 +80,7 @@ def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, fi
     ax, ay, az = fx - kx, fy - ky, fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)
     ex = ey = ez = 0.0
-    if LEAST_PULL < size < MOST_PULL:  # else (free fall, a hard pull) the direction is mostly not gravity's
+    if 0.5 * GRAVITY < size < 1.5 * GRAVITY:  # else (free fall, a hard pull) the direction is mostly not gravity's
         ex, ey, ez = (ay * z - az * y) / size, (az * x - ax * z) / size, (ax * y - ay * x) / size
     k = filter.gain
     wx, wy, wz = gx - bx + k * ex, gy - by + k * ey, gz - bz + k * ez

@@ -26,7 +26,7 @@ from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.wheels import WHEELS, WheelSpread
-from vstestbed.robots.allocation import Allocation, Limit, Mount
+from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
@@ -152,11 +152,9 @@ def drive(
 
 GRIP = 0.8  # friction of the tyres on a dry floor (models/car.xml)
 ROLLING_NM = 1.32  # rolling resistance of the buggy's four wheels [Nm]
-ON_FRONT, ON_REAR = 0.2044, 0.2956
-"""Shares of the weight on each front and each rear wheel: of the sprung four fifths .386 are on the front axle."""
 MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
+# Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3.
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
-"""Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3."""
 WHEEL = 0.0, 1.00072, -0.12503, -0.04148, 0.01279  # polynomial from the left crank to the left front wheel there
 
 
@@ -187,15 +185,11 @@ class CarParameters:
         if 2 * r + 0.1 > L:
             words = f"must be at least {2 * r + 0.1:.3g} m at wheel_radius_m {r:g}: front and rear wheels would meet"
             raise ParameterError("wheelbase_m", words, L)
-        least = max(2 * r, 2 * GRIP * self._height)
+        height = 0.264 + 1.8 * (r - 0.15)  # of the centre of mass over the floor: four fifths of the mass are sprung
+        least = max(2 * r, 2 * GRIP * height)
         if track < least:
             words = f"must be at least {least:.3g} m at wheel_radius_m {r:g}: a narrower car tips in a bend before its tyres slide"
             raise ParameterError("track_m", words, track)
-
-    @property
-    def _height(self) -> float:
-        """Of the centre of mass over the floor [m]: four fifths of the mass are sprung."""
-        return 0.264 + 1.8 * (self.wheel_radius_m - 0.15)
 
     @property
     def slant(self) -> float:
@@ -215,7 +209,7 @@ class CarParameters:
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
         """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
         whole = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m
-        shares = ON_FRONT, ON_FRONT, ON_REAR, ON_REAR
+        shares = 0.2044, 0.2044, 0.2956, 0.2956  # of the sprung four fifths .386 are on the front axle
         return tuple((put, "joint", name, "frictionloss", whole * share) for name, share in zip(WHEELS, shares, strict=True))
 
     @property
@@ -290,12 +284,6 @@ def _miss(x: Array, d: Array, wanted: Array) -> tuple[Array, Array]:
     return of_crank @ x[3:] - wanted, np.hstack([slope[:, None] * d[:, None] ** powers, of_crank])
 
 
-SPEED_INTEGRAL = 8.0
-"""Integral gain of the speed servo [1/s]. It removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is
-four times as slow as that loop, whose time constant is .03 s."""
-INTEGRAL_LIMIT = 1.0
-"""Bound of the integral [rad/s of the wheels]: anti-windup, for a car that is held up by a wall."""
-
 _STEERING, _REAR = 0, slice(3, 5)  # indices of the steering and of the rear wheels in `Car.joints`
 
 
@@ -330,8 +318,6 @@ class CarLimits:
 
 
 Limits = BicycleLimits | CarLimits
-
-
 Servos = tuple[float, float, float, float]
 """State of the onboard servos: rate-limited speed [m/s] and steering [rad], the speed loop's integral [rad/s], the drive [rad/s]."""
 
@@ -406,10 +392,6 @@ class Car(Vehicle, Onboard):
     def body(self) -> BodyFile:
         """No wheel is steered across the car's way; the wheels turn without end."""
         limits = np.array([[-math.pi / 2, math.pi / 2]] * 3 + [[-np.inf, np.inf]] * 4)
-        return BodyFile("car.xml", ("drive", "steering"), ("heading",), changes=self._changes(), limits=limits)
-
-    def _changes(self) -> tuple[Change, ...]:
-        """Those of its parameters and of its imperfections."""
         found = list(self.parameters.changes)
         if self.rolling_resistance is not None:
             found += self.parameters.rolling(self.rolling_resistance)
@@ -422,7 +404,7 @@ class Car(Vehicle, Onboard):
             found += [(put, "geom", f"{name}_contact", "condim", 1) for name in WHEELS]
         if self.steering_play_deg:
             found.append((loosen, "steering", math.radians(self.steering_play_deg)))
-        return tuple(found)
+        return BodyFile("car.xml", ("drive", "steering"), ("heading",), changes=tuple(found), limits=limits)
 
     @property
     def acting(self) -> tuple[Effect, ...]:
@@ -513,8 +495,11 @@ class Car(Vehicle, Onboard):
         scale, limit = 1.0, ""
         if abs(v) < STANDSTILL:
             scale, limit = (1.0, "") if abs(w) < STANDSTILL else (0.0, "singular")
-        else:
-            scale, limit = _smallest(speed / v, turn / w if abs(w) > STANDSTILL else 1.0)
+        # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met the steering's stop. 1e-9 is for rounding.
+        elif (of_turn := turn / w if abs(w) > STANDSTILL else 1.0) < speed / v - 1e-9:
+            scale, limit = of_turn, "joint_limit"
+        elif speed / v < 1:
+            scale, limit = speed / v, "speed"
         made = mount.to_camera @ (PLANE @ np.array([speed, 0.0, turn]))
         return Allocation(setpoint=np.array([speed, steering]), twist=made, scale=scale, limit=limit)
 
@@ -538,19 +523,13 @@ class Car(Vehicle, Onboard):
         steering = steering + _within(turn, limits.steering_rate_radps * dt)
         wheels = speed / self.believed_radius
         error = wheels - sum(reading.qd[_REAR].tolist()) / 2
-        # None at rest: the motor loop alone holds a standing car, and an integral would creep it after a residual error.
-        integral = _within(integral + SPEED_INTEGRAL * error * dt, INTEGRAL_LIMIT) if speed else 0.0
+        # Its gain of 8 / s removes the offset of .005 m/s that rolling resistance leaves in the motor loop, and is four times as slow as
+        # that loop, whose time constant is .03 s. The bound of 1 rad/s is for a car that is held up by a wall (anti-windup). None at rest:
+        # the motor loop alone holds a standing car, and an integral would creep it after a residual error.
+        integral = _within(integral + 8.0 * error * dt, 1.0) if speed else 0.0
         drive = self.lagged(drive, wheels + integral, dt)
         return (speed, steering, integral, drive), np.array([drive, steering])
 
 
 def _within(x: float, most: float) -> float:
     return max(-most, min(most, x))
-
-
-def _smallest(of_speed: float, of_turn: float) -> tuple[float, Limit]:
-    """The scale of an allocation and the name of its limit, from the realised shares of speed and yaw rate."""
-    # The speed's cut shrinks the yaw rate alike: only a yaw rate that shrinks more has met the steering's stop. 1e-9 is for rounding.
-    if of_turn < of_speed - 1e-9:
-        return of_turn, "joint_limit"
-    return (of_speed, "speed") if of_speed < 1 else (1.0, "")

@@ -36,8 +36,7 @@ from vstestbed.robots.rotors import X4, QuadrotorParameters
 RECOVER_RAD, RECOVERED_RAD = math.radians(60), math.radians(15)
 """Tilted by more than the first, the craft ignores its setpoint and levels; under the second it takes setpoints again."""
 RECOVER_COSINE, RECOVERED_COSINE = math.cos(RECOVER_RAD), math.cos(RECOVERED_RAD)
-MAX_TILT_RATE = 4.0
-"""Largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s."""
+MAX_TILT_RATE = 4.0  # largest rate that the attitude loop commands [rad/s]. The rotors' torque at hover, 2.2 Nm, stops it in .15 s
 LEAST_LIFT = 0.3 * GRAVITY  # least upward part of the commanded force, by mass [m/s^2]
 MAX_TRIM = 3.0  # bound of the velocity loop's integral [m/s^2]; a wind of 10 m/s takes 1.5
 MAX_RATE_TRIM = 3.0  # bound of the rate loop's integral [rad/s^2]
@@ -280,13 +279,9 @@ class FlightReading(Reading):
 # levelled by its flight loops, which ignore setpoints meanwhile; a rotor that stays at its limit means that setpoints cannot be
 # tracked. These end the task for good, since none of them is cured by seeing the target.
 HOLD_S = 2.0  # how long the craft holds after an abort before it sinks [s]
-SINK_MPS = 0.4
-"""Descent rate [m/s], under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)."""
 RESUME_M = 0.5  # below this height the descent goes on even when the target is seen again [m]
-LIMIT_S = 1.0
-"""A rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment."""
-DOWN_S = 0.5
-"""How long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s."""
+LIMIT_S = 1.0  # a rotor at its limit for longer aborts the task [s]; a step of the setpoint may saturate one for a moment
+DOWN_S = 0.5  # how long the rotors must be off before the craft counts as down [s]; they spin down with a time constant of .117 s
 SINKS, OFF = 2, 3  # modes beside FOLLOWS and HOLDS, as numbered in the log's column `supervisor`
 
 
@@ -305,12 +300,18 @@ class Failsafe(Supervisor):
     def filter(self, t: float, blind: str, reading: Reading, order: Order, basis: Array, moved_m: float = 0.0) -> Order:
         """The order that the flight loops get: the law's, or a stop (hold, rotors off), or the velocity of the descent."""
         assert isinstance(reading, FlightReading)
-        self._update_abort(t, blind, self._look(t, blind, moved_m), reading)
+        lost = self._look(t, blind, moved_m)
+        if math.isnan(self.off_at) and not self._final:
+            # A task whose target was lost goes on where it is seen again, unless the craft is near the ground.
+            if self.aborted and not blind and reading.range_m > RESUME_M:
+                self.aborted = None
+            if cause := self._cause(lost, reading.estimate):
+                self.abort(t, *cause)
         self.mode = self._next_mode(t, blind, reading.estimate)
         if self.mode == OFF:
             return order.halted(f"{self._why}the craft stands: rotors off", latched=True, stop="off")
         if self.mode == SINKS:
-            down = descend(SINK_MPS)
+            down = descend(0.4)  # under the .5 m/s at which a touch-down counts as a landing (`GoalLanding.touch_mps`)
             return Order(down, basis @ down, reason=f"{self._why}the craft sinks", latched=self._final)
         return order.halted(f"{self._why}the craft holds", latched=self._final) if self.aborted else order
 
@@ -333,7 +334,8 @@ class Failsafe(Supervisor):
         self.aborted, self._since = (outcome, f"{reason} at {t:.1f} s"), t
 
     def _next_mode(self, t: float, blind: str, estimate: FlightEstimate) -> int:
-        self._note_touchdown(t, estimate)
+        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
+            self.off_at = t
         if not math.isnan(self.off_at):
             return OFF
         if not self.aborted:
@@ -341,19 +343,6 @@ class Failsafe(Supervisor):
         # A lost target has already had its `lost_after_s` of holding before the task was given up.
         holds = t - self._since < HOLD_S and self._final
         return HOLDS if holds else SINKS
-
-    def _note_touchdown(self, t: float, estimate: FlightEstimate) -> None:
-        if math.isnan(self.off_at) and estimate.stands and (self.lands or self.aborted):
-            self.off_at = t
-
-    def _update_abort(self, t: float, blind: str, lost: str, reading: FlightReading) -> None:
-        """Give the task up where there is cause; take up again a task whose target was lost and is seen again."""
-        if not math.isnan(self.off_at) or self._final:
-            return
-        if self.aborted and not blind and reading.range_m > RESUME_M:
-            self.aborted = None
-        if cause := self._cause(lost, reading.estimate):
-            self.abort(t, *cause)
 
     @property
     def _final(self) -> bool:

@@ -100,9 +100,6 @@ def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rat
     return v, (dx + j * ix, dy + j * iy, dz + j * iz), to_body(R, (ax, ay, az))
 
 
-READINGS_AHEAD = 64  # for how many readings noise is drawn at once
-
-
 def drawn_noise(imu: Imu, velocity: VelocitySource, range_sigma_m: float, rng: np.random.Generator) -> Iterator[list[float]]:
     """Noise and bias (10,) of gyro, accelerometer, velocity and range, of one reading after the other."""
     # `sigma_mps` is that of a 20 ms reading; one of 1 ms has the same power spectrum with sqrt(20) times as much.
@@ -110,7 +107,7 @@ def drawn_noise(imu: Imu, velocity: VelocitySource, range_sigma_m: float, rng: n
     sigma = np.repeat([imu.gyro_sigma_radps, imu.accel_sigma_mps2, flow, range_sigma_m], [3, 3, 3, 1])
     bias = np.array([*imu.gyro_bias_radps, *imu.accel_bias_mps2, 0.0, 0.0, 0.0, 0.0])
     while True:  # drawn one by one, at 1 kHz, they would take as long as the rotors' mixer and its speed controllers
-        yield from (sigma * rng.standard_normal((READINGS_AHEAD, 10)) + bias).tolist()
+        yield from (sigma * rng.standard_normal((64, 10)) + bias).tolist()
 
 
 def instruments(sensors: Mapping[str, list[float]], noise: list[float], scale_error: float) -> Instruments:

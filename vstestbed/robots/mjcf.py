@@ -26,11 +26,9 @@ STIFFNESS, RATIO_S = 4500.0, 1 / 40
 5800 and the same ratio: 40 ms of rise, under 5 % of overshoot."""
 WIND_UP_RAD, WIND_UP_M = float(np.radians(0.5)), 1e-3
 """Most that friction may wind up an added servo before its joint moves: of a hinge [rad], of a joint that slides [m]."""
-IDEAL_GAIN = 5000.0  # velocity gain of an ideal servo over the joint's inertia [1/s]
-
+# Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor (Tuttle & Seering 1996,
+# doi:10.1109/70.499819), at a ratio of 100.
 WAVES = (200.0,)
-"""Cycles of the errors of a strain wave gear in a turn of the joint: two in a turn of the motor (Tuttle & Seering 1996,
-doi:10.1109/70.499819), at a ratio of 100."""
 PRESETS: Mapping[Level, Mapping[str, object]] = {
     "lab": {
         "gears": Gears(),
@@ -93,30 +91,25 @@ class Mjcf(Arm):
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen: a run remembers where its arm is
         chain = self.chain
         object.__setattr__(self, "joints", chain.names)  # frozen: what the file has is part of the scenario from here on
-        self._check_lengths(", ".join(chain.names), len(chain.names))
-        self._check()
-        if self.actuation == "file":
-            self._check_drives(chain)
-        elif self.actuation == "velocity":
-            self._settle_gains(chain)
-
-    def _check_lengths(self, names: str, n: int) -> None:
-        """A number for each joint, also where one was given for all of them."""
+        n = len(chain.names)
+        # A number for each joint, also where one was given for all of them.
         for field in ("speed_limits", "torque_limits", "servo_kp", "servo_kv"):
             given = getattr(self, field)
             if len(given) == 1:
                 object.__setattr__(self, field, given * n)  # frozen, as above
             elif given and len(given) != n:
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError(field, f"must be {n} {words}, of {names}, or one for all", list(given))
-
-    def _settle_gains(self, chain: JointChain) -> None:
-        """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""
-        if not self.servo_kp:
-            each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
-            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))  # frozen, as the joints above
-        if not self.servo_kv:
-            object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
+                raise ParameterError(field, f"must be {n} {words}, of {', '.join(chain.names)}, or one for all", list(given))
+        self._check()
+        if self.actuation == "file":
+            self._check_drives(chain)
+        elif self.actuation == "velocity":
+            # Gains that are not given become those of this start: a run's copies, started elsewhere, keep them.
+            if not self.servo_kp:
+                each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
+                object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
+            if not self.servo_kv:
+                object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
         at = tuple(self.configuration().tolist())
@@ -149,7 +142,7 @@ class Mjcf(Arm):
             return [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
         if self.actuation == "ideal":
             each = zip(chain.names, speeds, self._inertia(chain), strict=True)
-            return [Servo(name, speed, np.inf, kv=IDEAL_GAIN * m) for name, speed, m in each]
+            return [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]  # stiff: [1/s] times the inertia
         return [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
 
     @property

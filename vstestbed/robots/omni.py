@@ -41,13 +41,10 @@ from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
 
-CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-"""Signs of the wheels' places (x, y) in the base frame, shape (4, 2)."""
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])  # signs of the wheels' places (x, y) in the base frame (4, 2)
 SIDES = np.array([-1.0, 1.0, 1.0, -1.0])
 """Axis of the roller on the floor, (1, side), by wheel; with the opposite signs the axes meet at the centre, and yaw is lost."""
 ROLLERS = 9  # rollers on each wheel of models/omni.xml
-WHEEL_KG, SPIN, ROTOR = 0.455, 4.0e-4, 1.2e-3
-"""Mass of a wheel [kg]; its moment of inertia about the axle at a radius of 50 mm, and the motor's behind its gears [kg m^2]."""
 
 
 @spec
@@ -112,8 +109,8 @@ class OmniParameters:
 
     @property
     def spin(self) -> float:
-        """Moment of inertia of a wheel with its motor about the axle [kg m^2]."""
-        return ROTOR + SPIN * (self.wheel_radius_m / 0.05) ** 2
+        """Moment of inertia about the axle of a wheel, 4e-4 at a radius of 50 mm, with its motor behind its gears [kg m^2]."""
+        return 1.2e-3 + 4.0e-4 * (self.wheel_radius_m / 0.05) ** 2
 
     @property
     def moved(self) -> float:
@@ -127,7 +124,7 @@ class OmniParameters:
         larger = self.wheel_radius_m / PLATFORM.wheel_radius_m
         wider = self.wheelbase_m / PLATFORM.wheelbase_m, self.track_m / PLATFORM.track_m, 1.0
         found: list[Change] = [
-            (put, "geom", "chassis", "mass", self.mass_kg - len(WHEELS) * WHEEL_KG),
+            (put, "geom", "chassis", "mass", self.mass_kg - len(WHEELS) * 0.455),
             (stretch, "base", wider, (0.0, 0.0, self.wheel_radius_m - PLATFORM.wheel_radius_m)),
         ]
         harder = self.moved / PLATFORM.moved
@@ -146,19 +143,17 @@ class OmniParameters:
                 found.append((scale, "actuator", "gear", (of_x, of_y, 1.0, 1.0, 1.0, of_yaw), name))
             else:
                 found += _larger_rollers(name, larger)
-        return (*found, *(self._planar_inertia() if planar else ()))
+        if planar:  # the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both slides
+            J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
+            along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
+            found += [(put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y")]
+            found.append((put, "joint", "root_yaw", "armature", 0.250 * turning))
+        return tuple(found)
 
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
         """Torques on the wheels by a rolling resistance [1]: its share of a quarter of the weight, at the radius."""
         torque = coefficient * self.mass_kg * GRAVITY * self.wheel_radius_m / 4
         return tuple((put, "joint", name, "frictionloss", torque) for name in WHEELS)
-
-    def _planar_inertia(self) -> tuple[Change, ...]:
-        """Of the wheels' spin, W^T J W, as the planar joints have it; the mean of x and y for both slides."""
-        J, before = (p.spin * (p.W**2).sum(axis=0) for p in (self, PLATFORM))
-        along, turning = float((J[0] + J[1]) / (before[0] + before[1])), float(J[2] / before[2])
-        both = ((put, "joint", name, "armature", 2.61 * along) for name in ("root_x", "root_y"))
-        return (*both, (put, "joint", "root_yaw", "armature", 0.250 * turning))
 
 
 def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
@@ -169,9 +164,6 @@ def _larger_rollers(name: str, factor: float) -> tuple[Change, ...]:
 
 
 PLATFORM = OmniParameters()  # the base of models/omni.xml and models/omni_planar.xml
-
-
-LAG_PERIOD_S = 0.004  # period in which the drive's lag is computed [s]
 
 
 OMNI: Mapping[Level, Mapping[str, object]] = {
@@ -209,15 +201,13 @@ class Omni(Vehicle, Onboard):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
-    control_period_s: ClassVar[float] = LAG_PERIOD_S
+    control_period_s: ClassVar[float] = 0.004
 
     def __post_init__(self) -> None:
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
             if self.wheels == "planar" and getattr(self, name) is not None:
-                words = (
-                    "must be rollers with realism, wheel_spread, rolling_resistance or uneven_floor: planar wheels do not touch the floor"
-                )
-                raise ParameterError("wheels", words, self.wheels)
+                words = "must be rollers with realism, wheel_spread, rolling_resistance or uneven_floor"
+                raise ParameterError("wheels", f"{words}: planar wheels do not touch the floor", self.wheels)
 
     @property
     def onboard(self) -> Onboard | None:
@@ -233,17 +223,13 @@ class Omni(Vehicle, Onboard):
     def body(self) -> BodyFile:
         """With rollers, which slip, or with planar wheels, which never do."""
         rolls = self.wheels == "rollers"
-        return BodyFile("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=self._changes(), slips=rolls)
-
-    def _changes(self) -> tuple[Change, ...]:
-        """Those of its parameters and of its imperfections."""
-        found = list(self.parameters.changes(planar=self.wheels == "planar"))
+        found = list(self.parameters.changes(planar=not rolls))
         if self.rolling_resistance is not None:
             found += self.parameters.rolling(self.rolling_resistance)
         if self.wheel_spread is not None:
             for name, factor in zip(WHEELS, self.wheel_spread.factors, strict=True):
                 found += [(scale, "geom", "size", factor, name), (scale, "geom", "pos", factor, name), *_larger_rollers(name, factor)]
-        return tuple(found)
+        return BodyFile("omni.xml" if rolls else "omni_planar.xml", WHEELS, changes=tuple(found), slips=rolls)
 
     @property
     def ends_m(self) -> tuple[float, float]:

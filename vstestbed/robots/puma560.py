@@ -22,10 +22,8 @@ from vstestbed.robots.realism import Level
 
 JOINT_LIMITS = np.radians([[-160, 160], [-45, 225], [-225, 45], [-110, 170], [-100, 100], [-266, 266]])
 """[rad], (6, 2). Source: Corke's Robotics Toolbox, model puma560."""
-
 SPEED_LIMITS = np.array([1.92, 1.51, 2.40, 5.34, 5.09, 5.74])
 """[rad/s]. Source: Corke 1996, Visual Control of Robots, Table 2.21: where the amplifiers' voltage saturates."""
-
 SHOULDER, UPPER_ARM, OFFSET, ELBOW, FOREARM = 0.67183, 0.4318, 0.15005, 0.0203, 0.4318
 """d_1 (the shoulder's height over the floor, 26.45 inch, as in Corke's Robotics Toolbox), a_2, d_3, a_3 and d_4 of the standard
 Denavit-Hartenberg table [m]. Reference: Corke & Armstrong-Helouvry 1994, doi:10.1109/ROBOT.1994.351360."""

@@ -144,15 +144,9 @@ class FlightLog(RobotLog):
 
 STEP_S = 0.001  # period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
 STANDING_M = 0.172  # height of the centre over what the feet stand on, by models/quadrotor.xml [m]
-STANDING_MARGIN_M = 0.05
-"""Within this of STANDING_M the measured range allows for standing: the range finder's noise and a few degrees of tilt [m]."""
-STOPPED_MPS = 0.12
-"""Near the ground, a descent slower than the reference by this much is taken to be stopped by it [m/s]; the estimate's noise is .02."""
-STANDING_COSINE = math.cos(math.radians(30))  # a craft tilted by more than 30 degrees does not stand
 FAR_M = 100.0  # a measured range beyond this, or none, is given to a learned policy as this [m]
 NO_JOINTS = np.zeros(0)
-LEVEL_AXES = [0, 1, 2, 5]
-"""Indices of vx, vy, vz and wz in a twist: the four velocities that a level craft can track."""
+LEVEL_AXES = [0, 1, 2, 5]  # of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
 
 
 class Flight(NamedTuple):
@@ -207,16 +201,13 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     first_setpoint: ClassVar[Array] = HOLD
 
     def __post_init__(self) -> None:
-        self._check_hover()
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
             raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
         if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
             words = f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
             raise ParameterError("gains.rotor_s", words, self.gains.rotor_s)
-
-    def _check_hover(self) -> None:
-        """Refuse a battery, or listed motors, with which it cannot hover at its start; motors that are drawn are not known yet."""
+        # With its battery and listed motors it must hover at its start; motors that are drawn are not known yet.
         craft = self.parameters
         share = self.battery.share_at_start(craft) if self.battery else 1.0
         least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)
@@ -250,7 +241,8 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     @property
     def acting(self) -> tuple[Effect, ...]:
         """Its blocks together, and further ones."""
-        return (*((FlightEffects(self.parameters, self),) if self.imperfect else ()), *self.effects)
+        imperfect = any(getattr(self, name) is not None for name in LAB)
+        return (*((FlightEffects(self.parameters, self),) if imperfect else ()), *self.effects)
 
     def configuration(self) -> Array:
         """The nominal start (x, y, z, yaw), [m, rad]."""
@@ -374,10 +366,11 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         Either its climb rate stays above the one that its setpoints should give (`Loops.model`), which shows at once; or, in a slow
         descent, the climb loop has taken thrust away, to under .9 of the weight.
         """
-        upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > STANDING_COSINE
-        near = reading.range_m < STANDING_M + STANDING_MARGIN_M
-        # By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its feet slides off meanwhile.
-        stopped = memory.armed and memory.ground[0][2] - memory.loops.model[2] > STOPPED_MPS
+        upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > math.cos(math.radians(30))
+        near = reading.range_m < STANDING_M + 0.05  # a margin for the range finder's noise and a few degrees of tilt
+        # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its
+        # feet slides off meanwhile.
+        stopped = memory.armed and memory.ground[0][2] - memory.loops.model[2] > 0.12
         return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)
 
     def reported(self, memory: Flight, reading: Instruments) -> FlightReading:

@@ -55,7 +55,9 @@ class Realistic(Robot):
             cls._refuse_another_level(level, values)
         own: dict[str, Any] = dict(values)
         for name, preset in cls.presets.get(level, {}).items():
-            own[name] = _completed(own[name], preset) if name in own else preset
+            value = own.setdefault(name, preset)
+            if isinstance(value, Mapping) and dataclasses.is_dataclass(preset):  # some fields of a block: the others are the preset's
+                own[name] = {**{f.name: getattr(preset, f.name) for f in dataclasses.fields(preset)}, **value}
         return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
 
     @classmethod
@@ -83,12 +85,3 @@ class Realistic(Robot):
         own: Any = brief_mapping(self)
         block = own if isinstance(own, Mapping) else {}
         return type(self)(**{**block, "realism": level})
-
-
-def _completed(value: Any, preset: object) -> Any:
-    """A mapping of some fields of a block, with the other ones of the preset; any other value as it is."""
-    return {**_fields(preset), **value} if isinstance(value, Mapping) else value
-
-
-def _fields(block: object) -> dict[str, Any]:
-    return {f.name: getattr(block, f.name) for f in dataclasses.fields(block)} if dataclasses.is_dataclass(block) else {}

@@ -24,13 +24,9 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 from vstestbed.effects.body import Change, put
 
-YAW_SHARE = 0.6  # share of the rotors' margin at hover that yaw may use: the rest is for attitude and thrust
 LEAST_THRUST_TO_WEIGHT = 1.3
 """Under it the rotors' margin over the weight no longer flies the flight loops' tilt of 30 degrees, which takes 1.15 of the weight."""
-LEAST_TURN = 10.0
-"""Least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27."""
-MAX_YAW_ACCELERATION = 0.4
-"""Slope of the X-4's yaw-rate command [rad/s^2], a little under the .45 that its rotors' share of yaw can realise (`yaw_slope`)."""
+LEAST_TURN = 10.0  # least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27
 HUB_M = 0.075  # radius of the hub, where the arms begin [m]
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]
 """Moments of inertia about x, y and z [kg m^2]."""
@@ -74,20 +70,16 @@ class QuadrotorParameters:
         if a + b < c:
             words = f"must have no moment over the sum of the two others, as any body has; {c:g} is over {a + b:.4g}"
             raise ParameterError("inertia_kgm2", words, list(self.inertia))
-        self._check_thrust()
-        turn = 2 * self.arm_m * self.thrust_coefficient * min(self.hover, self.limit - self.hover) / max(self.inertia[:2])
-        if turn < LEAST_TURN:
-            words = f"lets the rotors turn the craft by {turn:.2g} rad/s^2, which takes {LEAST_TURN:g} to keep it level"
-            raise ParameterError("inertia_kgm2", f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}")
-
-    def _check_thrust(self) -> None:
-        weight, thrust = self.mass_kg * GRAVITY, 4 * self.thrust_coefficient * self.limit
-        ratio = thrust / weight
+        ratio = 4 * self.thrust_coefficient * self.limit / (self.mass_kg * GRAVITY)
         if ratio < LEAST_THRUST_TO_WEIGHT:
             need = LEAST_THRUST_TO_WEIGHT / ratio
             words = f"leaves a thrust of {ratio:.3g} times the weight; to hover with a margin takes {LEAST_THRUST_TO_WEIGHT:g}. Works:"
             ways = f"mass_kg up to {self.mass_kg / need:.3g}, or thrust_coefficient from {self.thrust_coefficient * need:.3g}"
             raise ParameterError("mass_kg", f"{words} {ways}, or rotor_speed_radps from {self.rotor_speed_radps * math.sqrt(need):.4g}")
+        turn = 2 * self.arm_m * self.thrust_coefficient * min(self.hover, self.limit - self.hover) / max(self.inertia[:2])
+        if turn < LEAST_TURN:
+            words = f"lets the rotors turn the craft by {turn:.2g} rad/s^2, which takes {LEAST_TURN:g} to keep it level"
+            raise ParameterError("inertia_kgm2", f"{words}; works: moments up to {max(self.inertia[:2]) * turn / LEAST_TURN:.3g}")
 
     @cached_property
     def inertia(self) -> Vector:
@@ -110,13 +102,16 @@ class QuadrotorParameters:
 
     @cached_property
     def yaw_torque(self) -> float:
-        """Largest yaw torque [Nm], of the X-4 .066. Yaw is weak, since only the rotors' drag torques turn a craft about z."""
-        return YAW_SHARE * 4 * self.drag_coefficient * (self.limit - self.hover)
+        """Largest yaw torque [Nm], of the X-4 .066. Yaw is weak, since only the rotors' drag torques turn a craft about z.
+
+        It may use .6 of the rotors' margin at hover: the rest is for attitude and thrust.
+        """
+        return 0.6 * 4 * self.drag_coefficient * (self.limit - self.hover)
 
     @cached_property
     def yaw_slope(self) -> float:
-        """Slope of the yaw-rate command [rad/s^2]: as much less than what the rotors can realise as the X-4's."""
-        return MAX_YAW_ACCELERATION * ((self.yaw_torque / self.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
+        """Slope of the yaw-rate command [rad/s^2]: .4 of the X-4, whose rotors can realise .45, and as much less of other craft."""
+        return 0.4 * ((self.yaw_torque / self.inertia[2]) / (X4.yaw_torque / X4.inertia[2]))
 
     @cached_property
     def units(self) -> Vector:
