@@ -55,7 +55,7 @@ def _detect(poster: PictureTarget, seen: Picture, camera: Camera = CAMERA, state
 
 def _known(poster: PictureTarget, T: Array, before: Array | None = None) -> PatchState:
     """The state after a picture from a pose, and one before it."""
-    unit = template_of(poster.source, poster.width, PatchDetector().texels).unit_m
+    unit = template_of(poster.source, 0, poster.width, PatchDetector().texels).unit_m
     G, G_before = (None if at is None else normalised(at[:3][:, [0, 1, 3]] @ np.diag([unit, unit, 1])) for at in (T, before))
     return PatchState(G, G_before, True, 0.0)
 

@@ -45,11 +45,6 @@ class FlightBlocks:
     vibration: Vibration | None = None
     motors: MotorSpread | None = None
 
-    @property
-    def blocks_draw(self) -> bool:
-        """Whether the seed makes a difference: motors that are not listed, a wake that fluctuates, vibration."""
-        return (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
-
 
 LAB: dict[str, object] = {
     "ground_effect": GroundEffect(),

@@ -6,7 +6,7 @@ applied when the scene is composed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -40,7 +40,11 @@ def scale(model: mujoco.MjSpec, kind: Kind, field: str, factor: float | tuple[fl
 
     factor: of all entries of an array field, or one for each of the first.
     """
-    for element in _all(model, kind, of):
+    if of and kind in ("body", "actuator"):
+        elements = [_named(model, kind, of)]
+    else:
+        elements = getattr(_named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s"))
+    for element in elements:
         before = getattr(element, field)
         if isinstance(factor, tuple):
             before[: len(factor)] *= factor
@@ -99,9 +103,3 @@ def _named(model: mujoco.MjSpec, kind: str, name: str) -> Any:
     if element is None:
         raise LookupError(f"the model {model.modelname} has no {kind} {name}")
     return element
-
-
-def _all(model: mujoco.MjSpec, kind: str, of: str) -> Iterable[Any]:
-    if of and kind in ("body", "actuator"):
-        return [_named(model, kind, of)]
-    return getattr(_named(model, "body", of) if of else model, {"body": "bodies"}.get(kind, f"{kind}s"))

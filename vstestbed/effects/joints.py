@@ -363,8 +363,12 @@ class MotorTorques(Actor):
 
     def act(self, t: float, dt: float) -> None:
         """Apply the torques of the coming physics step."""
-        m = self._motors
-        tau = self._smoothed() if m.loops is not None else 0.0
+        m, tau = self._motors, 0.0
+        if m.loops is not None:
+            self._late.append(self._servos())
+            u = self._late.popleft()
+            tau = u + (self._tau - u) * self._mean
+            self._tau = u + (self._tau - u) * self._left
         if self._ripples:
             wave = np.sin(m.cycles * self._data.qpos[self._qpos])
             given = tau if m.loops is not None else self._data.actuator_force[self._actuators]
@@ -377,10 +381,3 @@ class MotorTorques(Actor):
         held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
         u = np.where(self._integrates, held - kv * speed, kv * (data.ctrl[self._ctrl] - speed))
         return np.clip(u, -self._most, self._most)
-
-    def _smoothed(self) -> Array:
-        self._late.append(self._servos())
-        u = self._late.popleft()
-        mean = u + (self._tau - u) * self._mean
-        self._tau = u + (self._tau - u) * self._left
-        return mean

@@ -130,6 +130,7 @@ def _step(J: Array, twist: Array, q: Array, limits: Array, unit_m: float) -> Arr
 
 LIMIT_MARGIN = math.radians(1.0)  # distance from its hard stop at which a joint comes to rest [rad; m for one that slides]
 LIMIT_HORIZON_S = 0.25  # velocity damper: near its limit a joint may approach no faster than to reach the margin in this time [s]
+INNER = 0.8  # central share of a joint's range in which limit avoidance leaves it alone
 SHORTEST_STEP_S = 1e-4  # shortest physics step that elastic gears may ask for [s]: twenty times the time of a run at 2 ms
 
 
@@ -203,14 +204,10 @@ class Arm(Realistic):
     actuation: ClassVar[str]
     flange: ClassVar[str] = "flange"
     avoid_limits: ClassVar[float]
-    chain: ClassVar[JointChain]
-    """Its joints in plain numbers."""
-    joint_speeds: ClassVar[Array]
-    """Largest speed of each joint, (n,) [rad/s, m/s]."""
-    servo_set: ClassVar[Actuation]
-    """Its servos, without an error of their gravity compensation."""
-    lag_s: ClassVar[float] = 0.009
-    """Velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos."""
+    chain: ClassVar[JointChain]  # its joints in plain numbers
+    joint_speeds: ClassVar[Array]  # largest speed of each joint, (n,) [rad/s, m/s]
+    servo_set: ClassVar[Actuation]  # its servos, without an error of their gravity compensation
+    lag_s: ClassVar[float] = 0.009  # by the velocity gain of its servos over the inertia: 112 / s for the Puma and for added servos
 
     @property
     def unit_m(self) -> float:
@@ -441,7 +438,7 @@ class Arm(Realistic):
         """dq*_i = -avoid_limits (q_i - edge_i) beyond the edge of the middle four fifths of a joint's range, else 0."""
         limits = self.chain.limits
         with np.errstate(invalid="ignore"):  # a joint that turns without end has no middle: nan, where it is always inside
-            low, high = (limits.mean(axis=1) + side * 0.8 * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
+            low, high = (limits.mean(axis=1) + side * INNER * np.ptp(limits, axis=1) / 2 for side in (-1, 1))
         low, high = np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
         return -self.avoid_limits * (q - np.clip(q, low, high))
 

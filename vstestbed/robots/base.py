@@ -50,8 +50,7 @@ class Reading:
 # Every robot has one. How a robot stops is its own matter (`Robot.stopping`); when it must is decided here, and for a craft that must
 # set down besides in `failsafe`.
 FOLLOWS, HOLDS, STOPS = range(3)  # modes, as numbered in the log's column `supervisor`
-STANDS_RADPS = 0.02
-"""A robot whose joints are all slower than this stands [rad/s; m/s for joints that slide]: the rim of a car's wheel makes 3 mm/s."""
+STANDS_RADPS = 0.02  # a robot whose joints are all slower stands [rad/s; m/s for slides]: the rim of a car's wheel makes 3 mm/s
 
 
 @dataclass
@@ -62,8 +61,8 @@ class Supervisor:
     aborted: why the task was aborted; None while it goes on. mode: see FOLLOWS, ...
     """
 
+    # The end of an aborted task, in words: brought to rest, or not in time.
     DOWN: ClassVar[tuple[str, str]] = "the robot stands", "the robot was still moving when the time ran out"
-    """The end of an aborted task, in words: brought to rest, or not in time."""
     lost_after_s: float = math.inf
     lost_after_m: float = math.inf
     aborted: Verdict | None = None
@@ -162,8 +161,7 @@ class RobotLog:
 
 
 LARGEST_STEP_S = 0.002  # the largest default physics step of a robot that names no other [s]
-STOP_S = 0.25
-"""How long a robot takes to stop that names no other time [s], from any speed: at most a speed limit over it is the deceleration."""
+STOP_S = 0.25  # how long a robot takes to stop that names no other time [s], from any speed: decelerations are at most speed limits over it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,12 +328,9 @@ RobotBase = Robot
 class Onboard(Robot):
     """A robot with an onboard controller between its setpoint and the controls of its actuators."""
 
-    reading: ClassVar[type[Reading]] = Reading
-    """The class of the reading that the loop sees."""
-    control_period_s: float
-    """Its period [s]."""
-    first_setpoint: ClassVar[Array | None] = None
-    """The setpoint before the first command; None where the controls stay those of the start until then."""
+    reading: ClassVar[type[Reading]] = Reading  # the class of the reading that the loop sees
+    control_period_s: float  # its period [s]
+    first_setpoint: ClassVar[Array | None] = None  # before the first command; None where the controls stay those of the start until then
 
     @property
     def onboard(self) -> Onboard | None:

@@ -120,12 +120,7 @@ class Drive:
 
 
 def drive(
-    law: Callable[[Array], tuple[Array, Array]],
-    start: Array,
-    wheelbase: float,
-    limits: Limits,
-    duration: float,
-    period: float = 0.01,
+    law: Callable[[Array], tuple[Array, Array]], start: Array, wheelbase: float, limits: Limits, duration: float, period: float = 0.01
 ) -> Drive:
     """Closed loop of a law and a bicycle that knows its place, rolls without slip, and follows commands within its limits.
 
@@ -151,7 +146,6 @@ def drive(
 
 
 GRIP = 0.8  # friction of the tyres on a dry floor (models/car.xml)
-ROLLING_NM = 1.32  # rolling resistance of the buggy's four wheels [Nm]
 MOST_WHEEL_RAD = 1.25  # how far a front wheel can turn under the deck [rad]
 # Polynomial from the steering angle to the left crank in models/car.xml, for track / (2 wheelbase) = .3.
 CRANK = 0.0, 1.0, 0.42555, 0.23022, 0.04028
@@ -200,11 +194,6 @@ class CarParameters:
     def most_steering_rad(self) -> float:
         """The steering angle of the middle of the axle at which the inner wheel stands at MOST_WHEEL_RAD [rad]: cot = cot + slant."""
         return math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + self.slant))
-
-    def torque_for(self, acceleration: float, rolling: float | None = None) -> float:
-        """Torque at the rear axle for an acceleration [m/s^2], with a rolling resistance [1]; None: that of the file [Nm]."""
-        resistance = ROLLING_NM / 0.15 * (self.mass_kg / 60.0) if rolling is None else rolling * self.mass_kg * GRAVITY
-        return (self.mass_kg * acceleration + resistance) * self.wheel_radius_m
 
     def rolling(self, coefficient: float) -> tuple[Change, ...]:
         """Torques on the wheels by a rolling resistance [1]: its share of each wheel's static load, at the radius."""
@@ -380,13 +369,13 @@ class Car(Vehicle, Onboard):
             words = f"must be at most {math.floor(1e3 * body.most_steering_rad) / 1e3:g} rad at track_m {body.track_m:g} and wheelbase_m"
             words = f"{words} {body.wheelbase_m:g}: the inner front wheel would turn beyond 71 degrees, into the chassis"
             raise ParameterError("limits.steering_rad", words, limits.steering_rad)
-        if (need := body.torque_for(limits.acceleration_mps2, self.rolling_resistance)) > body.motor_torque_nm:
+        rolling = self.rolling_resistance  # by default 1.32 Nm of the buggy's four wheels, by the file
+        resistance = 1.32 / 0.15 * (body.mass_kg / 60.0) if rolling is None else rolling * body.mass_kg * GRAVITY
+        if (need := (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m) > body.motor_torque_nm:
             most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (body.mass_kg * body.wheel_radius_m)
-            words = (
-                f"must be at least {need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with mass_kg {body.mass_kg:g}"
-            )
+            words = f"must be at least {need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g}"
             other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
-            raise ParameterError("parameters.motor_torque_nm", f"{words}{other}", body.motor_torque_nm)
+            raise ParameterError("parameters.motor_torque_nm", f"{words} with mass_kg {body.mass_kg:g}{other}", body.motor_torque_nm)
 
     @property
     def body(self) -> BodyFile:

@@ -102,7 +102,11 @@ class Mjcf(Arm):
                 raise ParameterError(field, f"must be {n} {words}, of {', '.join(chain.names)}, or one for all", list(given))
         self._check()
         if self.actuation == "file":
-            self._check_drives(chain)
+            for name, drive in zip(chain.names, chain.drives, strict=True):
+                if drive not in ("velocity", "position"):
+                    found = f"a {drive} actuator" if drive else "no actuator"
+                    words = f"must not be file: {name} has {found} there, which follows no speed; works: velocity, which adds servos"
+                    raise ParameterError("actuation", words)
         elif self.actuation == "velocity":
             # Gains that are not given become those of this start: a run's copies, started elsewhere, keep them.
             if not self.servo_kp:
@@ -118,13 +122,6 @@ class Mjcf(Arm):
         links, _ = reader().inertias_at(self.file, chain.names, at)
         return tuple((links.diagonal() + self.elastic.rotors).tolist())
 
-    def _check_drives(self, chain: JointChain) -> None:
-        for name, drive in zip(chain.names, chain.drives, strict=True):
-            if drive not in ("velocity", "position"):
-                found = f"a {drive} actuator" if drive else "no actuator"
-                words = f"must not be file: {name} has {found} there, which follows no speed; works: velocity, which adds servos"
-                raise ParameterError("actuation", words)
-
     @property
     def chain(self) -> JointChain:
         """The joints as plain numbers."""
@@ -133,17 +130,17 @@ class Mjcf(Arm):
     @property
     def servo_set(self) -> Actuation:
         """The servos: added, or the file's own."""
-        ideal, chain = self.actuation == "ideal", self.chain
-        return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(self._servos(chain)))
-
-    def _servos(self, chain: JointChain) -> list[Servo]:
-        speeds, torques = self.speed_limits, self.torque_limits or chain.torque.tolist()
+        chain, speeds = self.chain, self.speed_limits
         if self.actuation == "file":
-            return [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
-        if self.actuation == "ideal":
+            servos = [Servo(name, speed, None) for name, speed in zip(chain.names, speeds, strict=True)]
+        elif self.actuation == "ideal":
             each = zip(chain.names, speeds, self._inertia(chain), strict=True)
-            return [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]  # stiff: [1/s] times the inertia
-        return [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
+            servos = [Servo(name, speed, np.inf, kv=5000.0 * m) for name, speed, m in each]  # stiff: [1/s] times the inertia
+        else:
+            torques = self.torque_limits or chain.torque.tolist()
+            servos = [Servo(*joint) for joint in zip(chain.names, speeds, torques, self.servo_kp, self.servo_kv, strict=True)]
+        ideal = self.actuation == "ideal"
+        return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(servos))
 
     @property
     def joint_speeds(self) -> Array:

@@ -69,16 +69,8 @@ class OwnModel:
         """Of a robot whose positions along its motions, J (6, n), are unknown or without limits."""
         n = J.shape[1]
         zero, endless = np.zeros(n), np.full(n, np.inf)
-        values = {
-            "q": zero,
-            "qd": zero,
-            "low": -endless,
-            "high": endless,
-            "nominal": zero,
-            "sums": np.zeros((0, n)),
-            "most": np.zeros(0),
-            **more,
-        }
+        still = {"q": zero, "qd": zero, "nominal": zero, "low": -endless, "high": endless}
+        values = {**still, "sums": np.zeros((0, n)), "most": np.zeros(0), **more}
         return cls(names=names, J=J, jacobian=lambda q: J, speed=speed, acceleration=acceleration, **values)  # pyright: ignore[reportArgumentType] - fields by name
 
     @classmethod

@@ -298,9 +298,10 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
 
     @property
     def draws(self) -> bool:
-        """Its imperfections, and the noise of its instruments."""
+        """Motors that are not listed, a wake that fluctuates, vibration, and the noise of its instruments."""
+        blocks = (self.motors is not None and self.motors.draws) or self.downwash is not None or self.vibration is not None
         sigmas = (self.imu.gyro_sigma_radps, self.imu.accel_sigma_mps2, self.velocity.sigma_mps, self.range_sigma_m)
-        return self.blocks_draw or any(sigmas)
+        return blocks or any(sigmas)
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """MuJoCo's perfect sensors with noise and bias (10,) of gyro, accelerometer, velocity and range, and the velocity's scale error."""

@@ -145,14 +145,11 @@ class Vehicle(Realistic):
     start: ClassVar[GroundStart]
     base: ClassVar[Base] = "planar"
     proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
-    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)
-    """x of its rear and of its front end in the base frame [m]."""
-    turning_radius_m: ClassVar[float] = 0.0
-    """Radius of its tightest circle [m]; 0: it turns on the spot."""
-    top_speed_mps: ClassVar[float] = np.inf
-    """Largest forward speed [m/s]."""
+    ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)  # x of its rear and of its front end in the base frame [m]
+    turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
+    top_speed_mps: ClassVar[float] = np.inf  # largest forward speed [m/s]
+    # Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place.
     draws_heading: ClassVar[bool] = False
-    """Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place."""
 
     @property
     def acting(self) -> tuple[Effect, ...]:

@@ -12,11 +12,8 @@ from vstestbed.vision.pnp import AT_THE_LENS
 
 ROUNDS = 12  # most Gauss-Newton steps; three or four suffice from the pose a frame ago
 SETTLED = 1e-10  # converged when a step is smaller than this [m, rad]
-UNTOLD = 1e-4  # singular values below this share of the largest count as zero: two landmarks on one vertical leave the heading open
 LEVEL = 0.03  # least |z| of a unit ray (1.7 degrees of elevation) whose landmark's height gives a distance
-SAME_BASIN = 0.05  # a guess no farther than this from a solution leads to it [m, rad]
 ALIKE = 1e-9  # errors below this [rad] are rounding
-_EYE = np.eye(3)
 FITS = 0.1  # a solution whose angular errors have a larger root mean square than this [rad] is rejected
 
 
@@ -35,7 +32,7 @@ def solve_place(rays: Array, points: Array, T_base_camera: Array, previous: Arra
     # The previous pose may be a local minimum: the closed form competes with it, unless it leads to the same one.
     solved = [] if previous is None else [_refined(d, points, origin, previous)]
     guess = _by_height(d, points, origin)
-    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < SAME_BASIN):
+    if guess is not None and not (solved and np.abs(guess - solved[0][0]).max() < 0.05):  # within which it leads there, too [m, rad]
         solved.append(_refined(d, points, origin, guess))
     if not solved:
         return None
@@ -68,13 +65,13 @@ def _refined(d: Array, points: Array, origin: Array, place: Array) -> tuple[Arra
     dp/dheading = R'^T (m - (x, y)), and the error is the component of p/|p| orthogonal to the ray.
     """
     place = np.array(place, dtype=float)
-    across = _EYE - d[:, :, None] * d[:, None, :]
+    across = np.eye(3) - d[:, :, None] * d[:, None, :]
     unknowns = 3 if len(points) > 1 else 2
     error = math.inf
     for _ in range(ROUNDS):
         e, J = _errors(d, across, points, origin, place)
         error = math.sqrt(float(e @ e) / len(points))
-        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=UNTOLD)[0]
+        step = np.linalg.lstsq(J[:, :unknowns], -e, rcond=1e-4)[0]  # two landmarks on one vertical leave the heading open
         place[:unknowns] += step
         if np.abs(step).max() < SETTLED:
             break

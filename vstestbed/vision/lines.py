@@ -22,10 +22,7 @@ from vstestbed.vision.base import Detection, DetectorBase, TruthView
 from vstestbed.vision.colour import chroma
 
 ROWS = 9  # rows of a strip, about one pixel apart: enough for a stripe's direction, few enough for a bend of 2 m radius to be straight
-LEAST_ROWS = 5  # fewest rows from which a line is fitted
-FINEST_M, COARSEST_M = 5e-4, 0.02  # limits of a strip's raster [m]; between them a cell is as large as a pixel
-OUTSIDE = np.float32(-9)
-"""Coordinate for a cell that the camera does not see [px]: far enough outside for interpolation not to reach the image."""
+OUTSIDE = np.float32(-9)  # coordinate for a cell that the camera does not see [px]: too far outside for interpolation to reach the image
 BACKDROP = (128, 128, 128)  # grey for cells outside of the image: without hue
 
 
@@ -136,7 +133,7 @@ class Lines(DetectorBase):
         one = int(able[np.argmin(far)])
         weight = np.where(cv2.dilate((labels == one).astype(np.uint8), np.ones((1, 3), np.uint8)) > 0, colour, 0).astype(float)
         rows = np.flatnonzero((weight[:, 0] == 0) & (weight[:, -1] == 0) & ((labels == one).any(axis=1)))
-        if len(rows) < LEAST_ROWS:
+        if len(rows) < 5:
             return math.nan
         mass = weight[rows].sum(axis=1)
         columns = weight[rows] @ np.arange(weight.shape[1]) / mass
@@ -156,7 +153,7 @@ def _strip(camera: Camera, ahead: float, reach: float) -> Strip:
     # Pixels per metre by finite differences of 2 mm, which hold for any lens.
     mount, step = camera.mount.T, 0.002
     here, on, left = camera.project(on_foot(mount, np.array([[ahead, 0.0], [ahead + step, 0.0], [ahead, step]])))
-    row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), FINEST_M, COARSEST_M)) for uv in (on, left))
+    row_m, column_m = (float(np.clip(step / np.linalg.norm(uv - here), 5e-4, 0.02)) for uv in (on, left))  # a cell is a pixel, if neither
     if not math.isfinite(row_m + column_m):
         raise ParameterError("target.look_m", "must be where the camera sees the floor", ahead)
     half = math.ceil(reach / column_m)

@@ -32,10 +32,7 @@ GreyImage = NDArray[np.float32]
 LEAST_SIDE = 20  # shortest side of the smallest copy of a template [texel]
 BLOCKS = 6  # blocks along a template's longer side, each of which is compared with the picture by itself
 FLAT = 6.0  # standard deviation of a block's grey levels below which its correlation would be one of noise alone
-BLUR = 0.8
-"""Standard deviation of the filter over template and picture [texel], [px], without which sampling between pixels shifts fine detail."""
-NOISE = 4.0  # grey levels by which a flat texel may differ from the picture, ...
-SHIFT = 0.3  # ... and texels by which an edge may seem to be shifted in it
+BLUR = 0.8  # sigma of the filter over template and picture [texel, px], without which sampling between pixels shifts fine detail
 EDGE = 2  # outermost texels that are left out: what the picture shows there mixes with what is behind the template
 
 
@@ -89,13 +86,9 @@ class Template:
         return np.array([[-a, -b, 1], [a, -b, 1], [a, b, 1], [-a, b, 1]])
 
 
-def template_of(path: Path, width_m: float, most_texels: int) -> Template:
-    """The template of a picture file that is printed `width_m` wide; its largest copy has `most_texels` or a few less."""
-    return _template(path, path.stat().st_mtime_ns, width_m, most_texels)
-
-
 @lru_cache(maxsize=8)
-def _template(path: Path, changed: int, width_m: float, most_texels: int) -> Template:
+def template_of(path: Path, written_ns: int, width_m: float, most_texels: int) -> Template:
+    """The template of a picture file, last written at a time [ns], printed `width_m` wide; the largest copy has about `most_texels`."""
     image = decoded(path)
     grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.float32)
     height, width = grey.shape
@@ -125,7 +118,8 @@ def _level(grey: GreyImage, size: tuple[int, int], half: tuple[float, float]) ->
     spread = np.sqrt(np.maximum(np.bincount(block, small.ravel() ** 2) / n - mean**2, 0))
     to_plane = np.array([[texel[0], 0, x[0]], [0, texel[1], y[0]], [0, 0, 1]])
     slope = slopes(small, texel)
-    sampled = np.hypot(NOISE, SHIFT * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
+    # A flat texel may differ by four grey levels from the picture, and an edge may seem to be shifted by .3 texels in it.
+    sampled = np.hypot(4.0, 0.3 * np.hypot(slope[0] * texel[0], slope[1] * texel[1])).astype(np.float32)
     x, y = x.astype(np.float32), y.astype(np.float32)
     return TemplateSize(small, x, y, to_plane, slope, texel, inner, sampled, block, spread > FLAT, (across, down))
 
@@ -138,9 +132,6 @@ def slopes(grey: GreyImage, texel: tuple[float, float]) -> GreyImage:
     return out.reshape(2, -1)
 
 
-LONGEST_PX = 640  # longest side of the template in which keypoints are detected [px]: a picture shows no finer ones
-
-
 @functools.cache
 def _sift() -> Sift:
     """Its contrast is a quarter of what is usual: a picture may be in shadow, and wrong matches are found out."""
@@ -150,7 +141,7 @@ def _sift() -> Sift:
 def _features(image: Image, half: tuple[float, float]) -> tuple[Array, Descriptors]:
     """Places (K, 2) in the template's unit and SIFT descriptors (K, 128) of a picture (H, W, 3), blue first."""
     height, width = image.shape[:2]
-    share = min(1.0, LONGEST_PX / max(height, width))
+    share = min(1.0, 640 / max(height, width))  # a picture shows no finer ones
     w, h = round(width * share), round(height * share)
     small = cv2.cvtColor(cv2.resize(image, (w, h), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB)
     px, descriptors = _sift().extract(np.asarray(small, np.uint8))
@@ -190,7 +181,12 @@ class GreyPicture:
         return out
 
     def _sampled(self, k: int, rays: Array, shape: tuple[int, int], halvings: int) -> GreyImage:
-        panel, image, begin = self.camera.panels[k], self._size(k, halvings), self._begin[k]
+        if (k, halvings) not in self._smooth:
+            sizes = self._sizes[k]
+            while len(sizes) <= halvings:
+                sizes.append(np.asarray(cv2.pyrDown(sizes[-1]), np.float32))
+            self._smooth[k, halvings] = np.asarray(cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32)
+        panel, image, begin = self.camera.panels[k], self._smooth[k, halvings], self._begin[k]
         turned, lens = panel.R_camera_panel.T @ rays, panel.lens
         h, w = shape
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
@@ -203,14 +199,6 @@ class GreyPicture:
         u, v = np.ascontiguousarray(np.moveaxis(np.nan_to_num(at.astype(np.float32), nan=OUTSIDE), -1, 0))
         found = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
         return np.asarray(found, np.float32)
-
-    def _size(self, k: int, halvings: int) -> GreyImage:
-        if (k, halvings) not in self._smooth:
-            sizes = self._sizes[k]
-            while len(sizes) <= halvings:
-                sizes.append(np.asarray(cv2.pyrDown(sizes[-1]), np.float32))
-            self._smooth[k, halvings] = np.asarray(cv2.GaussianBlur(sizes[halvings], (0, 0), BLUR), np.float32)
-        return self._smooth[k, halvings]
 
 
 @lru_cache(maxsize=16)
@@ -242,20 +230,10 @@ def pixels_per_unit(camera: Camera, G: Array, half: tuple[float, float]) -> floa
 TUKEY = 4.685  # residuals beyond this many standard deviations have no weight (95 % efficiency on Gaussian noise)
 LEAST_SIGMA = 0.5  # least standard deviation that residuals are taken to have, in units of `TemplateSize.spread`
 LIGHT = 64.0  # grey levels that count as one in the normal equations, so that their columns are of similar size
-RIDGE = 1e-6  # added to the normal equations' diagonal, as a share of its mean: what a template leaves open stays where it is
-MOST_ROUNDS = (12, 8, 8)  # most iterations on the smallest copy, the next one and the largest
-STILL_PX = 0.03  # the iterations end when no corner moves by more than this in the picture [px]
-EARLIER = 8.0  # in the smaller copies they end so many times earlier
 PART = 2000  # texels in one product of matrices
-LEAST_TEXELS = 100  # fewest texels within the picture from which an alignment is attempted
 INSIDE = 0.5  # share of a block that must be in the picture for it to count
 ENOUGH = 0.15  # share of the textured blocks that must be alike before the others are left out; fewer may be alike by chance
 FAINT = 1.0  # least standard deviation of a block that correlates, in grey levels: that of a plain surface is noise
-PARTLY = 0.8  # share of the alike blocks' median correlation below which a block is taken to be hidden in part
-COARSEST = 4.0  # the smallest copy is that whose texels are up to so many times those of the largest
-SHARP = 0.7  # pixels along a texel of the largest copy that is used, at least: finer ones show nothing that the picture holds
-
-
 BlockFits = tuple[NDArray[np.bool_], float, float]
 """Which blocks (B,) of a template count; zero-mean normalised cross-correlation of the picture with those that are alike, and their share
 of the textured ones."""
@@ -280,8 +258,9 @@ def align(template: Template, picture: GreyPicture, G: Array, least_correlation:
     """
     visible = 0.0
     sizes = _sizes(template, picture, G)
-    for (level, halvings), rounds in zip(sizes, MOST_ROUNDS[-len(sizes) :], strict=True):
-        still = STILL_PX * (1 if level is sizes[-1][0] else EARLIER)
+    for (level, halvings), rounds in zip(sizes, (12, 8, 8)[-len(sizes) :], strict=True):  # most iterations, on the smallest copy first
+        # They end when no corner moves by more than this in the picture [px]; in the smaller copies earlier.
+        still = 0.03 * (1 if level is sizes[-1][0] else 8.0)
         found = _aligned(level, picture, halvings, G, rounds, still, least_correlation, template.corners)
         if found is None:
             return None
@@ -305,8 +284,9 @@ def _sizes(template: Template, picture: GreyPicture, G: Array) -> list[tuple[Tem
     if not scale > 0:
         return []
     px = [scale * np.sqrt(level.texel[0] * level.texel[1]) for level in template.levels]
-    first = next((k for k, size in enumerate(px) if size >= SHARP), len(px) - 1)
-    used = [k for k in range(first, len(px)) if px[k] <= COARSEST * 1.2 * px[first]]
+    # Texels from .7 px on, since finer ones show nothing that the picture holds, to about four times those.
+    first = next((k for k, size in enumerate(px) if size >= 0.7), len(px) - 1)
+    used = [k for k in range(first, len(px)) if px[k] <= 4.0 * 1.2 * px[first]]
     return [(template.levels[k], max(0, round(float(np.log2(px[k]))))) for k in reversed(used)]
 
 
@@ -325,7 +305,7 @@ def _aligned(
         if counted is None:
             counted = _compared(level, grey, least)[0]
         seen = counted[level.block] & level.inner & np.isfinite(grey)
-        if np.count_nonzero(seen) < LEAST_TEXELS:
+        if np.count_nonzero(seen) < 100:  # texels
             return None
         warp, light = _step(level, grey, seen, light)
         G = normalised(G @ warp)
@@ -362,7 +342,8 @@ def _step(level: TemplateSize, grey: GreyImage, seen: NDArray[np.bool_], light: 
     # rows rows^T in parts so small that a linear algebra library does not share them out among threads
     N = np.add.reduce([(part := rows[:, k : k + PART]) @ part.T for k in range(0, rows.shape[1], PART)]).astype(float)
     n = len(N) - 1
-    z = -np.linalg.solve(N[:n, :n] + RIDGE * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
+    # The ridge leaves where it is what the template leaves open.
+    z = -np.linalg.solve(N[:n, :n] + 1e-6 * np.trace(N[:n, :n]) / n * np.eye(n), N[:n, n])
     return _exponential(z[:8]), a + z[8:] / [LIGHT, LIGHT, LIGHT, 1, 1, 1]
 
 
@@ -399,16 +380,12 @@ def _compared(level: TemplateSize, grey: GreyImage, least: float) -> BlockFits:
     total = float(cov[alike].sum() / max(np.sqrt(vi[alike].sum() * vt[alike].sum()), 1e-6))
     share = np.count_nonzero(alike) / max(1, np.count_nonzero(level.textured))
     # A block that is hidden in part lets its alignment slip, and has less correlation than the others.
-    counted = alike & (each >= PARTLY * np.median(each[alike])) if share >= ENOUGH else inside
+    counted = alike & (each >= 0.8 * np.median(each[alike])) if share >= ENOUGH else inside
     return counted, total, share
 
 
 # A plane's template found anywhere in a picture: keypoints matched, and the homography on which most of them agree.
-RATIO = 0.8  # a match counts if its distance is below this share of the second best one's (Lowe 2004, section 7.1)
-WITHIN_PX = 3.0  # largest distance of a keypoint from its place by the homography [px]
 LEAST_MATCHES = 10  # fewest matches that must agree
-TRIALS = 2000
-AHEAD = 0.1  # least cosine of the angle between a ray and the middle of all
 STEP = 1e-3  # tangent by which the picture's scale in its middle is measured
 
 
@@ -425,14 +402,14 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
         return None
     R = looking_along(np.median(rays, axis=0))
     turned = rays @ R
-    ahead = turned[:, 2] > AHEAD
+    ahead = turned[:, 2] > 0.1
     xy = turned[ahead, :2] / turned[ahead, 2:]
     if len(xy) < LEAST_MATCHES:
         return None
     # Pixels per unit of tangent in the middle of the camera's (first) image.
     middle = camera.panels[0].lens.project(np.array([[0.0, 0.0, 1.0], [STEP, 0.0, 1.0]]))
     f = float(np.linalg.norm(middle[1] - middle[0])) / STEP
-    H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, WITHIN_PX, maxIters=TRIALS, confidence=0.999)
+    H, inliers = cv2.findHomography(places[index[ahead]], f * xy, cv2.RANSAC, 3.0, maxIters=2000, confidence=0.999)  # within 3 px
     if H is None or np.count_nonzero(inliers) < LEAST_MATCHES:
         return None
     G = normalised(R @ np.diag([1 / f, 1 / f, 1]) @ H)
@@ -443,13 +420,10 @@ def found(template: Template, picture: Picture, camera: Camera) -> Array | None:
 def _matched(image: Image, panel: Panel, template: Template) -> tuple[Array, NDArray[np.intp]]:
     """Unit rays (M, 3) in the camera's frame of a panel's keypoints that match one of the template's, and its number (M,)."""
     px, descriptors = _sift().extract(image)
-    mine, number, _ = mutual_matches(descriptors, template.features[1], RATIO)
+    mine, number, _ = mutual_matches(descriptors, template.features[1], ratio=0.8)
     rays = panel.lens.ray(px[mine]) @ panel.R_camera_panel.T
     known = np.isfinite(rays).all(axis=1)
     return rays[known], number[known]
-
-
-ALONG = np.linspace(-1, 1, 5)  # places along a template's sides whose images make its bounding box
 
 
 @dataclass(frozen=True, slots=True)
@@ -528,7 +502,7 @@ class PatchDetector(DetectorBase):
     def _template(self, target: Target) -> Template:
         if target.sheet is None or target.source is None:
             raise ParameterError("target", "must be a picture for detector patch, which tracks it")
-        return template_of(target.source, target.sheet.width, self.texels)
+        return template_of(target.source, target.source.stat().st_mtime_ns, target.sheet.width, self.texels)
 
     def _tracked(self, state: PatchState, picture: Picture, template: Template, camera: Camera, target: Target) -> Array | None:
         if state.G is None:
@@ -556,8 +530,9 @@ class PatchDetector(DetectorBase):
     def _window(self, state: PatchState, camera: Camera, target: Target) -> Window | None:
         if not state.tracked or state.G is None:
             return None
-        half = self._template(target).half
-        x, y = np.meshgrid(ALONG * half[0], ALONG * half[1])
+        # Places along the template's sides, and between, whose images make its bounding box.
+        half, along = self._template(target).half, np.linspace(-1, 1, 5)
+        x, y = np.meshgrid(along * half[0], along * half[1])
         plane = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
         uv = camera.project(plane @ state.G.T)
         before = uv if state.before is None else camera.project(plane @ state.before.T)

@@ -385,20 +385,14 @@ class RegionDetector(DetectorBase):
             raise ParameterError("target", "must be a shape or a ball for detector region")
         window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
         found = None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
-        found = found or self._searched(picture.completed(), state, camera, target)
+        for panel, whole in enumerate(picture.completed().images if found is None else ()):
+            if whole is not None and found is None:
+                found = self._largest(whole, panel, (0, 0, whole.shape[1], whole.shape[0]), state, camera, target)
         if found is None:
             return RegionState(state.expected), Detection(uv=np.full((len(target.points), 2), np.nan))
         box, middle, fit = found
         du, dv = (0.0, 0.0) if state.middle is None else (middle - state.middle).tolist()
         return RegionState(state.expected, box, middle, (du, dv), fit.turn), Detection(uv=camera.project(fit.p))
-
-    def _searched(self, picture: Picture, state: RegionState, camera: Camera, target: Target) -> Found | None:
-        for panel, image in enumerate(picture.images):
-            lens = camera.panels[panel].lens
-            found = None if image is None else self._largest(image, panel, (0, 0, lens.width, lens.height), state, camera, target)
-            if found is not None:
-                return found
-        return None
 
     def _largest(self, image: Image, panel: int, window: Window, state: RegionState, camera: Camera, target: Target) -> Found | None:
         """The largest region of the target's hue in a window that is whole and to which the outline fits; None without one."""

@@ -23,16 +23,11 @@ from vstestbed.vision.colour import Image
 from vstestbed.vision.pnp import solve_pose_from_rays
 
 # Subpixel corners of tags: the four edges measured in the grey image and intersected, good to hundredths of a pixel.
-ALONG = np.linspace(0.1, 0.9, 16)
-"""Positions along an edge at which it is measured, as shares of its length; the blurred corners are left out."""
+ALONG = np.linspace(0.1, 0.9, 16)  # positions along an edge at which it is measured, shares of its length, without the blurred corners
 ACROSS = np.linspace(-1, 1, 25)  # samples of one profile across an edge, in units of its reach
 ENDS = 3  # samples at each end of a profile whose mean is its black or white level
 REACH = 0.65  # half length of a profile in modules: it ends within the black border and within the white quiet zone ...
 MOST_REACH_PX = 4.0  # ... and its limit [px], beyond any blur of the order of a pixel
-ROUNDS = 4  # most iterations; each starts from the corners of the last one ...
-STEADY_PX = 0.02  # ... and they end when no corner moves by more than this [px], since the next would move them by a fraction of that
-
-
 Edges = tuple[Array, Array, Array, Array]
 """The measured edges of N tags: corners (N, 4, 2) [px]; largest distance of a measured point from its line (N,) [px]; least step from
 black to white as a share of the tag's median step (N,); least distance of a profile's ends from the picture's border (N,) [px], negative
@@ -49,8 +44,8 @@ def measure_edges(grey: Image, corners: Array, modules: int) -> Edges:
     """
     with np.errstate(divide="ignore", invalid="ignore"):  # parallel lines give NaN, which fails every check of a tag
         edges = _measured_once(grey, corners, modules)
-        for _ in range(ROUNDS - 1):
-            if np.abs(edges[0] - corners).max() < STEADY_PX:
+        for _ in range(3):
+            if np.abs(edges[0] - corners).max() < 0.02:  # another round would move them by a fraction of that
                 break
             corners, edges = edges[0], _measured_once(grey, edges[0], modules)
     return edges
@@ -140,7 +135,6 @@ def printed(marker: Marker, i: int) -> tuple[str, bytes]:
     return f"{marker.family}_{number}", cv2.imencode(".png", tag_picture(marker, number))[1].tobytes()
 
 
-CONTOUR_PX = math.sqrt(0.5)  # openCV's corners are centres of the outermost black pixels, and lie this far inside the black square [px]
 Found = tuple[int, Array]  # index of the camera's panel in which a tag is seen, and its corners (4, 2) there [px]
 QUIET = 0.25  # margin of a window as a share of the tag's size, for the white quiet zone that OpenCV needs; besides the margin in pixels
 
@@ -256,7 +250,8 @@ def _read(grey: Image, window: Window, tag: Tag, n: int, misread: int) -> dict[i
     for quad, marker in zip(quads, [] if markers is None else np.asarray(markers, int).ravel(), strict=True):
         corners = np.asarray(quad, float).reshape(4, 2)
         out = corners - corners.mean(axis=0)
-        rough[int(marker)] = corners + (left, top) + CONTOUR_PX * out / np.linalg.norm(out, axis=1, keepdims=True)
+        # OpenCV's corners are centres of the outermost black pixels, and lie so far inside the black square.
+        rough[int(marker)] = corners + (left, top) + math.sqrt(0.5) * out / np.linalg.norm(out, axis=1, keepdims=True)
     return rough
 
 
