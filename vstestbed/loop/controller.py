@@ -66,7 +66,15 @@ class GuardedLaw:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # also sys.exit: a law must not end the program
-            self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({self._where(error)})"
+            # File and line where it came from: of the law's module or a file of others, else the innermost ones.
+            frames = list(traceback.walk_tb(error.__traceback__))
+            modules = [str(frame.f_globals.get("__name__")) for frame, _ in frames]
+            ours = [name == type(self._law).__module__ or is_file_module(name) for name in modules]
+            written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]  # what dataclasses generate has no line
+            own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
+            frame, line = (own or frames)[-1]
+            where = f"{Path(frame.f_code.co_filename).name}, line {line}"
+            self.failure = f"law {self._law.kind} raised {type(error).__name__}: {error} ({where})"
 
     def _wrong(self, stepped: Any) -> str:
         """What is wrong with what `step` returned; "" for a state and a command of finite numbers."""
@@ -86,16 +94,6 @@ class GuardedLaw:
         if free and not all(math.isfinite(share) and all_finite(twists) for share, twists in free):
             return "gave free motions that are not finite"
         return ""
-
-    def _where(self, error: BaseException) -> str:
-        """File and line where the error came from, of the law's module or a file of others; the innermost ones where neither has a part."""
-        frames = list(traceback.walk_tb(error.__traceback__))
-        names = [str(f.f_globals.get("__name__")) for f, _ in frames]
-        ours = [name == type(self._law).__module__ or is_file_module(name) for name in names]
-        written = [not f.f_code.co_filename.startswith("<string>") for f, _ in frames]  # what dataclasses generate has no line
-        own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
-        frame, line = (own or frames)[-1]
-        return f"{Path(frame.f_code.co_filename).name}, line {line}"
 
 
 def observer_of(scenario: Scenario) -> Observer:
@@ -137,14 +135,14 @@ def detail(scenario: Scenario, seen: Observation, found: bool, why: str = "") ->
     if why:
         return f" ({why})"
     if not found and scenario.detector.needs_image:
-        return f" ({never_found(scenario)})"
+        return f" ({_never_found(scenario)})"
     if scenario.detector.changing:
         return ""
     names = [name for name, there in zip(scenario.target.names, seen.seen, strict=False) if not there]
     return f" (not seen: {', '.join(names)})" if names else ""
 
 
-def never_found(scenario: Scenario) -> str:
+def _never_found(scenario: Scenario) -> str:
     """That a detector of pictures has found nothing from the start on, and the likely causes."""
     if scenario.detector.changing:
         words = f"detector {scenario.detector.kind} has found nothing of the goal's picture in any picture"
@@ -394,7 +392,11 @@ class Controller:
         if measured:
             twist = s.robot.measured_twist(last.reading, shot.reading, period, twist, self._mount_at(shot.reading.q))
         if self._needs_motion:
-            own = EgoMotion(twist, period, self._since_exposure(shot, t, reading, mount), t - shot.t, self.last_twist)
+            # How far the camera has gone since the exposure; integrated commands stand in for a robot without sensors of its motion.
+            moved, age = self.ordered.displacement(t) - self.ordered.displacement(shot.t), t - shot.t
+            if age > 0:
+                moved = s.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
+            own = EgoMotion(twist, period, moved, age, self.last_twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
         depth = picture.depth if picture else None
         observed = observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
@@ -406,14 +408,6 @@ class Controller:
         if self._needs_sight and picture is not None:
             seen = replace(seen, image=sight_of(picture))
         return seen
-
-    def _since_exposure(self, shot: Exposure, t: float, reading: Reading, mount: Mount) -> Array:
-        """How far the camera has gone since an exposure until now (6,), in its own frame [m, rad]."""
-        # Integrated commands stand in for a robot without sensors of its motion.
-        moved, age = self.ordered.displacement(t) - self.ordered.displacement(shot.t), t - shot.t
-        if age > 0:
-            moved = self.scenario.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
-        return moved
 
     def _moved(self, t: float, reading: Reading, blind: str, mount: Mount) -> float:
         """Way of the camera since the last call, by the robot's own sensors [m]; 0 where it is not needed, with sight."""
@@ -470,8 +464,3 @@ class Controller:
         order = self._supervised(t, NO_PICTURE, rest, reading, basis, moved)
         self._ordered(t, order)
         return order
-
-    @property
-    def failure(self) -> str:
-        """What the law did wrong, in words; "" while it works."""
-        return self.guarded.failure

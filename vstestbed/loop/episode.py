@@ -260,18 +260,14 @@ class Episode:
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
         frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
         values = self._task.measure(frame)
-        row[:] = (*self._robot_row(frame, shot), *truth.effects, *values)
+        if self._robot_log.columns == RobotLog.columns:
+            of_robot: Iterable[float] = (self.controller.supervisor.mode,)  # the state, a tenth of an ideal frame, is not needed
+        else:
+            place, odometry = (_NOWHERE if known is None else known for known in (c.observation.place, c.observation.odometry))
+            T_base = frame.T_world_base(self._task.mount_inverse)
+            of_robot = self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
+        row[:] = (*of_robot, *truth.effects, *values)
         return frame
-
-    def _robot_row(self, frame: Frame, shot: Exposure) -> Iterable[float]:
-        """Values of the columns that only this robot has."""
-        log = self._robot_log
-        if log.columns == RobotLog.columns:
-            return (self.controller.supervisor.mode,)  # the state, which takes a tenth of an ideal frame, is not needed
-        seen, truth = frame.observation, frame.truth
-        place, odometry = (_NOWHERE if known is None else known for known in (seen.place, seen.odometry))
-        T_base = frame.T_world_base(self._task.mount_inverse)
-        return log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
 
     def _exposed(self, picture: Picture | None) -> dict[str, float]:
         """Exposure time [s] and gain of a picture, for the log; without one those with which the camera begins."""

@@ -41,7 +41,15 @@ class Inputs:
             raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
         joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
         q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
-        self._check_ranges(q)
+        body = self._robot.body
+        if body is not None and body.limits is not None:
+            low, high = body.limits.T
+            beyond = np.maximum(low - q, q - high)
+            if beyond.max() > OUTSIDE:  # of another unit, in another order, or of a failed encoder
+                i = int(beyond.argmax())
+                words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
+                works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"
+                raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
         if reading.heading is not None:
             _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
         if reading.tilt is not None:
@@ -49,19 +57,6 @@ class Inputs:
         if isinstance(reading, FlightReading):
             _check_flight(reading)
         return replace(copy.deepcopy(reading), q=q, qd=qd)
-
-    def _check_ranges(self, q: Array) -> None:
-        """Refuse joint positions (n,) that the robot cannot have: they are of another unit, in another order, or of a failed encoder."""
-        body = self._robot.body
-        if body is None or body.limits is None:
-            return
-        low, high = body.limits.T
-        beyond = np.maximum(low - q, q - high)
-        if beyond.max() > OUTSIDE:
-            i = int(beyond.argmax())
-            words = f"has {self._robot.joints[i]} outside of its range of {low[i]:.4g} to {high[i]:.4g}"
-            works = f"must be in radians, a slide's in metres, in the order {', '.join(self._robot.joints)}"
-            raise ParameterError("readings.q", f"{words}: {works}", round(float(q[i]), 4))
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
         """A depth picture as float32 in metres, NaN in its holes, in an array of its own; ParameterError where the law reads it."""

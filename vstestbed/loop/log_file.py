@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, ClassVar
@@ -135,8 +135,10 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
     scenario: of a run, whose times go on. Raises RunFolderError: neither can be read, or it is damaged, or lacks a column that runs of
     `scenario` have.
     """
-    with _reading(folder):
-        whole = folder / "log.parquet"
+    import polars as pl  # here: a run needs it only at its end
+
+    whole = folder / "log.parquet"
+    try:
         log = _of_parquet(whole, names) if whole.is_file() else _of_part(folder / "log.part", names)
         lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
         if lacking:
@@ -146,22 +148,11 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
         if scenario is not None and not np.isin(log["lost"], (0, 1)).all():
             raise ValueError("the column lost holds something else than 0 and 1")
         return log
-
-
-@contextlib.contextmanager
-def _reading(folder: Path) -> Iterator[None]:
-    """Turn errors of reading into one that names the file."""
-    try:
-        yield
     except FileNotFoundError:
         raise RunFolderError(folder, "no run here" if folder.is_dir() else "no such folder") from None
-    except BaseException as error:
-        import polars as pl  # here: a run needs it only at its end
-
-        # A panic of polars is no Exception, and comes from damaged pages.
-        if not isinstance(error, OSError | ValueError | pl.exceptions.PolarsError | pl.exceptions.PanicException):
-            raise
-        path = folder / ("log.parquet" if (folder / "log.parquet").is_file() else "log.part")
+    # A panic of polars is no Exception, and comes from damaged pages.
+    except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        path = whole if whole.is_file() else folder / "log.part"
         words = str(error).strip().partition("\n")[0][:200]
         raise RunFolderError(path, f"cannot be read ({words})", WORKS) from None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, rotation_angle, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
@@ -25,7 +24,8 @@ def side_by_side(log: Log, prefix: str, names: tuple[str, ...]) -> Array:
 
 
 def _counts(log: Log) -> Figures:
-    """Frames, and the values in the last one."""
+    """Frames, the values in the last one, and the largest true speed and rate of the camera."""
+    speed, rate = (float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max()) for names in (TWIST[:3], TWIST[3:]))
     found: Figures = {
         "sim_time_s": float(log["t"][-1]),
         "frames": len(log["t"]),
@@ -34,20 +34,14 @@ def _counts(log: Log) -> Figures:
         "final_position_error_m": float(log["position_error_m"][-1]),
         "final_rotation_error_deg": math.degrees(log["rotation_error_rad"][-1]),
         "saturated_fraction": int((log["scale"] < SATURATED).sum()) / len(log["t"]),
+        "peak_speed_mps": speed,
+        "peak_rate_radps": rate,
     }
     return found | ({"final_error_grey": float(log["error_grey"][-1])} if "error_grey" in log else {})
 
 
 def _time_to_converge(scenario: Scenario, log: Log) -> float | None:
-    """Start of the last unbroken stretch in which the goal's conditions held [s]."""
-    over = np.flatnonzero(~_converged_frames(scenario, log))
-    # an error that dips under its threshold on the way there has not converged
-    after = log["t"][int(over[-1]) + 1 if len(over) else 0 :]
-    return float(after[0]) if len(after) else None
-
-
-def _converged_frames(scenario: Scenario, log: Log) -> NDArray[np.bool_]:
-    """Frames in which the conditions of `stop.converged` hold at the last goal view, shape (frames,) bool."""
+    """Start of the last unbroken stretch in which the conditions of `stop.converged` held at the last goal view [s]."""
     counted = scenario.goal_view.counted
     markers = range(scenario.rows) if counted is None else np.flatnonzero(counted)
     # A detector of other points leaves rows empty, in the goal's columns, too.
@@ -57,7 +51,11 @@ def _converged_frames(scenario: Scenario, log: Log) -> NDArray[np.bool_]:
     error = log.get("level_error_px", log["error_px"])  # of a craft that tilts, the error that decides its task
     rows = zip(np.broadcast_to(whole, len(none)), error, *estimate, log.get("error_grey", none), strict=True)
     last_view = log["view"] == len(scenario.goal_views) - 1 if len(scenario.goal_views) > 1 else np.ones(len(none), dtype=bool)
-    return np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
+    converged = np.array([reached.near(*row) for row in rows]) & last_view & ~log["lost"].astype(bool)
+    over = np.flatnonzero(~converged)
+    # an error that dips under its threshold on the way there has not converged
+    after = log["t"][int(over[-1]) + 1 if len(over) else 0 :]
+    return float(after[0]) if len(after) else None
 
 
 def _camera_path(s: Scenario, log: Log) -> Figures:
@@ -105,19 +103,12 @@ def _image_paths(s: Scenario, log: Log) -> Figures:
     }
 
 
-def _peaks(log: Log) -> Figures:
-    """Largest true speed and rate of the camera."""
-    speed, rate = (float(np.linalg.norm(side_by_side(log, "act", names), axis=1).max()) for names in (TWIST[:3], TWIST[3:]))
-    return {"peak_speed_mps": speed, "peak_rate_radps": rate}
-
-
 def _tracking(s: Scenario, log: Log) -> Figures:
     """True errors of a moving target once settled; a target that the robot itself moves is not tracked, but in a continuing task."""
     names = ("tracking_rms_px", "tracking_max_px", "tracking_rms_m", "tracking_max_m")
     settled = log["t"] >= s.goal.settle_s
     if not (s.target.moves and (s.goal.continuing or not s.target.on_gripper) and settled.any()):
-        nothing: Figures = {}
-        return nothing | dict.fromkeys(names)
+        return {**dict.fromkeys(names)}
     uv = np.stack([log[f"{c}_true_{i}"] - log[f"{c}_goal_{i}"] for i in range(s.rows) for c in "uv"], axis=1)[settled]
     found: list[float] = []
     for error in (np.sqrt(np.nanmean(uv**2, axis=1)), log["position_error_m"][settled]):
@@ -187,7 +178,7 @@ def summarise(scenario: Scenario, outcome: Outcome, log: Log) -> dict[str, objec
         counts: Figures = {"sim_time_s": 0.0, "frames": 0, "frames_lost": 0}
         return dict.fromkeys(FIGURES) | counts | {name: None for metric in scenario.metrics for name in metric.titles}
     converged = _time_to_converge(scenario, log) if outcome is Outcome.converged else None
-    figures = _counts(log) | {"time_to_converge_s": converged} | _camera_path(scenario, log) | _image_paths(scenario, log) | _peaks(log)
+    figures = _counts(log) | {"time_to_converge_s": converged} | _camera_path(scenario, log) | _image_paths(scenario, log)
     figures |= _tracking(scenario, log) | _modes(scenario, log) | _link(scenario, log) | swing(scenario, log)
     before = FIGURES.index("saturated_fraction")  # the task's own figures stand before it
     task = scenario.goal.metrics(log) | scenario.goal.judged(log, scenario.stop).summary()

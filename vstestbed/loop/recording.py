@@ -166,24 +166,16 @@ def read_summary(folder: Path, works: str) -> dict[str, Any]:
     """The summary of a run; RunFolderError where it is none. works: what would work where the summary is damaged, for the message."""
     path = folder / "summary.json"
     content = read_file(path, works)
-    fault, summary = _checked(content)
-    if fault is not None:
-        raise RunFolderError(path, f"is not the summary of a run ({fault})", works)
-    return summary
-
-
-def _checked(content: bytes) -> tuple[str | None, dict[str, Any]]:
-    """What is wrong with a summary, None for a sound one; and its content, where it can be read."""
     try:
         summary = _Summary.model_validate_json(content)
         _OPEN.validate_json(content)
+        found, outcome = json.loads(content), str(getattr(summary, "outcome", ""))  # numbers as they are written: a whole one stays whole
+        values = [item for block in (found, *found.values()) if isinstance(block, dict) for item in block.items()]
+        faults = [f"outcome: {outcome[:40]!r} is none"] if outcome not in Outcome.__members__ else []
+        faults += [f"{name}: too large a number" for name, v in values if isinstance(v, int) and abs(v) >= LARGEST]
     except ValidationError as error:
         first = error.errors()[0]
-        return ": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]]), {}
-    outcome = getattr(summary, "outcome", "")
-    if outcome not in Outcome.__members__:
-        return f"outcome: {outcome[:40]!r} is none", {}
-    found = json.loads(content)  # numbers as they are written: a whole one stays whole
-    values = [item for block in (found, *found.values()) if isinstance(block, dict) for item in block.items()]
-    large = (f"{name}: too large a number" for name, v in values if isinstance(v, int) and abs(v) >= LARGEST)
-    return next(large, None), found
+        found, faults = {}, [": ".join([*(str(part) for part in first["loc"][:1]), first["msg"]])]
+    if faults:
+        raise RunFolderError(path, f"is not the summary of a run ({faults[0]})", works)
+    return found

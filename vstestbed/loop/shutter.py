@@ -174,7 +174,10 @@ class CameraClock:
     def _expose(self, planned: Planned, step: int) -> None:
         # Truth, time stamp and reading are those of the exposure's middle: a symmetric smear leaves a marker's centre there.
         is_middle = step >= planned.middle and self.middle is None
-        truth = self._truth(is_middle)
+        rolls = self._row_views is not None  # an oracle behind a rolling shutter needs the truth of each image
+        truth = self.plant.truth() if is_middle or rolls else None
+        if self._row_views is not None and truth is not None:
+            self._row_views.add(TruthView(truth.p_camera, truth.hidden))
         if truth is not None and is_middle:
             self.middle = self._shot(step, truth)
         self.plant.expose(planned.weights[self.opening], self.regions, is_middle)
@@ -184,14 +187,6 @@ class CameraClock:
             if self._row_views is not None:  # the truth itself stays that of the time stamp
                 shot = shot._replace(view=self._row_views.taken())
             self._send(planned, self.plant.developed(shot.t), (shot, true))
-
-    def _truth(self, is_middle: bool) -> Truth | None:
-        """The truth of an image of an exposure, where it is needed: in the middle, and for an oracle behind a rolling shutter always."""
-        if self._row_views is None:
-            return self.plant.truth() if is_middle else None
-        truth = self.plant.truth()
-        self._row_views.add(TruthView(truth.p_camera, truth.hidden))
-        return truth
 
     def _shot(self, step: int, truth: Truth) -> Exposed:
         # Truth reaches a detector only if it says that it needs it (an oracle): the one place where it passes the fence.

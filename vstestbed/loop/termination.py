@@ -27,10 +27,6 @@ from vstestbed.tasks.monitors import Monitor, checked
 from vstestbed.tasks.stop import Stop
 
 FAR_M = 200.0  # distance from the target beyond which the camera has diverged [m]
-FAR_WORDS = f"the camera is more than {FAR_M:g} m away from the target"
-CROSSED_WORDS = "the camera crossed the plane of the target"
-BEHIND_WORDS = "the camera starts behind the plane of the target, whose face it cannot see; start in front of it, or turn target.pose"
-TURNED_WORDS = "the target turned its back to the camera, or moved past it"
 BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
 BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
 
@@ -241,8 +237,14 @@ class Termination:
         truth, T_target = frame.truth, frame.truth.T_world_target
         away = (truth.T_world_camera[:3, 3] - T_target[:3, 3]).tolist()
         crossed = self._crossed(truth, T_target, away) if self._one_sided else None
-        blocked = self._limit_reached(frame)
-        far = (Outcome.diverged, FAR_WORDS) if math.hypot(*away) > FAR_M else None
+        # A joint limit or a singular configuration has left nearly nothing of the command. "speed" is no such limit: a command that is
+        # merely too fast is carried out more slowly.
+        limit, scale = frame.allocation.limit, frame.allocation.scale
+        holds = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
+        self._blocked_since = held_since(self._blocked_since, holds, frame.t)
+        held = has_held(self._blocked_since, frame.t, BLOCKED_S)
+        blocked = (Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}") if held else None
+        far = (Outcome.diverged, f"the camera is more than {FAR_M:g} m away from the target") if math.hypot(*away) > FAR_M else None
         return self._collision(truth) or far or crossed or blocked
 
     def _touching(self, truth: Truth) -> str:
@@ -262,19 +264,12 @@ class Termination:
         if not is_behind(T_target, away):
             return None
         if before is None:
-            return Outcome.target_lost, BEHIND_WORDS
+            words = "the camera starts behind the plane of the target, whose face it cannot see"
+            return Outcome.target_lost, f"{words}; start in front of it, or turn target.pose"
         away_before = (truth.T_world_camera[:3, 3] - before[:3, 3]).tolist()
-        return Outcome.target_lost, CROSSED_WORDS if is_behind(before, away_before) else TURNED_WORDS
-
-    def _limit_reached(self, frame: Frame) -> Verdict | None:
-        """A joint limit or a singular configuration has left nearly nothing of the command for BLOCKED_S."""
-        # "speed" is no such limit: a command that is merely too fast is carried out more slowly.
-        limit, scale = frame.allocation.limit, frame.allocation.scale
-        blocked = limit in ("joint_limit", "singular") and scale < BLOCKED_SCALE
-        self._blocked_since = held_since(self._blocked_since, blocked, frame.t)
-        if not has_held(self._blocked_since, frame.t, BLOCKED_S):
-            return None
-        return Outcome[limit], f"for {BLOCKED_S:g} s {Outcome[limit].value}"
+        crossed = is_behind(before, away_before)  # also of the target where it stood before
+        words = "the camera crossed the plane of the target" if crossed else "the target turned its back to the camera, or moved past it"
+        return Outcome.target_lost, words
 
     def _told_apart(self, verdict: Verdict) -> Verdict:
         """Unstable, of a run that has timed out because its loop swings or grows; where that drove it elsewhere, the reason says so. Where
