@@ -38,7 +38,6 @@ from vstestbed.vision.base import goal_of_points, points_of
 
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
-
 PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 

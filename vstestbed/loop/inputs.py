@@ -54,8 +54,13 @@ class Inputs:
             _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
         if reading.tilt is not None:
             _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
-        if isinstance(reading, FlightReading):
-            _check_flight(reading)
+        if isinstance(reading, FlightReading):  # a craft's failsafe lives by these numbers
+            if not reading.range_m >= 0:  # infinite over nothing
+                raise ParameterError("readings.range_m", "must be a distance in metres, infinite over nothing", reading.range_m)
+            for name in ("velocity", "rates"):
+                _finite(f"readings.estimate.{name}", "must be three finite numbers", getattr(reading.estimate, name), (3,))
+            if reading.tilt is None:
+                raise ParameterError("readings.tilt", "must be roll and pitch in radians", "None")
         return replace(copy.deepcopy(reading), q=q, qd=qd)
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
@@ -139,16 +144,6 @@ def _finite(field: str, words: str, given: object, shape: tuple[int, ...]) -> Ar
     if numbers.shape != shape or not np.isfinite(numbers).all():
         raise ParameterError(field, words, repr(given) if given is None else given)
     return numbers
-
-
-def _check_flight(reading: FlightReading) -> None:
-    """Refuse a craft's range or estimates that are no numbers: its failsafe lives by them."""
-    if not reading.range_m >= 0:  # infinite over nothing
-        raise ParameterError("readings.range_m", "must be a distance in metres, infinite over nothing", reading.range_m)
-    for name in ("velocity", "rates"):
-        _finite(f"readings.estimate.{name}", "must be three finite numbers", getattr(reading.estimate, name), (3,))
-    if reading.tilt is None:
-        raise ParameterError("readings.tilt", "must be roll and pitch in radians", "None")
 
 
 def _seconds(field: str, words: str, t: object) -> float:

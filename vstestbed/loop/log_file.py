@@ -139,7 +139,14 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
 
     whole = folder / "log.parquet"
     try:
-        log = _of_parquet(whole, names) if whole.is_file() else _of_part(folder / "log.part", names)
+        if whole.is_file():
+            frame = pl.read_parquet(whole, columns=None if names is None else list(names))
+            for column in frame:
+                if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
+                    raise ValueError(f"the column {column.name} holds something else than numbers")
+            log = Log(tuple(frame.columns), frame.cast(pl.Float64).to_numpy())
+        else:
+            log = _of_part(folder / "log.part", names)
         lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
         if lacking:
             raise RunFolderError(whole, f"has no column {lacking[0]}", WORKS)
@@ -155,16 +162,6 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
         path = whole if whole.is_file() else folder / "log.part"
         words = str(error).strip().partition("\n")[0][:200]
         raise RunFolderError(path, f"cannot be read ({words})", WORKS) from None
-
-
-def _of_parquet(path: Path, names: Sequence[str] | None) -> Log:
-    import polars as pl
-
-    frame = pl.read_parquet(path, columns=None if names is None else list(names))
-    for column in frame:
-        if not (column.dtype.is_numeric() or column.dtype == pl.Boolean) or column.null_count():
-            raise ValueError(f"the column {column.name} holds something else than numbers")
-    return Log(tuple(frame.columns), frame.cast(pl.Float64).to_numpy())
 
 
 def _of_part(path: Path, names: Sequence[str] | None) -> Log:

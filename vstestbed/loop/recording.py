@@ -144,7 +144,6 @@ class Recording:
 LARGEST = 2**63  # whole numbers from here on fit no table
 Scalar = bool | int | float | str | None
 
-
 _STRICT = ConfigDict(strict=True)
 _OPEN = TypeAdapter(dict[str, Scalar | dict[str, Scalar]], config=_STRICT)  # any other name holds a scalar, or a block of scalars
 _NUMBERS: dict[str, Any] = dict.fromkeys((*FIGURES, *SOME_FIGURES, "wall_time_s", "real_time_factor"), (float | None, None))

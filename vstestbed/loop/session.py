@@ -47,14 +47,7 @@ class Session:
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        pictures: bool = False,
-        watch: Iterable[Watcher] = (),
-        plate_m: float = 0.0,
-    ):
+    def __init__(self, scenario: Scenario, *, pictures: bool = False, watch: Iterable[Watcher] = (), plate_m: float = 0.0):
         if not isinstance(scenario, Scenario):
             raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
         self._plate_m = plate_m

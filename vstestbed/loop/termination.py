@@ -30,7 +30,6 @@ FAR_M = 200.0  # distance from the target beyond which the camera has diverged [
 BLOCKED_S = 1.0  # how long a limit must block the robot before the run ends [s]
 BLOCKED_SCALE = 0.02  # a command scaled to less than this is blocked by the limit
 
-
 SIDES = "left", "top", "right", "bottom"  # the borders of a picture, as `Camera.borders` has them
 SMALL = 1.5  # a marker whose image has less than so many times the least area is too small: its edge pixels do not count as its colour
 POINTS = 32  # points of a marker's rim
@@ -48,7 +47,6 @@ REMEDIES = {
 }
 """What would help, by what happened; {law}: what `_minding` says."""
 START = ", from the start on"
-
 
 Loss = tuple[int, str, float, float]
 """Why a marker is not seen: which of the kinds above, in words, since when [s], and its radius in the picture [px] (NaN: not told)."""

@@ -69,27 +69,6 @@ def _field_name(owner: str, field: str, cls: type, inner: type, found: dict[str,
     return f"{kind_of(cls)}.{field}" if hasattr(cls, "kind") else f"{name}.{inner.__name__}"
 
 
-def entry_of(word: str, entries: dict[str, Entry]) -> Entry | None:
-    """The entry of a full name, of its last part where only one thing has that, or of a field with or without a kind (`law.depth.pnp`);
-    None where there is none. Raises ParameterError: there are several: it has their full names.
-    """
-    if word in entries:
-        return entries[word]
-    if "." in word:
-        field, _, kind = word.rpartition(".")  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
-        inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
-        held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
-        return held[0] if len(held) == 1 else None
-    by_name = [entry for entry in entries.values() if named(entry) == word]
-    # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the field's name
-    by_kind = [entry for entry in entries.values() if getattr(entry.cls, "kind", None) == word]
-    things = list({entry.cls: entry for entry in reversed(by_name or by_kind)}.values())
-    if len(things) > 1:
-        names = sorted(entry.name for entry in things)
-        raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
-    return things[0] if things else None
-
-
 def named(entry: Entry) -> str:
     """The last part of an entry's name: `pbvs` of `law.pbvs`."""
     return entry.name.rpartition(".")[2]
@@ -135,8 +114,24 @@ class FieldPlace:
 
 
 def looked_up(word: str, entries: dict[str, Entry]) -> Entry | FieldPlace:
-    """A kind, a block or a field, by any of its names; ParameterError with the nearest where there is none, or several."""
-    return entry_of(word, entries) or _at(word, entries)
+    """The entry of a full name, of its last part where only one thing has that, or of a field with or without a kind (`law.depth.pnp`);
+    else the field of this name. Raises ParameterError: there is none, with the nearest, or there are several, with their full names.
+    """
+    if word in entries:
+        return entries[word]
+    if "." in word:
+        field, _, kind = word.rpartition(".")  # else the kind that the field before it may hold: `pnp` of `law.depth.pnp`
+        inner = (f"{registry.name}.{kind}" for registry in _held_in(field, entries))
+        held = _held_in(word, entries) or [entries[name] for name in inner if name in entries]
+        return held[0] if len(held) == 1 else _at(word, entries)
+    by_name = [entry for entry in entries.values() if named(entry) == word]
+    # a kind that its field alone may hold, such as the marker `stripe` of target `lines`, has the field's name
+    by_kind = [entry for entry in entries.values() if getattr(entry.cls, "kind", None) == word]
+    things = list({entry.cls: entry for entry in reversed(by_name or by_kind)}.values())
+    if len(things) > 1:
+        names = sorted(entry.name for entry in things)
+        raise ParameterError(word, f"is {', '.join(names[:-1])} and {names[-1]}; give one of these names")
+    return things[0] if things else _at(word, entries)
 
 
 def _at(path: str, entries: dict[str, Entry]) -> Entry | FieldPlace:

@@ -29,7 +29,6 @@ from vstestbed.vision import DETECTORS, Detector
 MOST_FRAMES, MOST_BYTES = 10_000_000, 4 << 30
 """Most frames of a run: a day at 115 Hz, whose log is a table of some 10 GB. Most bytes of pictures in transit."""
 
-
 MOST_MOUNT_M, MOST_VIEW_M, MOST_PLACE_M = 10.0, 50.0, 100.0
 """Farthest that a camera is from its flange, a goal view from the target, and the target and the ideal camera from the origin:
 several times what any experiment here needs [m]. What lies beyond was meant in millimetres."""
@@ -195,7 +194,13 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     """
     _check_detected(target, detector, law)
     _check_marker_count(robot, camera, target, detector, law)
-    _check_outline(target, law, needs_pose)
+    sized = is_sized(target)
+    if law.depth.needs_size and not sized:
+        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
+    if runs_along(target) and (law.depth.needs_pose or needs_pose):
+        words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
+        remedy = f"; use {'size or ' if sized else ''}goal" if _has_depth(law) else f", which law {law.kind} needs"
+        raise ParameterError("law.depth", words + remedy)
     if not law.depth.needs_pose or law.depth.on_floor:
         return
     points = target.points
@@ -225,21 +230,15 @@ def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law:
     if detector.fleeting and law.depth.estimator is not None:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
-    _check_first_pose(robot, detector, law)
+    upright = robot.base == "planar"  # one of the up to four poses from three points has the base upright on the floor
+    needs_pose = law.depth.needs_pose or "T_camera_target" in law.inputs
+    if needs_pose and not upright and detector.rows is not None and detector.rows < FIRST_POSE:
+        words = f"must be at least {FIRST_POSE} where the target's pose is needed, since three points have up to four poses"
+        depths = ", or law.depth goal or sensor" if _has_depth(law) and "T_camera_target" not in law.inputs else ""
+        field = "detector.best" if hasattr(detector, "best") else "detector"
+        raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
     if detector.changing:
         _check_changing(law, detector.kind)
-
-
-def _check_first_pose(robot: Robot, detector: Detector[Any], law: Law[Any]) -> None:
-    """Refuse three points where the pose is needed: they have up to four, and only the last picture's pose would tell which is meant."""
-    upright = robot.base == "planar"  # one of the four has the base upright on the floor
-    needed = law.depth.needs_pose or "T_camera_target" in law.inputs
-    if upright or not needed or detector.rows is None or detector.rows >= FIRST_POSE:
-        return
-    words = f"must be at least {FIRST_POSE} where the target's pose is needed, since three points have up to four poses"
-    depths = ", or law.depth goal or sensor" if _has_depth(law) and "T_camera_target" not in law.inputs else ""
-    field = "detector.best" if hasattr(detector, "best") else "detector"
-    raise ParameterError(field, f"{words}; works: {FIRST_POSE}{depths}", detector.rows)
 
 
 def _check_changing(law: Any, detector: str) -> None:
@@ -312,19 +311,6 @@ def _check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> N
         able = [kind for kind, member in of_markers.items() if not member.markers]
         words = f"may not be false with detector {detector.kind}: a {shown} without markers shows it nothing to detect"
         raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
-
-
-def _check_outline(target: Target, law: Law[Any], needs_pose: bool) -> None:
-    """Refuse depths by a ball's size for another target, and poses of an outline that runs along a body as the camera moves."""
-    sized = is_sized(target)
-    if law.depth.needs_size and not sized:
-        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
-    if not runs_along(target) or not (law.depth.needs_pose or needs_pose):
-        return
-    words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
-    raise ParameterError(
-        "law.depth", f"{words}; use {'size or ' if sized else ''}goal" if _has_depth(law) else f"{words}, which law {law.kind} needs"
-    )
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:

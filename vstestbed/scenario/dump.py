@@ -59,12 +59,7 @@ def _brief(scenario: Scenario) -> dict[str, Any]:
 
 def given_text(scenario: Scenario) -> str:
     """What was given as YAML: the file's values with what was put over them; of a scenario made in Python what is no default."""
-    return as_yaml(given_mapping(scenario), brief=True)
-
-
-def given_mapping(scenario: Scenario) -> dict[str, Any]:
-    """`given_text` as plain values."""
-    return scenario.given.made_of or _brief(scenario.given)
+    return as_yaml(scenario.given.made_of or _brief(scenario.given), brief=True)
 
 
 def documents(scenario: Scenario) -> dict[str, str]:
@@ -74,8 +69,8 @@ def documents(scenario: Scenario) -> dict[str, str]:
     target, pictures = getattr(scenario.target, "file", None), [said.file for said in scenario.goal.pictures]
     copies = {file: place for file, place in zip((target, *pictures), _kept_at(scenario), strict=True) if file and place}
     copies |= {absolute_file(file, Path.cwd()): place for file, place in copies.items()}
-    given, resolved = (_renamed(plain, copies) for plain in (given_mapping(scenario), to_mapping(scenario.resolved)))
-    return {GIVEN: as_yaml(given, brief=True), RESOLVED: as_yaml(resolved)}
+    given, resolved = scenario.given.made_of or _brief(scenario.given), to_mapping(scenario.resolved)
+    return {GIVEN: as_yaml(_renamed(given, copies), brief=True), RESOLVED: as_yaml(_renamed(resolved, copies))}
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:

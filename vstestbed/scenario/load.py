@@ -81,7 +81,9 @@ def parse(
     put_over(plain, _part(overrides, of_plugins=True), marks, places)
     load_named(plain, marks, file, plugins)  # before the other settings, which may use the words that plugins add
     put_over(plain, _part(overrides, of_plugins=False), marks, places)
-    if "draw_start" in plain and "draw_start" not in overrides and any(map(_gives_start, overrides)):
+    start = "robot.start.nominal."
+    gives_start = any(start.startswith(f"{dotted}.") or dotted.startswith(start) for dotted in overrides)
+    if gives_start and "draw_start" in plain and "draw_start" not in overrides:
         plain["draw_start"] = False
     try:
         scenario = build(Scenario, plain, marks, file)
@@ -98,11 +100,6 @@ def parse(
         key = tuple(int(part) if part.isdecimal() else part for part in error.field.split("."))
         where = place_of(key, marks, file)
         raise ScenarioError([Mistake(where, error.field, error.problem)]) from None
-
-
-def _gives_start(dotted: str) -> bool:
-    start = "robot.start.nominal."
-    return start.startswith(f"{dotted}.") or dotted.startswith(start)
 
 
 def _is_plain(value: object) -> bool:

@@ -24,7 +24,6 @@ DEEPEST, MOST_VALUES = 32, 20_000
 """Limits on nesting and on the number of values: far above any scenario, and low enough that a file of aliases of aliases (a
 "billion laughs") cannot fill the memory."""
 
-
 MOST_BYTES = 100_000  # largest file that is read: fifty times the largest bundled one, and parsed in 2 s; one of 10 MB would take minutes
 
 

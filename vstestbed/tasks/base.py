@@ -46,12 +46,14 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
     camera, target, law, detector = setup.camera, setup.target, setup.law, setup.detector
-    p = target.seen_from(inverse(T_camera_target))
+    T_target_camera = inverse(T_camera_target)
+    p = target.seen_from(T_target_camera)
     counted = np.ones(len(p), dtype=bool) if counted is None else counted
     lens, behind = isinstance(camera, Perspective), p[:, 2] <= 0
     if behind.any() and (lens or PLANE_INPUTS & set(law.inputs)):  # a law of rays or poses has no image plane
         where = "behind the camera" if lens else f"behind the camera, where law {law.kind} has no image plane to work in"
-        raise _not_visible(field, target, behind, where, "a wider camera" if lens else "a law of rays (feature spherical) or poses")
+        what = "a wider camera" if lens else "a law of rays (feature spherical) or poses"
+        raise _not_visible(field, target, behind, where, f"move the goal back, or use {what} or a smaller target")
     if detector.rows is not None:  # it finds other points than the target's markers
         return
     uv, limited = camera.project(p), getattr(detector, "field_of_view", "limited") == "limited"
@@ -59,37 +61,27 @@ def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDA
     inside = camera.inside(uv) if limited and len(camera.panels) == 1 else np.isfinite(uv[:, 0])
     if (outside := ~inside & counted).any():
         where = f"outside the {camera.width} x {camera.height} picture"
-        raise _not_visible(field, target, outside, where, "a wider camera")
-    if limited:
-        _check_hidden(setup, field, T_camera_target, counted)
-
-
-def _check_hidden(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_]) -> None:
-    """Refuse a goal view in which the target itself, or the scenery, hides a marker that counts."""
-    target = setup.target
-    if (hidden := target.hides(inverse(T_camera_target)) & counted).any():
-        words = f"is a view in which {_markers(target, hidden)} hidden by the target itself"
-        raise ParameterError(field, f"{words}; move the goal, or let goal.markers name those that are to be seen")
+        raise _not_visible(field, target, outside, where, "move the goal back, or use a wider camera or a smaller target")
+    if not limited:
+        return
+    if (hidden := target.hides(T_target_camera) & counted).any():
+        remedy = "move the goal, or let goal.markers name those that are to be seen"
+        raise _not_visible(field, target, hidden, "hidden by the target itself", remedy)
     if target.moves and not target.on_gripper:  # where the goal view is in the room is not known before the run
         return
-    T_world_camera = setup.camera.mount.T if target.on_gripper else target.T_world_start @ inverse(T_camera_target)
-    names = setup.world.scenery_before(T_world_camera, target.seen_from(inverse(T_camera_target)), target.marker.height_m + HIDDEN_M)
+    T_world_camera = camera.mount.T if target.on_gripper else target.T_world_start @ T_target_camera
+    names = setup.world.scenery_before(T_world_camera, p, target.marker.height_m + HIDDEN_M)
     if (hidden := np.array([bool(name) for name in names]) & counted).any():
         what = ", ".join(dict.fromkeys(name for name, counts in zip(names, hidden, strict=True) if counts))
-        words = f"is a view in which {_markers(target, hidden)} hidden by the scenery ({what})"
         remedy = "move the goal, or the scenery by world.scenery.pose, or let goal.markers name the markers that are to be seen"
-        raise ParameterError(field, f"{words}; {remedy}")
-
-
-def _markers(target: Target, which: NDArray[np.bool_]) -> str:
-    """Markers (N,) with their verb, as `marker 2 is`."""
-    called = [target.called(int(i)) for i in np.flatnonzero(which)]
-    return f"marker {called[0]} is" if len(called) == 1 else f"markers {', '.join(called)} are"
+        raise _not_visible(field, target, hidden, f"hidden by the scenery ({what})", remedy)
 
 
 def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str, remedy: str) -> ParameterError:
-    words = f"is a view in which {_markers(target, bad)} {where}; move the goal back, or use {remedy} or a smaller target"
-    return ParameterError(field, words)
+    """The error for markers (N,) that a goal view does not show."""
+    called = [target.called(int(i)) for i in np.flatnonzero(bad)]
+    markers = f"marker {called[0]} is" if len(called) == 1 else f"markers {', '.join(called)} are"
+    return ParameterError(field, f"is a view in which {markers} {where}; {remedy}")
 
 
 # The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.

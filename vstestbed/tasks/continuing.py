@@ -24,7 +24,6 @@ STEADY = 0.8
 within the first two seconds .87."""
 FOLLOWS = 0.5  # least share of the leader's speed for a follower, which cuts corners, and waits where it is too near
 
-
 MinSpeed = tuple[str, float, float]  # who, in words, is commanded which speed, and must reach which [m/s]
 Odometer = Callable[[Array, Array], tuple[float, ...]]
 """Distances so far [m] of the vehicles under a minimum speed, in their order, with vehicle and target now at these true poses (4, 4)."""

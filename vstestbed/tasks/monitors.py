@@ -118,7 +118,9 @@ class _Settles:
         self._early = near_in_turn(rule.early, near, self._early)
         if self._early >= EARLY_PICTURES:
             return Outcome.converged, self._words("within", near, "before it settled")
-        if self._is_stuck(near):
+        nearer, stuck = near < NEARER * self._nearest, rule.stuck
+        self._nearest, self._since_nearer = (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
+        if self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1:
             return Outcome.timed_out, self._words("not within", near, f"no nearer for {rule.stuck} pictures")
         ended = self._pictures >= rule.most
         if not (ended or self._settled()):
@@ -127,11 +129,6 @@ class _Settles:
             return Outcome.converged, self._words("within", near, "when it settled" if not ended else "at the end")
         outcome = Outcome.timed_out if ended else Outcome.local_minimum if self._rest_ends else None
         return None if outcome is None else (outcome, self._words("not within", near, "when it settled"))
-
-    def _is_stuck(self, near: float) -> bool:
-        nearer, stuck = near < NEARER * self._nearest, self._rule.stuck
-        self._nearest, self._since_nearer = (near, 0) if nearer else (self._nearest, self._since_nearer + 1)
-        return self._rest_ends and stuck is not None and self._since_nearer >= stuck and near > 1
 
     def _settled(self) -> bool:
         rule, n = self._rule, self._rule.window

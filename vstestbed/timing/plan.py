@@ -123,14 +123,12 @@ class Timing:
         return self.exposure_s if camera.blurring is None else camera.blurring.most_s
 
     def check(self, camera: _Shot, step_s: float) -> None:
-        """Refuse exposures that are too short for the physics clock, and those that would overlap.
-
-        Raises ParameterError: with the limit.
+        """Refuse exposures that are too short for the physics clock, those that would overlap, and rates of setpoints that the physics
+        clock has not got, or that are too low for what they are to do. Raises ParameterError: with the limit.
         """
         if self.exposure_s and camera.blurring is not None:
-            raise ParameterError(
-                "timing.exposure_s", "must be 0: with camera.exposure.blurs the camera's exposure has the time", self.exposure_s
-            )
+            words = "must be 0: with camera.exposure.blurs the camera's exposure has the time"
+            raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
             words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
@@ -140,10 +138,22 @@ class Timing:
         if self.exposure_jitter_s > room / 2:
             words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
             raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
-        self._check_commands(camera, step_s)
         if self.out_of_order and self.latency_jitter_s == 0:
             words = "needs latency_jitter_s: with one and the same latency no picture overtakes another; or set out_of_order to false"
             raise ParameterError("timing.out_of_order", words, self.out_of_order)
+        if self.command_hz is None:
+            return
+        steps = 1 / (self.command_hz * step_s)
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
+            whole = max(1, round(steps))
+            near = ", ".join(f"{1 / (n * step_s):.10g}" for n in (whole + 1, whole))
+            words = f"must be a whole number of physics steps of {step_s:.6g} s apart: {near}, or give physics.step_s"
+            raise ParameterError("timing.command_hz", words, self.command_hz)
+        held = self.interpolation == "hold"
+        least = 1 / self.order_s(camera) if held else 2 * camera.rate_hz
+        if self.command_hz < least * (1 - 1e-9):
+            why = "a command would end before it reaches the robot" if held else "two setpoints a camera period"
+            raise ParameterError("timing.command_hz", f"must be at least {least:.6g} Hz here ({why})", self.command_hz)
 
     def _room(self, camera: _Shot, step_s: float) -> float:
         """What the longest exposure leaves of the camera's period [s]; refuses one that does not fit into it."""
@@ -162,24 +172,8 @@ class Timing:
         )
         raise ParameterError("camera.readout_s", words, camera.readout_s)
 
-    def _check_commands(self, camera: _Shot, step_s: float) -> None:
-        """Refuse rates of setpoints that the physics clock has not got, and those that are too low for what they are to do."""
-        if self.command_hz is None:
-            return
-        steps = 1 / (self.command_hz * step_s)
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
-            whole = max(1, round(steps))
-            near = ", ".join(f"{1 / (n * step_s):.10g}" for n in (whole + 1, whole) if n)
-            words = f"must be a whole number of physics steps of {step_s:.6g} s apart: {near}, or give physics.step_s"
-            raise ParameterError("timing.command_hz", words, self.command_hz)
-        least = 1 / self.order_s(camera) if self.interpolation == "hold" else 2 * camera.rate_hz
-        if self.command_hz < least * (1 - 1e-9):
-            why = "a command would end before it reaches the robot" if self.interpolation == "hold" else "two setpoints a camera period"
-            raise ParameterError("timing.command_hz", f"must be at least {least:.6g} Hz here ({why})", self.command_hz)
-
     def half_steps(self, camera: _Shot, step_s: float, exposure_s: float | None = None) -> int:
         """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant.
-
         exposure_s: of this picture [s]; None: the longest.
         """
         open_s = self.longest_s(camera) if exposure_s is None else exposure_s
