@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.core.provenance import versions
@@ -230,7 +229,12 @@ class Episode:
         reaches = due if self._interpolator is None else self._interpolator.next_tick(due)
         cycle = controller.arrive(given, step * plant.step_s, reaches * plant.step_s, plant.reading())
         if self._timing_columns:
-            own = {"t_stamp": stamp, "refused": float(controller.refused), "command_lost": 0.0, **self._exposed(shot.picture)}
+            own = {"t_stamp": stamp, "refused": float(controller.refused), "command_lost": 0.0}
+            control, picture = self.scenario.camera.blurring, shot.picture if self.scenario.needs_image else None
+            if picture is not None and picture.exposed is not None:
+                own |= {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
+            elif control is not None:  # without a picture those with which the camera begins
+                own |= dict(zip(("exposure_s", "gain"), control.first, strict=True))
             cycle = replace(cycle, timing=cycle.timing._replace(t=shot.t, own={name: own[name] for name in self._timing_columns}))
         # A detector may have had a picture drawn whole: that time is the renderer's.
         self._redrawn_s += plant.render_s - rendered
@@ -267,10 +271,3 @@ class Episode:
             of_robot = self._robot_log.row(RobotState(shot.t, T_base, place, odometry, shot.reading, truth.act, truth.wind))
         row[:] = (*of_robot, *truth.effects, *values)
         return frame
-
-    def _exposed(self, picture: Picture | None) -> dict[str, float]:
-        """Exposure time [s] and gain of a picture, for the log; without one those with which the camera begins."""
-        if self.scenario.needs_image and picture is not None and picture.exposed is not None:
-            return {"exposure_s": picture.exposed.time_s, "gain": picture.exposed.gain}
-        control = self.scenario.camera.blurring
-        return {} if control is None else dict(zip(("exposure_s", "gain"), control.first, strict=True))

@@ -87,19 +87,6 @@ class Inputs:
         if self._detector.needs_truth:
             words = "is the simulator's truth, which no real camera has; works: --set detector=blobs"
             raise ParameterError("detector", words, self._detector.kind)
-        self._check_picture(picture)
-        pair = readings if isinstance(readings, tuple) else (readings, readings)
-        if len(pair) != 2:
-            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(pair)}")
-        at_exposure = self.reading(pair[0])
-        both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
-        t = _seconds("t", "must be the time of exposure in seconds", t)
-        late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
-        notes = (*self._timed(t), *late)
-        self._arrived = self._arrived if arrived is None else arrived
-        return both, notes
-
-    def _check_picture(self, picture: Image | Sequence[Image]) -> None:
         panels = self._camera.panels
         images = (picture,) if isinstance(picture, np.ndarray) else picture
         if not isinstance(images, Sequence | tuple) or len(images) != len(panels):
@@ -110,6 +97,16 @@ class Inputs:
             if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype != np.uint8:
                 found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
                 raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
+        pair = readings if isinstance(readings, tuple) else (readings, readings)
+        if len(pair) != 2:
+            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(pair)}")
+        at_exposure = self.reading(pair[0])
+        both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
+        t = _seconds("t", "must be the time of exposure in seconds", t)
+        late = self._late(t, arrived)  # before the picture is counted: a mistake changes nothing
+        notes = (*self._timed(t), *late)
+        self._arrived = self._arrived if arrived is None else arrived
+        return both, notes
 
     def _timed(self, t: float) -> tuple[str, ...]:
         before = self._t

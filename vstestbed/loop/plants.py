@@ -19,13 +19,12 @@ from vstestbed.sim.build import build_plant
 from vstestbed.tasks.base import GoalPicture
 
 # Inactive effects, on pictures or measured points in a run that has none, are warned of: a comparison would take them for harmless.
-OF_CAMERAS = "optics", "exposure", "sensor", "stream"
-"""Blocks of a camera that change the grey levels of a picture, and not where or when it is taken, as latency and readout do."""
 
 
 def effects_on_pictures(scenario: Scenario) -> Iterator[str]:
     """The dotted paths of what a scenario does to its pictures alone."""
-    given = (name for name in OF_CAMERAS if getattr(scenario.camera, name) is not None)
+    # What changes the grey levels of a picture, and not where or when it is taken, as latency and readout do.
+    given = (name for name in ("optics", "exposure", "sensor", "stream") if getattr(scenario.camera, name) is not None)
     # With `blurs` the exposure is also a time, half of which each picture is older.
     yield from (f"camera.{name}" for name in given if name != "exposure" or scenario.camera.blurring is None)
     noise, light = scenario.noise, scenario.world.light

@@ -277,11 +277,8 @@ def _least(scenario: Scenario) -> tuple[float, str]:
 def reversal(frames: float, period_s: float | None = None) -> str:
     """A swing in words, by its period in frames; period_s: of a frame [s], if the time is to be told."""
     half = frames / 2
-    return (
-        "reversed in every frame"
-        if half == 1
-        else f"reversed every {half:.3g} frames" + (f" ({half * period_s:.2g} s)" if period_s else "")
-    )
+    time = f" ({half * period_s:.2g} s)" if period_s else ""
+    return "reversed in every frame" if half == 1 else f"reversed every {half:.3g} frames{time}"
 
 
 def _gain(law: Law[Any]) -> tuple[float | None, bool]:

@@ -110,18 +110,15 @@ def absolute_files(value: Any, folder: Path, key: str = "") -> Any:
     return absolute_file(value, folder) if names_file else value
 
 
-def relative_files(plain: dict[str, Any], folder: Path) -> dict[str, Any]:
+def relative_files(value: Any, folder: Path, key: str = "") -> Any:
     """A scenario's plain values, with its plugins and files (`file`, `texture`) in the folder, or below it, named relative to it."""
-
-    def near(value: Any, names_file: bool) -> Any:
-        if isinstance(value, dict):
-            return {name: near(inner, name in ("file", "texture", "plugins")) for name, inner in value.items()}
-        if isinstance(value, list):
-            return [near(inner, names_file) for inner in value]
-        inside = names_file and isinstance(value, str) and Path(value).is_absolute() and Path(value).is_relative_to(folder)
-        return Path(value).relative_to(folder).as_posix() if inside else value
-
-    return near(plain, False)
+    if isinstance(value, dict):
+        return {name: relative_files(inner, folder, name) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [relative_files(inner, folder, key) for inner in value]
+    names_file = key in ("file", "texture", "plugins") and isinstance(value, str)
+    inside = names_file and Path(value).is_absolute() and Path(value).is_relative_to(folder)
+    return Path(value).relative_to(folder).as_posix() if inside else value
 
 
 def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: str = "") -> str:
@@ -135,7 +132,7 @@ def _loaded(name: str, folder: Path, where: str, beside: Sequence[str], field: s
         if _origin(name) not in (None, path.resolve()) or not is_there(path):
             return _load_module(name, where, beside, field)
     if not is_there(path):
-        return _moved(path.stem, beside) or _refuse(where, f"{path} is not there", f"PLACE/{path.name}", field)
+        return _moved(path.stem, beside, where, f"{path} is not there", f"PLACE/{path.name}", field)
     known, before = module_of(path), _members()
     with _loading(str(path), path), undone_on_error():
         module = load_file(path)
@@ -161,7 +158,7 @@ def _load_module(name: str, where: str, beside: Sequence[str], field: str) -> st
         origin = _origin(name)
     if origin is None and name not in sys.modules:
         words = f"there is no module {name!r} on Python's path or in the current folder"
-        return _moved(name.rpartition(".")[2], beside) or _refuse(where, words, "FILE.py", field)
+        return _moved(name.rpartition(".")[2], beside, where, words, "FILE.py", field)
     if origin is None or module_of(origin) is None:
         with _loading(name, origin), undone_on_error():
             importlib.import_module(name)
@@ -177,11 +174,11 @@ def _origin(name: str) -> Path | None:
     return Path(spec.origin).resolve() if spec is not None and spec.origin and spec.has_location else None
 
 
-def _moved(stem: str, beside: Sequence[str]) -> str | None:
-    return next((name for name in beside if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem), None)
-
-
-def _refuse(where: str, found: str, remedy: str, field: str) -> str:
+def _moved(stem: str, beside: Sequence[str], where: str, found: str, remedy: str, field: str) -> str:
+    """The plugin of this name among those given beside, which are in a new place. Raises PluginError: there is none."""
+    for name in beside:
+        if (Path(name).stem if is_file_name(name) else name.rpartition(".")[2]) == stem:
+            return name
     raise PluginError(where, found, f"put it there, or give its place with --plugin {remedy}", field)
 
 

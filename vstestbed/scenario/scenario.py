@@ -18,21 +18,7 @@ from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
-from vstestbed.scenario.checks import (
-    MOST_VIEW_M,
-    check_carrier,
-    check_depth,
-    check_determined,
-    check_goal_pictures,
-    check_judged,
-    check_length,
-    check_markers,
-    check_metres,
-    check_own_points,
-    check_robot,
-    check_times,
-    free_motions,
-)
+from vstestbed.scenario import checks
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
@@ -135,31 +121,32 @@ class Scenario:
     randomise: Annotated[tuple[Annotated[Distribution, DISTRIBUTIONS], ...], Len(0, 100)] = ()
 
     def __post_init__(self) -> None:
-        check_depth(self.robot, self.camera, self.detector, self.law)
+        checks.check_depth(self.robot, self.camera, self.detector, self.law)
         self.timing.check(self.camera, self.clock[0])  # first: the clock refuses a step that does not divide the camera's period
-        check_times(self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image)
-        check_metres(self.robot, self.camera, self.target)
+        checks.check_times(self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image)
+        checks.check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
         self.goal.check(self.setup)
-        check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
-        check_carrier(self.target)
+        checks.check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
+        checks.check_carrier(self.target)
         if self.world.floor.mirror and self.camera.renderer == "rays":
             raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", self.camera.renderer)
         self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
             raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
-        check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
-        check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
-        check_judged(self.stop, self.target, self.detector, self.law)
+        checks.check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
+        checks.check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
+        checks.check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
+        field = "goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal"
         for view in self.goal_views:
-            check_length("goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal", view.T_camera_target, MOST_VIEW_M)
-        check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
+            checks.check_length(field, view.T_camera_target, checks.MOST_VIEW_M)
+        checks.check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
         if self.detector.rows is None:  # else its own points, which the goal's picture shows
-            check_determined(self.robot, self.camera, self.target, self.law, self.goal_view)
+            checks.check_determined(self.robot, self.camera, self.target, self.law, self.goal_view)
         for goal in self.goal_views:
             self.law.check_view(goal, self.target.marker.radius, self.target.called)
 
@@ -169,20 +156,12 @@ class Scenario:
         depth = self.camera.depth_sensor if self.law.depth.measured else None
         pictured = self.needs_image and self.camera.sensor is not None
         taught = self.needs_goal_image and any(picture.draws for picture in self.goal.pictures)
-        parts = [
-            self.robot,
-            self.target.motion,
-            self.detector,
-            self.world,
-            self.timing,
-            self.calibration,
-            *([] if depth is None else [depth]),
-        ]
+        parts = (self.robot, self.target.motion, self.detector, self.world, self.timing, self.calibration, depth)
         seen = pictured or taught or self.noise.draws(self.needs_image, self.detector.rows != 0)
         landmarks = not self.target.moves and self.target.painted_route is None
         by_compass = landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
         started = self.robot.start.random is not None or bool(self.randomise) or by_compass
-        return started or seen or any(part.draws for part in parts)
+        return started or seen or any(part is not None and part.draws for part in parts)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -212,7 +191,7 @@ class Scenario:
         """How many motions `law.redundant` leaves free at the goal, whose pose is then not determined; 0 for none."""
         if self.detector.rows is not None:
             return 0
-        return free_motions(self.robot, self.camera, self.target, self.law, self.goal_view)
+        return checks.free_motions(self.robot, self.camera, self.target, self.law, self.goal_view)
 
     @property
     def rows(self) -> int:
