@@ -464,3 +464,8 @@ class Controller:
         order = self._supervised(t, NO_PICTURE, rest, reading, basis, moved)
         self._ordered(t, order)
         return order
+
+    @property
+    def failure(self) -> str:
+        """What the law did wrong, in words; "" while it works."""
+        return self.guarded.failure
