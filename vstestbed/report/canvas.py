@@ -7,8 +7,6 @@ import io
 import re
 import textwrap
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,7 +93,8 @@ def to_svg(figure: Figure, key: str, label: str) -> str:
 
     sink = io.StringIO()
     # not `savefig`, which draws everything once before, to find a renderer
-    with _without_warnings():
+    # without matplotlib's warnings, which are for who writes the figure: of a script that its font lacks, a reader can mend nothing
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = sink.getvalue()
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
@@ -111,7 +110,7 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes."""
     kind, sink = path.suffix.lower()[1:], io.BytesIO()
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
-    with _without_warnings():
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         figure.savefig(sink, format=kind, dpi=dpi, facecolor="white", metadata=undated)
     return write_whole(path, sink.getvalue())
 
@@ -121,14 +120,6 @@ def save_paper(figure: Figure, place: Path, key: str, dpi: int = DPI) -> None:
     save(figure, place / f"{key}.pdf")
     figure.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
     save(figure, place / f"{key}.png", dpi)
-
-
-@contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Matplotlib's warnings are for who writes the figure: of a name in a script that its font lacks, a reader can mend nothing."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        yield
 
 
 def plain(name: str) -> str:

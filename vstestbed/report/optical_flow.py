@@ -29,7 +29,6 @@ MOTIONS = ("$v_x$", "$v_y$", "$v_z$", r"$\omega_x$", r"$\omega_y$", r"$\omega_z$
 FORMATS = (".png", ".svg", ".pdf")
 PI = math.pi
 
-
 # The planes in which the flow of a feature is drawn: the feature; coordinates of the arrows' tails along the horizontal and the vertical
 # axis; the row of L, of the two per point, that belongs to each axis; labels of the axes; and a function that gives the input (N, k) of the
 # feature's interaction matrix for tails (N, 2).

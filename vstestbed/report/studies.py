@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # Basins of attraction as a figure: the colour shows the outcome of a start, the shade its time to converge.
 BasinAxis = tuple[str, str, float, float]  # Name, unit, low, high
 ENDINGS: Final = {
@@ -40,7 +39,6 @@ OTHER: Final = "#000000"
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])  # Blues (r, g, b) of the earliest and the latest starts to converge
 DPI: Final = 200
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
-
 
 BasinMap = tuple[str, Array, Array]  # Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
 
@@ -195,15 +193,13 @@ def write_sweep(
     caption = f"Share of {seeds} seeds that reached the goal [%]; the letter: how most of the others ended ({letters})."
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
-    found = [(f"{one.label}: {what}", ["", *x[1]], _distances(one, y)) for one in maps]
+    found = []
+    for one in maps:  # its lines from top to bottom, as in the figure
+        away = ([number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in one.away_m.tolist())
+        lines = [[value, *row] for value, row in zip(y[1], away, strict=True)]
+        found.append((f"{one.label}: {what}", ["", *x[1]], lines[::-1]))
     content = {"plate": ("Where it converges", image, caption), "tables": found, "about": description, "caution": caution}
     return write_page(folder, "study.html", "Convergence", **content, command=command)
-
-
-def _distances(one: ConvergenceMap, y: SweepAxis) -> list[list[str]]:
-    """Distances from the true goal as lines of a table, from top to bottom as in the figure."""
-    rows = reversed(list(zip(y[1], one.away_m.tolist(), strict=True)))
-    return [[value, *("-" if math.isnan(away) else number(1e3 * away) for away in row)] for value, row in rows]
 
 
 # Measured and theoretical gain limits over delay as a figure, beside the root locus of the loop.
@@ -224,7 +220,6 @@ DELAY_COLUMNS: Final = (
     ("measured_to_linear", "measured / linear arm", ".3f"),
 )
 """Columns of the table: name in the data, head, format."""
-
 
 Branches = tuple[float, NDArray[np.complexfloating], NDArray[np.complexfloating]]
 """Root locus of one delay [frames]: poles (m, n) over m gains from 0 on, and the poles at the measured limit (n,)."""

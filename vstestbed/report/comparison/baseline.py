@@ -28,7 +28,6 @@ fault of a law."""
 LEVEL: Final = 0.05  # Level of the one-sided test on lost runs
 FEWEST: Final = 5  # Fewest runs of which that test can find a loss: 1/2^5 is under LEVEL, 1/2^4 is not
 
-
 Number = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]  # NaN, which JSON has not, is null there
 
 

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 # The error in the image of many runs over time, resampled to one time grid.
 #
 # Logs are read one at a time and only INSTANTS values of each are kept, so that memory does not grow with the length of the logs.
@@ -211,20 +210,18 @@ def differences(data: Data, width_in: float) -> Figure | None:
     grid, figure = metric_panels(data, width_in, height, 5, names)
     for axes, metric in zip(grid, data.comparison.shown, strict=False):
         axes.axvline(0, color=INK, linewidth=0.8)
-        reach = [_draw_interval(axes, row, pair, metric.name) for row, pair in enumerate(rows)]
-        if max(reach, default=0.0) <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
+        largest = 0.0
+        for row, pair in enumerate(rows):
+            d, real = pair.differences[metric.name], pair.is_real(metric.name)
+            # filled if the difference is real, in colour also if only the improvement is
+            color = LINE_COLORS[1] if real or pair.is_real(metric.name, "improvement") else LINE_COLORS[7]
+            if np.isfinite(d.low):
+                axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
+            axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
+            largest = max(largest, float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max()))
+        if largest <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
             axes.set_xlim(-1, 1)
     return figure
-
-
-def _draw_interval(axes: Axes, row: int, pair: Pair, name: str) -> float:
-    """The mean on its interval: filled if the difference is real, in colour also if only the improvement is; gives the largest value."""
-    d, real = pair.differences[name], pair.is_real(name)
-    color = LINE_COLORS[1] if real or pair.is_real(name, "improvement") else LINE_COLORS[7]
-    if np.isfinite(d.low):
-        axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
-    axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
-    return float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max())
 
 
 def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, names: Sequence[str]) -> tuple[list[Any], Figure]:

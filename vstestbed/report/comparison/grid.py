@@ -26,7 +26,6 @@ LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
 MOST_COLUMNS = 9  # Columns for which a number has its full size
 WIDER = 1.3  # Width of a cell with a sign and two digits over that of the others
 ALL = "all"  # Heading of the mean over all columns
-Cells = dict[tuple[int, int], ControllerResults]
 Place = TypeVar("Place", bound=Hashable)
 Look = tuple[str, str, float, bool]  # Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
 
@@ -37,7 +36,7 @@ class Grid:
 
     rows: tuple[str, ...]  # rows, columns: values of the first and of the second axis, as words
     columns: tuple[str, ...]
-    cells: Cells  # the controllers by row and column
+    cells: dict[tuple[int, int], ControllerResults]  # the controllers by row and column
 
     @classmethod
     def of(cls, comparison: ComparisonResults) -> Grid | None:

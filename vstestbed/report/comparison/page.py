@@ -43,7 +43,6 @@ from vstestbed.scenario.yaml_marks import plain_mapping
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 UNCOMPARED = ("name", "description", "seed", "draw_start", "plugins")
 """Fields that change nothing of an experiment, or differ between seeds."""
 
@@ -95,8 +94,7 @@ def gains_alone(folder: Path, comparison: ComparisonResults) -> str:
 
 def in_words(gains: Iterable[str]) -> str:
     """Names of gains in a sentence: `law.gain and law.k_rho`."""
-    names = list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains)))  # a constant gain may be written as a number
-    return " and ".join(names) if len(names) < 3 else f"{', '.join(names[:-1])} and {names[-1]}"
+    return tables.listed(list(dict.fromkeys(name.removesuffix(".value") for name in sorted(gains))))  # a constant gain may be a number
 
 
 def _flat(value: Any, name: str = "") -> Iterator[tuple[str, object]]:
@@ -274,7 +272,6 @@ LISTED: Final = 300  # Most failed runs whose commands are listed
 SEEDS: Final = 20  # Most seeds of a controller that are named with one kind of failure
 ERRORS: Final = 24
 ERROR_CHARACTERS: Final = 4000  # Most crashed runs whose `error.txt` is shown, and the length of its end that is shown
-
 
 Failure = dict[str, Any]  # controller, seed, outcome, reason, and `place`, the folder of a run that did not reach the goal
 

@@ -228,11 +228,6 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     return [replace(pair, adjusted={test: next(adjusted) for test in pair.tests}) for pair in found]
 
 
-def tests(all_pairs: list[Pair]) -> int:
-    """Number of tests over which the p-values are corrected."""
-    return sum(not math.isnan(p) for pair in all_pairs for p in pair.tests.values())
-
-
 def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
     """The pairs that contain the controller `reference`, exchanged where needed so that it is a."""
     return [p if p.a == reference else p.turned() for p in all_pairs if reference in (p.a, p.b)]

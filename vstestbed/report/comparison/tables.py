@@ -21,7 +21,6 @@ from vstestbed.report.comparison.results import (
     Of,
     Pair,
     against,
-    tests,
 )
 from vstestbed.report.comparison.statistics import IntervalEstimate
 from vstestbed.report.marks import counted, number, signed
@@ -95,7 +94,7 @@ def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) ->
         return "None of them is better than all the others."
     which = "neither" if len(ahead) == 2 else "none"
     seeds = max(p.seeds for p in all_pairs)
-    return f"{_list([labels[i] for i in ahead])} are better than the rest; {counted(seeds, 'run')} each show {which} of them ahead."
+    return f"{listed([labels[i] for i in ahead])} are better than the rest; {counted(seeds, 'run')} each show {which} of them ahead."
 
 
 def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
@@ -106,7 +105,7 @@ def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
             return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
         if others := [m.title.lower() for m in _others(pair)][:MOST_OTHERS]:
             words = f"Neither reaches the goal more often or sooner, as far as {counted(pair.seeds, 'run')} each could show"
-            return f"{words}; they differ in {_list(others)}.", False
+            return f"{words}; they differ in {listed(others)}.", False
         return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {counted(pair.seeds, 'run')} each could show.", False
     pair = pair if pair.better == pair.b else pair.turned()
     return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_advantages(pair)}.", True
@@ -127,7 +126,7 @@ def _against_first(labels: list[str], all_pairs: list[Pair]) -> str:
     better = [labels[p.b] for p in all_pairs if p.better == p.b]
     worse = sum(p.better == p.a for p in all_pairs)
     seeds = max(p.seeds for p in all_pairs)
-    named = f" ({_list(better)})" if 0 < len(better) <= 4 else ""
+    named = f" ({listed(better)})" if 0 < len(better) <= 4 else ""
     rest = len(all_pairs) - len(better) - worse
     counts = f"{len(better)} of {len(all_pairs)} are better{named}, {worse} worse"
     return f"Against {labels[0]}: {counts}; for {rest}, {counted(seeds, 'run')} each do not tell."
@@ -195,7 +194,8 @@ def p_text(p: float) -> str:
     return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
 
 
-def _list(words: list[str]) -> str:
+def listed(words: list[str]) -> str:
+    """Words in a sentence: `a, b and c`."""
     # a label with commas (several varied fields) is bracketed, or one could not see where it ends
     quoted = words if not any("," in w for w in words) else [f"({w})" for w in words]
     return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
@@ -224,7 +224,7 @@ def sections(comparison: ComparisonResults, means: Means, all_pairs: list[Pair],
         "sections": found,
         "strata": any(any(c.tasks) for c in controllers),
         "of_any_run": ", ".join(m.title for m in shown if m.every_pair),  # metrics for which a failed run counts with its own number
-        "tests": tests(all_pairs),
+        "tests": sum(not math.isnan(p) for pair in all_pairs for p in pair.tests.values()),  # over which the p-values are corrected
         "skewed": any(p.differences[m.name].skewed for p in all_pairs for m in shown),
     }
 

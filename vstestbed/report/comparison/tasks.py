@@ -31,7 +31,6 @@ MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
 ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
 DPI: Final = 200
 
-
 Cell = tuple[str, str, ControllerResults]  # A cell of the table: a law, a task, and its runs in it
 
 

@@ -47,17 +47,7 @@ IMAGE = "observation.image"
 Features = dict[str, dict[str, Any]]
 Numbers = dict[str, NDArray[Any]]  # Values of features by name, (frames, k) each
 COUNTERS = ("frame_index", "episode_index", "index", "task_index")
-SENSOR_UNITS = {
-    "odo_x": "m",
-    "odo_y": "m",
-    "range": "m",
-    "vx": "m/s",
-    "vy": "m/s",
-    "vz": "m/s",
-    "wx": "rad/s",
-    "wy": "rad/s",
-    "wz": "rad/s",
-}
+SENSOR_UNITS = dict.fromkeys(("odo_x", "odo_y", "range"), "m") | {name: "m/s" if name[0] == "v" else "rad/s" for name in TWIST}
 """Of sensors that are no joints; the others measure angles."""
 
 
@@ -239,7 +229,7 @@ class DatasetWriter:
         self._films: list[VideoWriter] = []
         self._rows: list[dict[str, Any]] = []
         self._files = {"data": 0, "episodes": 0}
-        self._statistics: dict[str, list[Statistics]] = {}
+        self._statistics: dict[str, Statistics] = {}
         self._taken: dict[str, None] = {}
 
     def add(self, run: RecordedRun, tick: Callable[[], None] = lambda: None) -> None:
@@ -277,8 +267,7 @@ class DatasetWriter:
         self._write_data()
         self._write_episodes()
         assert self._first is not None and self._features is not None
-        overall = {name: together(parts) for name, parts in self._statistics.items()}
-        stats = {name: {key: value.tolist() for key, value in of.items()} for name, of in overall.items()}
+        stats = {name: {key: value.tolist() for key, value in of.items()} for name, of in self._statistics.items()}
         self._write_json("meta/stats.json", stats)
         info = {"codebase_version": VERSION, "robot_type": self._first.scenario.robot.kind}
         info |= {"total_episodes": self._episodes, "total_frames": self._frames, "total_tasks": len(self._tasks)}
@@ -330,8 +319,7 @@ class DatasetWriter:
         self._data.append(pl.DataFrame(columns))
         self._rows.append(row)
         for name, of in found.items():
-            parts = self._statistics.setdefault(name, [])
-            parts[:] = [together([*parts, of])]
+            self._statistics[name] = together([self._statistics[name], of] if name in self._statistics else [of])
         self._episodes += 1
         self._frames += row["length"]
         if sum(part.estimated_size() for part in self._data) > DATA_MB * 1e6 / 2:

@@ -141,38 +141,29 @@ class Topics:
             yield topic, time_ns, made
 
 
+# Topics of columns: by what stands before the first "_" in their name, and of single ones.
+GROUPS = {"cmd": "/robot/command", "applied": "/robot/applied", "act": "/truth/camera_twist", "ctrl": "/robot/controls"}
+GROUPS |= {"q": "/truth/joint_positions", "qd": "/truth/joint_velocities", "depth": "/camera/depths"}
+SINGLE = {"scale": "/robot/applied"} | dict.fromkeys(("error_px", "error_grey", "lost"), "/camera/error")
+SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
+
+
 def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, tuple[Any, dict[str, str]]]]:
     """By topic the class of a message, and the columns of the log by its fields: those whose values are in no other message."""
-    groups: dict[str, dict[str, str]] = {}
+    topics: dict[str, dict[str, str]] = {}
     for column in columns:
-        if topic := _topic(column, scenario):
-            groups.setdefault(topic, {})[name_with_unit(_short(topic, column), meaning(column, scenario)[0])] = column
-    for topic, those in groups.items():
+        (unit, whose, _), (before, _, after) = meaning(column, scenario), column.partition("_")
+        if column in SINGLE:
+            topic, name = SINGLE[column], column
+        elif column in scenario.own_columns:
+            topic, name = {"truth": "/truth/state", "own": "/state"}.get(whose, "/robot/state"), column
+        elif before in GROUPS:  # whose topic says what stands before
+            topic, name = GROUPS[before], column if before == "depth" else after
+        else:
+            continue
+        topics.setdefault(topic, {})[name_with_unit(name, unit)] = column
+    for topic, those in topics.items():
         yield topic, (_message_class("".join(word.title() for word in topic.split("/")).replace("_", ""), list(those)), those)
-
-
-def _topic(column: str, scenario: Scenario) -> str | None:
-    """The topic of a column; None where another message has it."""
-    groups = {"cmd": "/robot/command", "applied": "/robot/applied", "act": "/truth/camera_twist", "ctrl": "/robot/controls"}
-    groups |= {"q": "/truth/joint_positions", "qd": "/truth/joint_velocities", "depth": "/camera/depths"}
-    before = column.partition("_")[0]
-    if column == "scale":
-        return "/robot/applied"
-    if before in groups and column not in scenario.own_columns:
-        return groups[before]
-    if column in ("error_px", "error_grey", "lost"):
-        return "/camera/error"
-    if column in ("position_error_m", "rotation_error_rad"):
-        return "/truth/error"
-    if column in scenario.own_columns:
-        return {"truth": "/truth/state", "own": "/state"}.get(meaning(column, scenario)[1], "/robot/state")
-    return None
-
-
-def _short(topic: str, column: str) -> str:
-    """A column's name within its topic, which says what stands before it."""
-    grouped = topic in ("/truth/camera_twist", "/robot/controls", "/truth/joint_positions", "/truth/joint_velocities", *TIMED_BY_COMMAND)
-    return column.partition("_")[2] if grouped and column != "scale" else column
 
 
 # Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures stay binary; and plain time series.

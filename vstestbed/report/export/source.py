@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, cast
 
@@ -129,13 +128,15 @@ Whose = Literal["clock", "measured", "command", "truth", "own"]
 """`clock`: times and counters; `measured`: what camera and robot know; `command`: what they command; `truth`: the simulator's alone;
 `own`: of the robot's kind or the task."""
 
-
 Meaning = tuple[str, Whose, str]  # Of a column: its unit ("" for numbers without one), who knows it, and in words
-
 
 _SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "mps": "m/s", "radps": "rad/s", "n": "N", "nm": "Nm"}
 """Unit by the last part of a name, for columns of plugins."""
 IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}  # Units as parts of names
+
+
+_PATTERNS = list(csv.reader(Path(__file__).with_name("columns.csv").read_text(encoding="utf-8").splitlines()[1:]))
+"""Regular expression of columns, unit, who knows them, in words."""
 
 
 def meaning(column: str, scenario: Scenario) -> Meaning:
@@ -144,16 +145,10 @@ def meaning(column: str, scenario: Scenario) -> Meaning:
     if kind in ("q", "qd") and joint in scenario.robot.joints:
         unit = unit_of_joint(joint, scenario) + ("/s" if kind == "qd" else "")
         return unit, "truth", "velocity of a joint" if kind == "qd" else "position of a joint"
-    for pattern, *found in _patterns():
+    for pattern, *found in _PATTERNS:
         if re.fullmatch(pattern, column):
             return cast(Meaning, tuple(found))
     return _SUFFIXES.get(column.rpartition("_")[2], ""), "own", "of the robot's kind, or of the task"
-
-
-@cache
-def _patterns() -> list[list[str]]:
-    """The lines of `columns.csv`: regular expression of columns, unit, who knows them, in words."""
-    return list(csv.reader(Path(__file__).with_name("columns.csv").read_text(encoding="utf-8").splitlines()[1:]))
 
 
 def unit_of_joint(joint: str, scenario: Scenario) -> str:

@@ -18,7 +18,6 @@ from vstestbed.report.run.tracks import Tracks, largest_deviation, visible_regio
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
 
-
 OUTLINES: tuple[Look, ...] = (
     {"label": "start", "color": INK, "linewidth": 1.0, "linestyle": ":"},
     {"label": "end", "color": INK, "linewidth": 1.6},

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from vstestbed.features import Feature
     from vstestbed.scenario.scenario import Scenario
 
-
 RINGS, DIRECTIONS = 120, 541  # Polar grid around the camera's foot point on which the visible region of a plane is sampled
 
 
@@ -39,7 +38,6 @@ def ideal_bicycle_path(scenario: Scenario) -> Array | None:
     start = robot.configuration()
     chosen = {"auto": int(direction_to(start, goal)), "forward": 1, "reverse": -1}[law.direction]
     limits = BicycleLimits(robot.limits.speed_mps, robot.limits.steering_rad)
-
     gains = law.k_rho, law.k_alpha, law.k_beta
 
     def command(place: Array) -> tuple[Array, Array]:
@@ -75,7 +73,6 @@ def visible_region(camera: Camera, T_world_camera: Array, height: float, reach: 
 
 
 MOST_ROWS = 4000  # Longer logs are thinned for drawing: a figure is about 700 px wide, and a page should open at once
-GREY = "error_grey", "RMS difference [grey levels]", "grey levels"  # The error of a law that compares pictures, as in `MeasuredError`
 
 
 class MeasuredError(NamedTuple):
@@ -115,7 +112,8 @@ class Setting:
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
         """Of markers, and of whole pictures; first the one that decides, that of markers where neither does."""
-        both = MeasuredError(threshold=self.threshold_px), MeasuredError(*GREY, self.threshold_grey)
+        grey = MeasuredError("error_grey", "RMS difference [grey levels]", "grey levels", self.threshold_grey)
+        both = MeasuredError(threshold=self.threshold_px), grey
         return both if self.threshold_px is not None or self.threshold_grey is None else both[::-1]
 
     @classmethod

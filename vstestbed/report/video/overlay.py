@@ -162,6 +162,8 @@ def _bytes(colors: Array) -> list[Color]:
 _CROSS: Final = np.array([[[i, j], [OPEN * i, OPEN * j]] for i, j in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))])
 _DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 
+_FONT: Final = cv2.FontFace("sans")  # OpenCV's own proportional font: no system font is used, so that films are the same bytes everywhere
+
 
 def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
     """Write time [s], error in words and, if there is room, a title on a darkened strip at the bottom of the image, in place."""
@@ -225,19 +227,13 @@ def shortened(words: str, size: int, width: int, weight: int = 400) -> str:
 
 def draw_text(image: Image, words: str, at: tuple[int, int], color: Color, size: int, weight: int = 400) -> None:
     """Write text from pixel `at` (left end of the base line), `size` [px] high, in place."""
-    cv2.putText(image, words, at, color, _font(), size, weight)
+    cv2.putText(image, words, at, color, _FONT, size, weight)
 
 
 @lru_cache(maxsize=64)
 def text_width(words: str, size: int, weight: int = 400) -> int:
     """Width of a text at that size [px]."""
-    return int(cv2.getTextSize((0, 0), words, (0, 0), _font(), size, weight)[2])
-
-
-@lru_cache(maxsize=1)
-def _font() -> cv2.FontFace:
-    """OpenCV's built-in proportional font: no system font is used, so that films are the same bytes everywhere."""
-    return cv2.FontFace("sans")
+    return int(cv2.getTextSize((0, 0), words, (0, 0), _FONT, size, weight)[2])
 
 
 # The state of one frame as a film shows it, from a running loop or from a log.

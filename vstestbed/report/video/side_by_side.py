@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from av import VideoFrame
     from av.container import InputContainer
 
-
 # Reads a film frame by frame as simulated time advances.
 EARLY_S: Final = Fraction(1, 10_000)  # How much before its time a frame may be shown: the time base of a film is about 1/12800 s
 
@@ -87,7 +86,6 @@ FASTEST_HZ: Final = Fraction(50)
 DIMMED: Final = 0.6
 GREY: Final[Color] = (96, 100, 108)
 NEUTRAL: Final[Color] = (56, 64, 76)
-
 
 Shown = list[tuple[FrameReader, Image]]  # Films with their places in the image
 

@@ -30,7 +30,6 @@ ENCODER: Final = {"preset": "ultrafast", "crf": "20", "x264-params": "subme=1:mb
 Without `threads=1` here, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load."""
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
 
-
 Coding = tuple[int, NDArray[np.float64], dict[str, str]]
 """How a video codes its pictures: code of the matrix between colours and (Y, Cb, Cr) in ISO/IEC 23091-2, this matrix, options of the
 encoder."""
@@ -105,7 +104,10 @@ class VideoWriter:
         with self._guarded():
             if self._container is None:
                 self._open(image.shape)
-            frame = av.VideoFrame.from_ndarray(_yuv420p(_even(image), self._coding[1]), format="yuv420p")
+            height, width = image.shape[:2]
+            if height % 2 or width % 2:  # even, with the last row or column repeated: colour is stored for blocks of 2 x 2 pixels
+                image = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+            frame = av.VideoFrame.from_ndarray(_yuv420p(np.ascontiguousarray(image), self._coding[1]), format="yuv420p")
             frame.pts, frame.time_base = self.frames, 1 / self.rate  # exact fractions: no drift over a long film
             self._mux(frame)
         self.frames += 1
@@ -190,14 +192,6 @@ class VideoWriter:
         except BaseException:
             self.abort()
             raise
-
-
-def _even(image: Image) -> Image:
-    """The frame with even height and width, the last row or column repeated: yuv420p stores colour for blocks of 2 x 2 pixels."""
-    height, width = image.shape[:2]
-    if height % 2 == 0 and width % 2 == 0:
-        return np.ascontiguousarray(image)
-    return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
 def _yuv420p(image: Image, to_yuv: NDArray[np.float64]) -> Image:
