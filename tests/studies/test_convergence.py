@@ -43,10 +43,10 @@ def test_a_cell_counts_its_own_runs():
     for job in study.runs:
         good = job.controller.values["law.gain"] == 2.0 or job.seed == 0
         ended.append((job, RunEnding("converged" if good else "target_lost", good, 1.0, 0.25 if good else 9.0)))
-    (panel,) = study.maps(ended)
-    np.testing.assert_array_equal(panel.share, [[0.5, 0.5], [1.0, 1.0]])  # rows: the second axis
-    assert panel.others.tolist() == [["target_lost"] * 2, ["", ""]]
-    np.testing.assert_array_equal(panel.away_m, 0.25)
+    ((_, share, others, away_m),) = study.maps(ended)
+    np.testing.assert_array_equal(share, [[0.5, 0.5], [1.0, 1.0]])  # rows: the second axis
+    assert others.tolist() == [["target_lost"] * 2, ["", ""]]
+    np.testing.assert_array_equal(away_m, 0.25)
 
 
 def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -114,7 +114,10 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
         place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
         axes: Axes3D = figure.add_axes(place, projection="3d")  # pyright: ignore[reportAssignmentType]
-        space.frame(axes, np.full(3, -1.0), np.full(3, 1.0), elev=24, azim=52, zoom=1.36)
+        axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
+        axes.set_box_aspect((1, 1, 1), zoom=1.36)  # pyright: ignore[reportArgumentType] - the stubs say int
+        axes.view_init(elev=24, azim=52)
+        axes.set_axis_off()
         space.draw_net(axes, PI, PI / 6, hide_back=True)
         space.draw_curve(axes, space.ray_at(PI / 2, np.linspace(0, 2 * PI, 121)), hide_back=True, color=INK, linewidth=1.1)
         near = ray @ space.towards_viewer(axes) > 0.08  # cosine of the angle to the viewer: without the rays next to the outline

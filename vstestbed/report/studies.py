@@ -153,33 +153,29 @@ SWEEP_COLUMNS = 2
 SweepAxis = tuple[str, list[str]]
 
 
-@dataclass(frozen=True)
-class ConvergenceMap:
-    """The map of one law, arrays of shape (n_y, n_x)."""
-
-    label: str  # name of the law
-    share: Array  # share of the seeds that converged; NaN where no run is done
-    others: NDArray[np.object_]  # most frequent outcome of the others; empty if all converged
-    away_m: Array  # median distance from the true goal of those that converged [m]; NaN if none did
+ConvergenceMap = tuple[str, Array, NDArray[np.object_], Array]
+"""Law; share of the seeds that converged (NaN where no run is done); most frequent outcome of the others ("" if all converged); median
+distance from the true goal of those that converged [m] (NaN if none did); arrays of shape (n_y, n_x)."""
 
 
 def draw_sweep(maps: Sequence[ConvergenceMap], x: SweepAxis, y: SweepAxis) -> Figure:
     """The maps side by side."""
     rows = -(-len(maps) // SWEEP_COLUMNS)
-    n_y, n_x = maps[0].share.shape
+    n_y, n_x = maps[0][1].shape
     wide, high = 0.55 + 0.37 * n_x, 0.75 + 0.27 * n_y
     drawn = new_figure(high * rows + 0.35, max(2, SWEEP_COLUMNS) * max(wide, 3.0))
-    for axes, one in zip(panels(drawn, len(maps), SWEEP_COLUMNS, sharex=True, sharey=True), maps, strict=True):
-        colors = np.where(np.isnan(one.share)[..., None], 1.0, NONE + one.share[..., None] * (ALL - NONE))
+    grid = panels(drawn, len(maps), SWEEP_COLUMNS, sharex=True, sharey=True)
+    for axes, (label, shares, others, _) in zip(grid, maps, strict=True):
+        colors = np.where(np.isnan(shares)[..., None], 1.0, NONE + shares[..., None] * (ALL - NONE))
         axes.imshow(colors, origin="lower", aspect="auto")
-        for (i, j), share in np.ndenumerate(one.share):
-            letter = LETTERS.get(str(one.others[i, j]), "") if share < 1 else ""
+        for (i, j), share in np.ndenumerate(shares):
+            letter = LETTERS.get(str(others[i, j]), "") if share < 1 else ""
             words = "-" if np.isnan(share) else f"{100 * share:.0f}{letter}"
             axes.text(j, i, words, ha="center", va="center", fontsize=6.5, color="white" if share > 0.55 else INK)
         axes.set_xticks(range(len(x[1])), x[1], rotation=45 if max(map(len, x[1])) > 5 else 0)
         axes.set_yticks(range(len(y[1])), y[1])
         axes.grid(visible=False)
-        axes.set_title(one.label)
+        axes.set_title(label)
     drawn.supxlabel(x[0], fontsize=8)
     drawn.supylabel(y[0], fontsize=8)
     return drawn
@@ -194,10 +190,10 @@ def write_sweep(
     image = _plate(folder, "convergence", lambda: draw_sweep(maps, x, y))
     what = "median distance from the true goal, of those that converged [mm]"
     found = []
-    for one in maps:  # its lines from top to bottom, as in the figure
-        away = ([number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in one.away_m.tolist())
+    for label, _, _, away_m in maps:  # its lines from top to bottom, as in the figure
+        away = ([number(1e3 * m) if math.isfinite(m) else "-" for m in row] for row in away_m.tolist())
         lines = [[value, *row] for value, row in zip(y[1], away, strict=True)]
-        found.append((f"{one.label}: {what}", ["", *x[1]], lines[::-1]))
+        found.append((f"{label}: {what}", ["", *x[1]], lines[::-1]))
     content = {"plate": ("Where it converges", image, caption), "tables": found, "about": description, "caution": caution}
     return write_page(folder, "study.html", "Convergence", **content, command=command)
 

@@ -200,7 +200,7 @@ def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str
         away[i, j] = float(np.median(good)) if good else math.nan
         failed = Counter(one.outcome for one in ended if not one.success)
         others[i, j] = failed.most_common(1)[0][0] if failed else ""
-    return ConvergenceMap(label, share, others, away)
+    return label, share, others, away
 
 
 def write(folder: Path, study: Study, ended: Ended, command: str = "") -> Path:
@@ -219,5 +219,5 @@ def _short(value: object) -> str:
 
 def summaries(maps: Sequence[ConvergenceMap]) -> Iterator[dict[str, object]]:
     """Share of all runs that converged, for each map."""
-    for one in maps:
-        yield {"label": one.label, "converged": float(np.mean(one.share))}
+    for label, share, _, _ in maps:
+        yield {"label": label, "converged": float(np.mean(share))}

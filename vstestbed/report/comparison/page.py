@@ -208,10 +208,7 @@ def _on_page(data: Data, plot: int) -> str:
 def _figures(
     folder: Path, comparison: ComparisonResults, all_pairs: list[Pair], plugins: Sequence[str], call: Call, place: Path | None
 ) -> dict[str, Any]:
-    """All figures for up to PANELS controllers; of more the grid, or without a grid all figures of the first PANELS.
-
-    For the page, the narrow ones side by side, the broad ones below; and for papers in the folder `place`, if there is one.
-    """
+    """All figures for up to PANELS controllers; of more the grid, or without one those of the first PANELS; for papers into `place`."""
     n = len(comparison.controllers)
     if n > PANELS and effects.Grid.of(comparison) is not None:
         data, numbers = Data(comparison, all_pairs), [GRID]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -136,15 +137,9 @@ def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
 
 def short_names(paths: Sequence[str]) -> list[str]:
     """The shortest suffix of each dotted path that is unique among them: `actuation` for `robot.actuation`."""
-
-    def suffix(path: str, parts: int) -> str:
-        return ".".join(path.split(".")[-parts:])
-
-    names = []
-    for path in paths:
-        lengths = range(1, path.count(".") + 2)
-        names.append(next((suffix(path, n) for n in lengths if sum(suffix(p, n) == suffix(path, n) for p in paths) == 1), path))
-    return names
+    suffixes = [[".".join(path.split(".")[-parts:]) for parts in range(1, path.count(".") + 2)] for path in paths]
+    common = Counter(chain.from_iterable(suffixes))
+    return [next((suffix for suffix in own if common[suffix] == 1), own[-1]) for own in suffixes]
 
 
 def value_text(value: object) -> str:

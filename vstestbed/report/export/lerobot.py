@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
@@ -60,7 +61,9 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     info |= {"video.is_depth_map": False, "video.channels": 3, "has_audio": False, "video.fps": rate_of(scenario)}
     found: Features = {IMAGE: {"dtype": "video", "shape": [*even, 3], "names": ["height", "width", "channels"], "info": info}}
     if state:
-        found["observation.state"] = _vector([f"{name} [{_unit(name, scenario)}]" for name in state])
+        joints = scenario.robot.joints
+        units = [unit_of_joint(name, scenario) if name in joints else SENSOR_UNITS.get(name, "rad") for name in state]
+        found["observation.state"] = _vector([f"{name} [{unit}]" for name, unit in zip(state, units, strict=True)])
     found["action"] = _vector(_action_names(scenario))
     if n:
         found |= {"markers": _vector(pixels), "seen": _vector([f"marker_{i}" for i in range(n)]), "goal": _vector(pixels)}
@@ -80,7 +83,10 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     columns = ["t", *markers, *(f"cmd_{name}" for name in TWIST), *(f"q_{name}" for name in s.robot.joints), *s.own_columns]
     log = {name: run.log[name] for name in columns}
     n, frames = s.rows, len(log["t"])
-    state = _state(s, log)
+    # what the log tells of the robot's own sensors, in the order of `agent_pos`: joints, and what the robot's columns have
+    own = s.robot.log(s.robot.supervisor(s.goal.lands, *s.stop.lost_after)).proprioception(log)
+    known = {name: log[f"q_{name}"] for name in s.robot.joints} | own
+    state = {name: known[name] for name in s.robot.proprioception_names if name in known}
     last = np.arange(frames) == frames - 1
     found: Numbers = {"observation.state": np.stack(list(state.values()), axis=1)} if state else {}
     found["action"] = actions(s, log)
@@ -103,14 +109,6 @@ def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
     return np.array([np.clip(np.linalg.pinv(basis) @ twist / unit, -1.0, 1.0) for basis, twist in zip(bases, twists, strict=True)])
 
 
-def _state(scenario: Scenario, log: dict[str, Array]) -> dict[str, Array]:
-    """What the log tells of the robot's own sensors, in the order of `agent_pos`: joints, and what the robot's columns have."""
-    robot = scenario.robot
-    own = robot.log(robot.supervisor(scenario.goal.lands, *scenario.stop.lost_after)).proprioception(log)
-    known = {name: log[f"q_{name}"] for name in robot.joints} | own
-    return {name: known[name] for name in robot.proprioception_names if name in known}
-
-
 def _pixels(uv: Array) -> Array:
     """Pixels as a policy sees them (`laws.policy.observed`): 0 for a marker that is not seen."""
     return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX)
@@ -124,10 +122,6 @@ def _action_names(scenario: Scenario) -> list[str]:
     names = TWIST if basis.shape[1] == 6 else [f"motion_{i}" for i in range(basis.shape[1])]
     units = ["rad/s" if turn else "m/s" for turn in turns]
     return [f"{name} [{value:g} {unit}]" for name, value, unit in zip(names, most.tolist(), units, strict=True)]
-
-
-def _unit(name: str, scenario: Scenario) -> str:
-    return unit_of_joint(name, scenario) if name in scenario.robot.joints else SENSOR_UNITS.get(name, "rad")
 
 
 def _vector(names: list[str]) -> dict[str, Any]:
@@ -205,14 +199,10 @@ def write_dataset(runs: Iterable[RecordedRun], out: Path, tick: Callable[[], Non
     ParameterError: the runs differ in what a frame holds. OutputError: `out` holds something already, or cannot be made.
     EnvironmentLackError: pictures cannot be drawn here, no H.264 encoder, no space.
     """
-    with whole_folder(out) as folder:
-        writer = DatasetWriter(folder, within)
-        try:
-            for run in runs:
-                writer.add(run, tick)
-            writer.finish()
-        finally:
-            writer.abort()
+    with whole_folder(out) as folder, closing(DatasetWriter(folder, within)) as writer:
+        for run in runs:
+            writer.add(run, tick)
+        writer.finish()
     return out
 
 
@@ -281,7 +271,7 @@ class DatasetWriter:
         tasks = pl.DataFrame({"task_index": list(self._tasks.values()), "task": list(self._tasks)})
         self._write_parquet("meta/tasks.parquet", tasks, {"pandas": json.dumps(_INDEXED_BY_TASK)})
 
-    def abort(self) -> None:
+    def close(self) -> None:
         """Discard the video that is not finished; harmless after `finish`."""
         for film in self._films:
             film.abort()

@@ -70,9 +70,8 @@ def write_report(run_dir: Path, log: Log | pl.DataFrame | None = None, setting: 
         log, setting: log and scenario data of the figures, if the caller has them already; else those of the folder.
         plugins: files or modules, besides those that `scenario.yaml` names.
 
-    Raises:
-        RunFolderError: the folder holds no run, a damaged one, or one without a frame.
-        ScenarioError, PluginError: its scenario cannot be loaded. OutputError: the page cannot be written.
+    RunFolderError: the folder holds no run, a damaged one, or one without a frame. ScenarioError, PluginError: its scenario cannot be
+    loaded. OutputError: the page cannot be written.
     """
     from vstestbed.scenario.dump import load_run  # here: the figures themselves need no scenario
     from vstestbed.scenario.load import GIVEN, RESOLVED

@@ -316,17 +316,6 @@ def _letter(axes: Any, at: Array, letter: str, color: str) -> None:  # Any: matp
     axes.text(*drawn(at).tolist(), letter, color=color, ha="center", va="center")
 
 
-def frame(axes: Axes3D, low: Array, high: Array, elev: float, azim: float, zoom: float) -> None:
-    """Limit the axes to the box from `low` to `high` (3,) in camera coordinates, equal scale, without matplotlib's own axes."""
-    corners = np.sort(np.stack([drawn(low), drawn(high)]), axis=0)  # sorted: the sign of y changes when drawn
-    limits: dict[str, Any] = {f"{name}lim": tuple(corners[:, i].tolist()) for i, name in enumerate("xyz")}
-    axes.set(**limits)
-    box: dict[str, Any] = {"zoom": zoom}  # zoom is a float, but the stubs say int
-    axes.set_box_aspect(np.ptp(corners, axis=0), **box)
-    axes.view_init(elev=elev, azim=azim)
-    axes.set_axis_off()
-
-
 # Marker trajectories in the coordinates of the features `polar` and `spherical`, for runs with these features.
 #
 # Lines and marks are those of the figure in the image.

@@ -148,24 +148,6 @@ class Setting:
         )
 
 
-def thinned(log: Log, most: int = MOST_ROWS) -> pl.DataFrame:
-    """A log as a table of at most some `most` rows: every n-th, the first and the last, and those with an extreme of a column.
-
-    Of each of its intervals, as many as half the rows allow, the rows with the least and the largest value of each column are kept: so
-    each curve keeps its largest peaks.
-    """
-    n = len(log)
-    if n <= most:
-        return pl.DataFrame(log.by_name())
-    chosen = [np.linspace(0, n - 1, most // 2).astype(int)]
-    for part in np.array_split(np.arange(n), max(1, most // (4 * len(log.columns)))):
-        table = log.table[part]
-        known = np.isfinite(table)  # an infinity cannot be drawn
-        extremes = np.where(known, table, np.inf).argmin(axis=0), np.where(known, table, -np.inf).argmax(axis=0)
-        chosen += [part[rows[known.any(axis=0)]] for rows in extremes]
-    return pl.DataFrame(Log(log.columns, log.table[np.unique(np.concatenate(chosen))]).by_name())
-
-
 @dataclass(frozen=True)
 class Tracks:
     """A log (one row per frame) as arrays over time; a column that is absent reads as NaN."""
@@ -175,8 +157,22 @@ class Tracks:
 
     @classmethod
     def of(cls, log: Log | pl.DataFrame, setting: Setting) -> Tracks:
-        """The tracks of a log, thinned to MOST_ROWS rows where it has more (`thinned`)."""
-        return cls(log if isinstance(log, pl.DataFrame) else thinned(log), setting)
+        """The tracks of a log, thinned to some MOST_ROWS rows: every n-th, the first and the last, and those with an extreme of a column.
+
+        In each of the intervals, as many as half the rows allow, each column keeps its least and its largest value, and so its peaks.
+        """
+        if isinstance(log, pl.DataFrame):
+            return cls(log, setting)
+        n = len(log)
+        if n > MOST_ROWS:
+            chosen = [np.linspace(0, n - 1, MOST_ROWS // 2).astype(int)]
+            for part in np.array_split(np.arange(n), max(1, MOST_ROWS // (4 * len(log.columns)))):
+                table = log.table[part]
+                known = np.isfinite(table)  # an infinity cannot be drawn
+                extremes = np.where(known, table, np.inf).argmin(axis=0), np.where(known, table, -np.inf).argmax(axis=0)
+                chosen += [part[rows[known.any(axis=0)]] for rows in extremes]
+            log = Log(log.columns, log.table[np.unique(np.concatenate(chosen))])
+        return cls(pl.DataFrame(log.by_name()), setting)
 
     def column(self, name: str) -> Array:
         """One column as floats, shape (T,)."""

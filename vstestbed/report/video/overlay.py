@@ -94,9 +94,8 @@ class Overlay:
     def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
         """Draw one frame's state on `image` (height, width, 3), uint8, RGB, in place.
 
-        Args:
-            uv, goal_uv: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2).
-            t: time of the frame [s]. error: the error in words. lost: whether the target is lost, which a banner shows.
+        `uv`, `goal_uv`: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2). t: time of the
+        frame [s]. error: the error in words. lost: whether the target is lost, which a banner shows.
         """
         self.marks(image, uv, goal_uv)
         draw_caption(image, self.title, t=t, error=error)  # over marks, which shine through: its numbers stay legible

@@ -79,8 +79,7 @@ class VideoWriter:
     The same frames give the same bytes (one encoder thread). Its size is that of the first frame, made even by
     repeating the last row or column. As a context manager: closes at the end, aborts on an exception.
 
-    Raises:
-        EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4). OutputError: the folder cannot be written.
+    EnvironmentLackError: no H.264 encoder, or no room on the disk (exit 4). OutputError: the folder cannot be written.
     """
 
     def __init__(self, path: Path, rate_hz: float, coding: Coding = FILM):
