@@ -59,15 +59,17 @@ def write_mcap(run: RecordedRun, path: Path, start_s: float = 0.0, tick: Callabl
     `start_s`: what t = 0 is in the file [s since 1970]. tick: called after each frame.
     EnvironmentLackError: pictures cannot be drawn here, or no space. OutputError: cannot be written.
     """
-    topics = Topics(run, start_s)
+    start_ns, series = round(start_s * NS), _series(run.scenario, run.log.columns)
+    colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))  # of more points than markers: over again
+    goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
     with writing(path), PartFile(path) as part:
         writer = Writer(part.file)
         writer.add_metadata("vstestbed", described(run))
         for name, kind in ATTACHED.items():
             if (run.folder / name).is_file():
-                writer.add_attachment(0, topics.time_ns(0.0), name, kind, (run.folder / name).read_bytes())
+                writer.add_attachment(0, start_ns, name, kind, (run.folder / name).read_bytes())
         for frame in run.frames():
-            for topic, time_ns, message in topics.of(frame):
+            for topic, time_ns, message in _messages(frame, run, start_ns, series, goal_colors):
                 writer.write_message(topic, message, time_ns, time_ns, int(frame.row["frame"]))
             tick()
         writer.finish()
@@ -103,42 +105,32 @@ def described(run: RecordedRun) -> dict[str, str]:
     }
 
 
-class Topics:
-    """The messages of a run, frame by frame; start_s: see `write_mcap`."""
+Series = dict[str, tuple[Any, dict[str, str]]]  # By topic the class of a message, and the columns of the log by its fields
 
-    def __init__(self, run: RecordedRun, start_s: float):
-        self._scenario, self._noisy = run.scenario, run.noisy
-        self._start_ns = round(start_s * NS)
-        self._series = dict(_series(run.scenario, run.log.columns))
-        colors = np.resize(run.scenario.target.colors, (run.scenario.rows, 3))  # of more points than markers: over again
-        self._goal_colors = np.column_stack([colors, np.ones(len(colors))]).tolist()
 
-    def time_ns(self, t: float) -> int:
-        """A simulated time [s] as the file has it [ns]."""
-        return self._start_ns + round(t * NS)
-
-    def of(self, frame: Taken) -> Iterator[Message]:
-        """The messages of a frame."""
-        s, row, state = self._scenario, frame.row, frame.state
-        now = self.time_ns(state.t)
-        for topic, camera in (("/camera/calibration", s.believed_camera), ("/truth/camera_calibration", s.camera)):
-            if (known := calibration(now, camera)) is not None:
-                yield topic, now, known
-        yield "/camera/image", now, image(now, frame.picture, self._noisy)
-        n, sizes = len(state.uv), SIZES_PX
-        true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
-        yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
-        yield "/camera/goal", now, circles(now, state.goal_uv, self._goal_colors, sizes["goal"])
-        poses, T_goal = {"camera": state.T_world_camera, "target": state.T_world_target}, s.goal_pose_at(state.t, int(row.get("view", 0)))
-        if T_goal is not None:
-            poses["goal"] = state.T_world_target @ inverse(T_goal)
-        yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
-        yield "/truth/transforms", now, transforms(now, poses, frame.bodies)
-        for topic, (kind, columns) in self._series.items():
-            time_ns = self.time_ns(row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t)
-            made = kind(**{field: row[column] for field, column in columns.items()})
-            made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
-            yield topic, time_ns, made
+def _messages(frame: Taken, run: RecordedRun, start_ns: int, series: Series, goal_colors: list[list[float]]) -> Iterator[Message]:
+    """The messages of a frame; start_ns: what t = 0 is in the file."""
+    s, row, state = run.scenario, frame.row, frame.state
+    now = start_ns + round(state.t * NS)
+    for topic, camera in (("/camera/calibration", s.believed_camera), ("/truth/camera_calibration", s.camera)):
+        if (known := calibration(now, camera)) is not None:
+            yield topic, now, known
+    yield "/camera/image", now, image(now, frame.picture, run.noisy)
+    n, sizes = len(state.uv), SIZES_PX
+    true = np.array([[row[f"u_true_{i}"], row[f"v_true_{i}"]] for i in range(n)])
+    yield "/camera/markers", now, circles(now, state.uv, [SEEN] * n, sizes["seen"])
+    yield "/camera/goal", now, circles(now, state.goal_uv, goal_colors, sizes["goal"])
+    poses, T_goal = {"camera": state.T_world_camera, "target": state.T_world_target}, s.goal_pose_at(state.t, int(row.get("view", 0)))
+    if T_goal is not None:
+        poses["goal"] = state.T_world_target @ inverse(T_goal)
+    yield "/truth/markers", now, circles(now, true, [TRUE] * n, sizes["true"])
+    yield "/truth/transforms", now, transforms(now, poses, frame.bodies)
+    for topic, (kind, columns) in series.items():
+        t = row["t_cmd"] if topic in TIMED_BY_COMMAND and math.isfinite(row["t_cmd"]) else state.t
+        time_ns = start_ns + round(t * NS)
+        made = kind(**{field: row[column] for field, column in columns.items()})
+        made.timestamp.seconds, made.timestamp.nanos = divmod(time_ns, NS)  # its class is of another pool than `Timestamp`
+        yield topic, time_ns, made
 
 
 # Topics of columns: by what stands before the first "_" in their name, and of single ones.
@@ -148,8 +140,8 @@ SINGLE = {"scale": "/robot/applied"} | dict.fromkeys(("error_px", "error_grey", 
 SINGLE |= dict.fromkeys(("position_error_m", "rotation_error_rad"), "/truth/error")
 
 
-def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str, tuple[Any, dict[str, str]]]]:
-    """By topic the class of a message, and the columns of the log by its fields: those whose values are in no other message."""
+def _series(scenario: Scenario, columns: tuple[str, ...]) -> Series:
+    """The series of the columns whose values are in no other message."""
     topics: dict[str, dict[str, str]] = {}
     for column in columns:
         (unit, whose, _), (before, _, after) = meaning(column, scenario), column.partition("_")
@@ -162,8 +154,8 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Iterator[tuple[str,
         else:
             continue
         topics.setdefault(topic, {})[name_with_unit(name, unit)] = column
-    for topic, those in topics.items():
-        yield topic, (_message_class("".join(word.title() for word in topic.split("/")).replace("_", ""), list(those)), those)
+    names = {topic: "".join(word.title() for word in topic.split("/")).replace("_", "") for topic in topics}
+    return {topic: (_message_class(names[topic], list(those)), those) for topic, those in topics.items()}
 
 
 # Foxglove's messages of a frame, in protobuf: rerun reads no other encoding of them, and pictures stay binary; and plain time series.
