@@ -265,12 +265,10 @@ written in complex moments, in which an invariance is seen at once: the turns of
 Row = Literal[  # fmt: skip - one name a line would hide the groups
     "xn", "yn", "an", "xg", "yg", "area", "alpha", "sx", "sy", "px", "py", "c1", "c2", "c3", "c4", "c5", "c6", "c7", "c8", "c9", "c10"
 ]
-FADES = 0.01  # elongation |c20|/c11 under which the row of alpha fades
 DIRECTED = 0.1
 """Skewness over which third-order moments tell the two ends of the principal axis apart. A tilt of some 20 degrees gives a symmetric shape
 a third of that."""
 ROUND = 0.05  # elongation of a shape in the goal view under which its principal axis counts as undefined
-SINGULAR = 1e12  # condition over which L counts as singular, whatever rounding has made of it
 SYMMETRIC = 0.02  # share of third-order moments in the goal view under which a shape counts as symmetric about its centre
 
 
@@ -324,7 +322,8 @@ class Moments(Feature):
         m = MomentSet.measured(xy, self.of, self._order)
         values = [self._row(m, row) for row in self.rows]
         if "alpha" in self.rows:
-            t = skewness(m)
+            # It turns with the shape, and does not change with its size and place.
+            t = m.complex(2, 1) * m.central(0, 0) ** 0.5 / m.complex(1, 1).real ** 1.5
             values += [t.real, t.imag]
         return np.stack(values, axis=-1)
 
@@ -359,7 +358,8 @@ class Moments(Feature):
         found = self._condition(m, xy, depth)
         if found > MOST_CONDITION:
             words = f"may not be {', '.join(self.rows)}: they depend on one another in the goal view, where L has"
-            limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)" if found < SINGULAR else "no inverse"
+            # A larger condition than 1e12 is what rounding has made of a singular L.
+            limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)" if found < 1e12 else "no inverse"
             raise ParameterError("law.feature.rows", f"{words} {limit}; {self._advice(m, xy, depth)}")
 
     def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
@@ -405,17 +405,11 @@ class Moments(Feature):
         if row in INVARIANTS:
             return INVARIANTS[row][0](m)[row]
         if row == "alpha":
-            return 0.5 * angle(m.complex(2, 0), FADES * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))
+            return 0.5 * angle(m.complex(2, 0), 0.01 * (m.mu[..., 2, 0] + m.mu[..., 0, 2]))  # fades under an elongation |c20|/c11 of .01
         return place(m, row)
 
 
-def skewness(m: MomentSet) -> Any:
-    """The vector t = c21 sqrt(m00)/c11^(3/2), complex: it turns with the shape, and does not change with its size and place."""
-    return m.complex(2, 1) * m.central(0, 0) ** 0.5 / m.complex(1, 1).real ** 1.5
-
-
 OFF = 0.02  # distance of a marker from the fitted ellipse, as a share of its half axes, from which the outline counts as something else
-EllipseRow = Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"]
 
 
 @spec
@@ -441,7 +435,7 @@ class Ellipse(Feature):
     """
 
     kind: Literal["ellipse"] = "ellipse"
-    rows: Annotated[tuple[EllipseRow, ...], Len(1, 8)] = ("xg", "yg", "n20", "n11", "n02")
+    rows: Annotated[tuple[Literal["xg", "yg", "n20", "n11", "n02", "xn", "yn", "an"], ...], Len(1, 8)] = ("xg", "yg", "n20", "n11", "n02")
     least_markers: ClassVar[int] = 5
 
     def measure(self, xy: Array) -> Array:

@@ -16,7 +16,6 @@ from vstestbed.features.points import Point
 _POINT = Point()
 SHARE = 0.8  # segments over this share of the longest one's length have a weight; a square's sides (0.71 of its diagonals) have none
 FLAT = 1e-2  # sigma under this share of the longest segment counts as zero: markers on a line, a plane seen edge on, loops that cancel
-SizeError = Literal["difference", "ratio", "log"]
 
 
 @spec
@@ -86,7 +85,7 @@ def spans_area(sigma: Array, d: Array) -> NDArray[np.bool_]:
     return np.asarray(sigma > FLAT * np.hypot(d[..., 0], d[..., 1]).max(axis=-1))
 
 
-def size_error(sigma: Array, sigma_star: Array, form: SizeError = "difference") -> Array:
+def size_error(sigma: Array, sigma_star: Array, form: Literal["difference", "ratio", "log"] = "difference") -> Array:
     """The error of sigma, any shape: sigma - sigma*, sigma/sigma* - 1 or log(sigma/sigma*).
 
     Positive where the target appears too large, because the camera is too close. For a target that faces the camera
