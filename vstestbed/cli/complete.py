@@ -42,7 +42,11 @@ def kinds(incomplete: str) -> list[str]:
     """Words that `describe` knows: kinds, the fields of a scenario, and after `camera.` the kinds and fields of that block."""
     whole = _schema()
     if "." in incomplete:
-        return sorted(word for word in _below(incomplete.rpartition(".")[0], whole) if word.startswith(incomplete))
+        owner, rules = incomplete.rpartition(".")[0], [whole]
+        for part in owner.split("."):
+            rules = [child for name, child in _within(rules, whole) if name == part]
+        below = {f"{owner}.{rule['const'] if name == 'kind' else name}" for name, rule in _within(rules, whole)}
+        return sorted(word for word in below if word.startswith(incomplete))
     words = set(whole["properties"])
     words |= {block["properties"]["kind"]["const"] for block in whole["$defs"].values() if "kind" in block["properties"]}
     return sorted(word for word in words if word.startswith(incomplete))
@@ -62,14 +66,6 @@ def paths(incomplete: str) -> list[str]:
             return [prefix + name for name in found]
         # A single word would be taken as complete by the shell, which adds a space.
         prefix, last = f"{prefix}{next(iter(found))}.", ""
-
-
-def _below(owner: str, whole: dict[str, Any]) -> set[str]:
-    """The kinds that the block at a dotted path may be, and its fields, with the path before them."""
-    rules = [whole]
-    for part in owner.split("."):
-        rules = [child for name, child in _within(rules, whole) if name == part]
-    return {f"{owner}.{rule['const'] if name == 'kind' else name}" for name, rule in _within(rules, whole)}
 
 
 def _begun(begin: str, rules: Iterable[dict[str, Any]], whole: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:

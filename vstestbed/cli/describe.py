@@ -27,13 +27,19 @@ _ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
 def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) -> None:
     """Print all that is known of an entry; `entries`: the whole catalogue, for the names of the blocks in it."""
     console.print(Text(entry.name, style="bold"))
-    if entry.cls is None:
+    cls = entry.cls
+    if cls is None:
         assert entry.registry is not None  # an entry has a class, or is a registry
         _kinds(entry, entry.registry, console)
         return
-    _text(entry.cls, console)
+    _text(cls, console)
     console.print()
-    console.print(_fields(entry.cls, _names(entries)))
+    table, names = _field_table("field"), _names(entries)
+    # What makes it this kind comes before what all kinds have.
+    for name in sorted(class_text(cls).fields, key=lambda name: name not in cls.__annotations__):
+        if name != "kind":
+            table.add_row(Text(name, style="cyan"), *_cells(cls, name, names))
+    console.print(table)
     if entry.registry is not None and _common(entry.registry) is not None:
         console.print()
         _wrapped(f"vstestbed describe {entry.registry.what} has what all kinds have in common.", console)
@@ -136,15 +142,6 @@ def _table(*columns: str) -> Table:
     for column in columns:
         table.add_column(column, overflow="fold")
     table.columns[0].no_wrap = True
-    return table
-
-
-def _fields(cls: type, names: dict[type, str]) -> Table:
-    table = _field_table("field")
-    # What makes it this kind comes before what all kinds have.
-    for name in sorted(class_text(cls).fields, key=lambda name: name not in cls.__annotations__):
-        if name != "kind":
-            table.add_row(Text(name, style="cyan"), *_cells(cls, name, names))
     return table
 
 

@@ -96,7 +96,11 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
     H, f = H / mean, -(A.T @ b) / mean
     H[np.diag_indices_from(H)] += 1e-9  # of many solutions the smallest is taken
     groups = tuple(group for group in groups if len(group.A))
-    rows, floor = _normalised(groups, len(H))
+    rows = np.concatenate([np.zeros((0, len(H))), *(group.A for group in groups)])
+    floor = np.concatenate([np.zeros(0), *(group.low for group in groups)])
+    size = np.linalg.norm(rows, axis=1)
+    size[size < np.finfo(float).tiny] = 1.0  # a row of zeros stays; the others get the length 1
+    rows, floor = rows / size[:, None], floor / size
     upper, lower = np.concatenate([high, np.full(len(rows), np.inf)]), np.concatenate([low, floor])
     firm = len(low)
     sense, infeasible = np.zeros(len(upper), dtype=np.int32), -1
@@ -115,15 +119,6 @@ def minimise(A: Array, b: Array, low: Array, high: Array, groups: tuple[Group, .
             break
     why = "its bounds contradict each other" if code == infeasible else f"the solver stopped with code {code}"
     return Solution(None, failure=f"the quadratic program was not solved: {why}")
-
-
-def _normalised(groups: tuple[Group, ...], n: int) -> tuple[Array, Array]:
-    """All inequalities (m, n), (m,), each with a row of length 1; a row of zeros stays."""
-    rows = np.concatenate([np.zeros((0, n)), *(group.A for group in groups)])
-    low = np.concatenate([np.zeros(0), *(group.low for group in groups)])
-    size = np.linalg.norm(rows, axis=1)
-    size[size < np.finfo(float).tiny] = 1.0
-    return rows / size[:, None], low / size
 
 
 @cache

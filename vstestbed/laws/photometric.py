@@ -192,8 +192,13 @@ class GoalLevel:
         near = self.inverse_depth if inverse_depth is None else inverse_depth
         e = (grey[self.at] - self.grey[self.at]).ravel()
         known = (near.ravel() > 0) & (self.inverse_depth.ravel() > 0)
-        e = self._unlit(e, None if known.all() else known.astype(np.float32))
-        w = _weights(robust, e, known)
+        if known.all():
+            e = self._unlit(e, None)
+            w = weights(robust, e)
+        else:  # those whose depth is not known have the weight 0
+            e, w = self._unlit(e, known.astype(np.float32)), np.zeros(len(e), np.float32)
+            among = weights(robust, e[known])
+            w[known] = 1 if among is None else among
         H, b = self._sums(None if which == "desired" else gradient(grey), which, near, e, w)
         if len(b) > 6:  # the Schur complement H_mm - H_ml H_ll^-1 H_lm: the motion that solves it is that of the whole system with light
             of_light = np.linalg.lstsq(H[6:, 6:], np.column_stack([H[6:, :6], b[6:]]), rcond=1e-9)[0]
@@ -230,15 +235,6 @@ class GoalLevel:
             H += weighted @ L.T
             b += weighted @ e[band]
         return H, b
-
-
-def _weights(robust: Robust, e: Grey, known: NDArray[np.bool_]) -> Grey | None:
-    """Weights (n,) of the errors, 0 where the depth is not known; None where all are 1."""
-    if known.all():
-        return weights(robust, e)
-    among, spread = weights(robust, e[known]), np.zeros(len(e), np.float32)
-    spread[known] = 1 if among is None else among
-    return spread
 
 
 def _summed(a: Grey, b: Grey) -> Array:

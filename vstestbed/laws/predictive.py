@@ -228,9 +228,12 @@ class Predictive(Law[PlanState]):
         rows = usable_rows(observation, self.feature.inputs, self.markers_needed(basis))
         if isinstance(rows, str):
             return (None, None), Command.rest(basis, rows)
-        robot, before = observation.robot, state[0]
+        robot, (before, tracked) = observation.robot, state
         assert robot is not None
-        tracked, target = self._target(state[1], observation, goal, basis)
+        target = STILL  # the camera twist (6,) that would move the markers as the target's own motion does
+        if isinstance(self.feedforward, Estimator):
+            tracked, _ = self._ibvs.step(tracked or self._ibvs.init(goal), observation, goal, basis)
+            target = STILL if tracked.target is None else basis @ tracked.target.rate
         plan = np.tile(robot.ordered, (self._block[-1] + 1, 1)) if before is None else shifted(before, self._block)
         solution = self._solved(rows, observation, goal, robot, plan, target)
         command = solution.command(robot, basis, self.limits, GIVE_WAY)
@@ -240,13 +243,6 @@ class Predictive(Law[PlanState]):
     def _block(self) -> NDArray[np.intp]:
         """The block of each period (K,)."""
         return blocks_of(self.horizon, self.blocks)
-
-    def _target(self, state: ErrorState | None, seen: Observation, goal: Goal, basis: Array) -> tuple[ErrorState | None, Array]:
-        """The next state of the estimate, and the camera twist (6,) that would move the markers as the target's own motion does."""
-        if not isinstance(self.feedforward, Estimator):
-            return state, STILL
-        state, _ = self._ibvs.step(state or self._ibvs.init(goal), seen, goal, basis)
-        return state, STILL if state.target is None else basis @ state.target.rate
 
     def _solved(self, rows: Rows, seen: Observation, goal: Goal, robot: OwnModel, plan: Array, target: Array) -> Solution:
         """The plan as one vector."""

@@ -333,7 +333,15 @@ class QP(Law[ErrorState]):
     def _solved(self, wanted: Array, seen: Observation, goal: Goal, robot: OwnModel) -> Solution:
         """The velocities that come nearest to the camera twist `wanted` (6,)."""
         low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
-        groups = self._groups(wanted, seen, goal, robot)
+        barriers = []  # the softest first
+        if self.least_singular_value > 0:
+            barriers.append(off_singularities(robot, self.least_singular_value, self.barrier_gain))
+        if self.margin_px is not None:
+            barriers.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
+        if self.plane_m is not None:
+            barriers.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
+        twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
+        groups = (*barriers, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted)))
         n, W, feature = len(robot.names), np.eye(6), self.law.feature
         if feature is not None and not isinstance(rows := usable_rows(seen, feature.inputs, 1), str):
             W = feature.interaction(*(getattr(seen, name)[rows] for name in feature.inputs))
@@ -345,15 +353,3 @@ class QP(Law[ErrorState]):
         if solution.x is not None:
             solution = among_solutions(solution, main, self.secondary, seen, goal, robot, low, high, groups)
         return solution.and_accelerations(too_quick)
-
-    def _groups(self, wanted: Array, seen: Observation, goal: Goal, robot: OwnModel) -> tuple[Group, ...]:
-        """The inequalities, the softest first."""
-        groups = []
-        if self.least_singular_value > 0:
-            groups.append(off_singularities(robot, self.least_singular_value, self.barrier_gain))
-        if self.margin_px is not None:
-            groups.append(border(seen, goal, robot, self.margin_px, self.barrier_gain, np.zeros(6)))
-        if self.plane_m is not None:
-            groups.append(above_plane(seen, goal, robot, self.plane_m, self.barrier_gain))
-        twist = twist_limits(self.limits.speed_mps, self.limits.rate_radps, robot.J)
-        return *groups, twist, shared_limits(robot, float(robot.J[:, 0] @ wanted))

@@ -169,9 +169,14 @@ class Excitation:
         """One frame: the next state, and the velocities (n,) to order; None when all have moved.
         state: so far. uv: markers (N, 2) [px]. moved: displacement (m,) since the last picture, the robot's first. robot: its own.
         """
-        state = self._sampled(state, uv, moved, len(robot.names))
-        state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, len(robot.names)))
-        while state.which < len(robot.names) and self._leg_ends(state, uv, robot):
+        n, x, y = len(robot.names), state.x + moved, uv - state.uv
+        if len(x) == n:  # a sample since the start, where noise counts least
+            state = replace(state, x=x, samples=state.samples.with_one(x, y))
+        else:  # from picture to picture, where a target moves
+            turn = state.turn.with_one(moved[[state.which, n]], y)
+            state = replace(state, x=x, samples=state.samples.with_one(moved, y), turn=turn, uv=uv)
+        state = replace(state, elapsed_s=state.elapsed_s + robot.since_s, pixels=self._pixels(state, uv, n))
+        while state.which < n and self._leg_ends(state, uv, robot):
             if state.leg < BACK:
                 state = replace(state, leg=state.leg + 1, elapsed_s=0.0)
             elif state.which + 1 == len(state.x):
@@ -180,7 +185,7 @@ class Excitation:
                 i, slow = state.which + 1, state.speed / 4
                 state = replace(state, which=i, leg=OUT, side=0.0, speed=slow, pixels=float(state.known[i]), elapsed_s=0.0)
                 state = replace(state, uv_before=uv, x_before=float(state.x[i]))
-        if state.which == len(robot.names):
+        if state.which == n:
             return state, None
         return self._ordered(state, robot)
 
@@ -188,14 +193,6 @@ class Excitation:
         """A frame with too few markers: back to where the velocity's turn began, by the robot's sensors; otherwise as `step`."""
         uv = state.uv if len(state.x) == len(robot.names) else np.full_like(state.uv, np.nan)  # of a target that moves: what comes next
         return self._ordered(replace(state, uv=uv, x=state.x + moved, leg=BACK), robot)
-
-    def _sampled(self, state: Excited, uv: Array, moved: Array, n: int) -> Excited:
-        """The state with one more sample: since the start, where noise counts least, or from picture to picture, where a target moves."""
-        x, y = state.x + moved, uv - state.uv
-        if len(x) == n:
-            return replace(state, x=x, samples=state.samples.with_one(x, y))
-        turn = state.turn.with_one(moved[[state.which, n]], y)
-        return replace(state, x=x, samples=state.samples.with_one(moved, y), turn=turn, uv=uv)
 
     def _pixels(self, state: Excited, uv: Array, n: int) -> float:
         """Mean motion of the markers per unit of the velocity that moves [px]; as before where it is too small to tell."""
