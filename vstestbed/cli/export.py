@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -51,6 +50,7 @@ def export(
 
     from vstestbed.cli.progress import ProgressBar, show_notes
     from vstestbed.core.files import make_parents, must_be_new
+    from vstestbed.report.export.source import opened, write_csv
 
     found = _found(folder, plugin or [])
     beside, file = found.folder.resolve(), to == "mcap" and found.within is None
@@ -62,7 +62,21 @@ def export(
     show_notes(not quiet)
     columns = *Progress.get_default_columns()[:-1], TimeRemainingColumn()
     with ProgressBar(columns, not quiet, "exporting", found.frames) as bar:
-        _write(found, to, make_parents(path), start or 0.0, bar.were_done)
+        make_parents(path)
+        runs = opened(found.runs, found.plugins)  # one at a time
+        if to == "csv":
+            write_csv(runs, path, bar.were_done, found.within, found.table)
+        elif to == "lerobot":
+            from vstestbed.report.export.lerobot import write_dataset
+
+            write_dataset(runs, path, bar.were_done, found.within)
+        else:
+            from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
+
+            if found.within is None:
+                write_mcap(next(runs), path, start or 0.0, bar.were_done)
+            else:
+                write_mcaps(runs, path, found.within, start or 0.0, bar.were_done)
     if not quiet:
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
 
@@ -98,22 +112,3 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
         words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
     return Exported(folder, folder, runs, frames, table, tuple(words), comparison.plugins)
-
-
-def _write(found: Exported, to: Format, path: Path, start_s: float, tick: Callable[[], None]) -> None:
-    from vstestbed.report.export.source import opened, write_csv
-
-    runs = opened(found.runs, found.plugins)  # one at a time
-    if to == "csv":
-        write_csv(runs, path, tick, found.within, found.table)
-    elif to == "lerobot":
-        from vstestbed.report.export.lerobot import write_dataset
-
-        write_dataset(runs, path, tick, found.within)
-    else:
-        from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
-
-        if found.within is None:
-            write_mcap(next(runs), path, start_s, tick)
-        else:
-            write_mcaps(runs, path, found.within, start_s, tick)
