@@ -178,9 +178,7 @@ def _default(field: SchemaField) -> str:
 
 def _inner(field: SchemaField, names: dict[type, str]) -> str:
     """The name of the block, or of the list of kinds, that a field holds; "" where it holds none."""
-    for registry, inner in field.node.blocks():
-        return registry.what if registry is not None else names[inner]
-    return ""
+    return next((names[inner] if registry is None else registry.what for registry, inner in field.node.blocks()), "")
 
 
 def _use(entry: Entry, console: Console) -> None:

@@ -88,7 +88,16 @@ def basin(
     from vstestbed.studies.comparison import chosen
 
     # mistakes on the command line are reported before the scenarios are loaded
-    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), _coordinates(at or [])
+    across, up, rest = _axis("--x", x, n), _axis("--y", y, n), dict[str, float]()
+    for text in at or []:
+        name, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            raise ParameterError("--at", "needs the form NAME=VALUE, such as z=-1", text) from None
+        if name.strip() in rest:
+            raise ParameterError("--at", "must give each coordinate once", name.strip())
+        rest[name.strip()] = number
     comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
     must_be_few_starts(comparison, n, force)
     show_notes(not quiet)
@@ -114,20 +123,6 @@ def _axis(option: str, text: str, n: int) -> Axis:
         raise ParameterError(option, f"{error.field} {error.problem}" if error.field != "axis" else error.problem, error.found) from None
     except ValueError:
         raise ParameterError(option, "needs the form NAME=LOW:HIGH, such as yaw=-180:180", text) from None
-
-
-def _coordinates(texts: list[str]) -> dict[str, float]:
-    found: dict[str, float] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            number = float(value)
-        except ValueError:
-            raise ParameterError("--at", "needs the form NAME=VALUE, such as z=-1", text) from None
-        if name.strip() in found:
-            raise ParameterError("--at", "must give each coordinate once", name.strip())
-        found[name.strip()] = number
-    return found
 
 
 def _summary_text(mapped: Basin) -> str:

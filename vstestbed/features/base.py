@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 
-UNEVEN = 0.01  # scatter of points off their plane, as a share of their largest scatter in it, from which they count as not in one plane
 MOST_CONDITION = 500.0
 """Condition of L, its largest over its smallest singular value in units of the goal, over which its rows count as dependent. With 1300 the
 camera went three to five times as far as on the straight way, or did not arrive; with 300 it went straight."""
@@ -74,7 +73,7 @@ def require_plane(xy: Array, depth: Array, kind: str) -> None:
     """Refuse points xy (N, 2) at depths (N,) [m] that do not lie in one plane, for a feature of this kind, by a ParameterError."""
     p = np.column_stack([xy, np.ones(len(xy))]) * np.asarray(depth)[:, None]
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
-    if spread[-1] > UNEVEN * spread[0]:
+    if spread[-1] > 0.01 * spread[0]:  # the scatter off the plane against the largest in it
         raise ParameterError("target", f"must have its markers in one plane for the feature {kind}; use point, or another target")
 
 
