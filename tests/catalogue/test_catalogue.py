@@ -251,5 +251,5 @@ class TestWhatASuiteAsksForIsSaid:
         assert r.outcome is vs.Outcome.law_failed and r.reason.startswith("law wild gave a twist that is not finite, [nan")
 
     def test_an_arm_without_a_body(self, own_kinds):
-        with pytest.raises(ParameterError, match="ghost has joints and no body; let its `model` name an MJCF file"):
+        with pytest.raises(ParameterError, match="ghost has joints and no body; let its `body` name an MJCF file"):
             replace(quick("view"), robot=ROBOTS.add(Ghost)())

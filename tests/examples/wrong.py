@@ -94,7 +94,7 @@ class Ghost(TwoLink):
     """Joints without a body."""
 
     kind: Literal["ghost"] = "ghost"
-    model: ClassVar[None] = None
+    body: ClassVar[None] = None
 
 
 @spec
