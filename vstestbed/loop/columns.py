@@ -74,7 +74,7 @@ class Layout:
 
     def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
         """All columns in their order, which existing logs fix."""
-        robot = scenario.robot
+        robot, columns = scenario.robot, scenario.timing.columns + scenario.camera.columns
         per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if self._rays else ())
         markers = tuple(f"{name}_{i}" for i in range(scenario.rows) for name in per_marker)
         return (
@@ -93,11 +93,7 @@ class Layout:
             (_named("qd", robot.joints), lambda k: k["qd"]),
             (_named("ctrl", robot.body.actuators if robot.body else ()), lambda k: k["ctrl"]),
             *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
-            *(
-                ((columns, lambda k: np.column_stack([k[name] for name in columns])),)
-                if (columns := scenario.timing.columns + scenario.camera.columns)
-                else ()
-            ),
+            *(((columns, lambda k: np.column_stack([k[name] for name in columns])),) if columns else ()),
         )
 
     def rows(self, frames: Sequence[Kept]) -> Array:

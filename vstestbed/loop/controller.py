@@ -318,7 +318,6 @@ class Controller:
 
     def arrive(self, shot: Exposure, t: float, t_cmd: float, reading: Reading) -> Cycle:
         """One control step: detect, observe, reference, law, allocation.
-
         shot: the picture, with the reading at its exposure. t, reading: the time of its arrival [s], and the robot's sensor reading then:
         the command acts on the robot as it is now. t_cmd: when the command will reach the robot [s].
         """

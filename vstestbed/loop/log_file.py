@@ -131,7 +131,6 @@ def finish(folder: Path, log: Log) -> None:
 
 def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str] | None = None) -> Log:
     """The log of a run's folder: `log.parquet`, or what there is of `log.part` when the run was cut off. names: only these columns.
-
     scenario: of a run, whose times go on. Raises RunFolderError: neither can be read, or it is damaged, or lacks a column that runs of
     `scenario` have.
     """

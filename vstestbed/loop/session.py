@@ -86,8 +86,19 @@ class Session:
 
         Raises ParameterError: a command of another shape, or one that is not finite. SessionError: before `reset`, or after the end.
         """
-        episode = self._running()
-        return (episode.advance(None if command is None else self._checked(command)) or episode.ended()).protected()
+        episode, n, numbers = self._running(), self._motions, None
+        if command is not None:
+            command = twist_numbers(command)
+            try:
+                numbers = np.array(command, dtype=float)
+            except (TypeError, ValueError):
+                numbers = np.zeros(0)
+            if numbers.shape not in ((6,), (n,)):
+                words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
+                raise ParameterError("command", words, command)
+            if not np.isfinite(numbers).all():
+                raise ParameterError("command", "must be finite", command)
+        return (episode.advance(numbers) or episode.ended()).protected()
 
     def take_pictures(self, on: bool) -> None:
         """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes."""
@@ -156,19 +167,6 @@ class Session:
         if episode.steps:
             raise SessionError("another thread steps this session, which serves one at a time", "step it from one thread, or hold a lock")
         return episode
-
-    def _checked(self, command: ArrayLike | Twist3) -> Array:
-        n, command = self._motions, twist_numbers(command)
-        try:
-            numbers = np.array(command, dtype=float)
-        except (TypeError, ValueError):
-            numbers = np.zeros(0)
-        if numbers.shape not in ((6,), (n,)):
-            words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
-            raise ParameterError("command", words, command)
-        if not np.isfinite(numbers).all():
-            raise ParameterError("command", "must be finite", command)
-        return numbers
 
 
 def run(scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None = None, *, pictures: bool = False) -> Recording:

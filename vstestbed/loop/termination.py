@@ -229,7 +229,6 @@ class Termination:
 
     def unsafe(self, frame: Frame) -> Verdict | None:
         """The first of: a collision, divergence, the plane of the target crossed, a limit reached; to be asked once a frame.
-
         A target out of sight is the supervisor's matter.
         """
         truth, T_target = frame.truth, frame.truth.T_world_target

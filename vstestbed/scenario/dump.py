@@ -66,31 +66,31 @@ def documents(scenario: Scenario) -> dict[str, str]:
     """The two documents of a run's folder by name, which name the copies of files there (`kept_files`). `scenario.yaml` is what was given,
     and running it again gives the same log; `resolved.yaml` is what ran, with every default, preset and draw.
     """
-    target, pictures = getattr(scenario.target, "file", None), [said.file for said in scenario.goal.pictures]
-    copies = {file: place for file, place in zip((target, *pictures), _kept_at(scenario), strict=True) if file and place}
+    copies = {file: place for file, _, place in _kept(scenario) if file}
     copies |= {absolute_file(file, Path.cwd()): place for file, place in copies.items()}
     given, resolved = scenario.given.made_of or _brief(scenario.given), to_mapping(scenario.resolved)
     return {GIVEN: as_yaml(_renamed(given, copies), brief=True), RESOLVED: as_yaml(_renamed(resolved, copies))}
 
 
-def _renamed(value: Any, names: Mapping[str, str]) -> Any:
+def _renamed(value: Any, names: Mapping[str, str], without: Sequence[str] = ()) -> Any:
+    """Plain values with texts in place of others, and without some fields."""
     if isinstance(value, dict):
-        return {key: _renamed(inner, names) for key, inner in value.items()}
+        return {key: _renamed(inner, names, without) for key, inner in value.items() if key not in without}
     if isinstance(value, list | tuple):
-        return [_renamed(inner, names) for inner in value]
+        return [_renamed(inner, names, without) for inner in value]
     return names.get(value, value) if isinstance(value, str) else value
 
 
 def kept_files(scenario: Scenario) -> dict[str, Path]:
     """The files that a run's folder has a copy of, by their names there: the target's, and those of the goal's pictures."""
-    sources = scenario.target.source, *(said.source for said in scenario.goal.pictures)
-    return {place: path for place, path in zip(_kept_at(scenario), sources, strict=True) if place and path}
+    return {place: path for _, path, place in _kept(scenario)}
 
 
-def _kept_at(scenario: Scenario) -> list[str | None]:
-    """Where a run's folder has the copy of the target's file, and of each of the goal's pictures; None without one."""
-    sources = {"target": scenario.target.source} | {f"goal_{i}": said.source for i, said in enumerate(scenario.goal.pictures)}
-    return [path and kept_at(path, what) for what, path in sources.items()]
+def _kept(scenario: Scenario) -> list[tuple[str | None, Path, str]]:
+    """Name in the scenario, file, and place of the copy in a run's folder: of the target's file, and of each of the goal's pictures."""
+    parts = {"target": scenario.target} | {f"goal_{i}": said for i, said in enumerate(scenario.goal.pictures)}
+    sources = [(what, part, part.source) for what, part in parts.items()]
+    return [(getattr(part, "file", None), source, kept_at(source, what)) for what, part, source in sources if source]
 
 
 FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed")
@@ -107,14 +107,8 @@ def load_run(folder: Path, plugins: Sequence[str] = ()) -> Scenario:
         scenario.__dict__["given"] = given
         return scenario
     if any(f"{word}:" in text for word in FORMER):
-        text = as_yaml(_without_former(plain_mapping(text, str(path), "")[0]))
+        text = as_yaml(_renamed(plain_mapping(text, str(path), "")[0], {}, FORMER))
     return parse(text, str(path), plugins=plugins).resolved
-
-
-def _without_former(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _without_former(inner) for name, inner in value.items() if name not in FORMER}
-    return [_without_former(inner) for inner in value] if isinstance(value, list) else value
 
 
 def as_yaml(plain: Any, brief: bool = False) -> str:

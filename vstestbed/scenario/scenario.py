@@ -276,10 +276,11 @@ class Scenario:
         Raises ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
         """
         made = drawn(self)
-        robot = made.robot.drawn(made.rng(BODY_STREAM))
+        body = made.robot.drawn(made.rng(BODY_STREAM))
+        robot: Robot | None = body
         if made.draw_start:
             rng, parts = made.rng(START_STREAM), (made.camera, made.target, made.detector, made.goal_views[0], made.world)
-            started = (robot.randomised(rng) for _ in range(TRIES))
+            started = (body.randomised(rng) for _ in range(TRIES))
             robot = next((start for start in started if in_view(start, *parts)), None)
             if robot is None:
                 words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"

@@ -41,7 +41,6 @@ LEVEL_DEG = 1.0  # largest tilt of the craft at a goal view [deg]
 
 def check_visible(setup: Setup, field: str, T_camera_target: Array, counted: NDArray[np.bool_] | None) -> None:
     """Refuse a goal view with a marker that counts outside the picture or hidden, or any behind an image plane.
-
     setup: the experiment's parts. field: of the view. T_camera_target: its pose (4, 4). counted: the markers that count (N,); None: all.
     Raises ParameterError: it names the field, the markers, what hides them, and what would work.
     """
@@ -279,7 +278,6 @@ TaskBase = Task  # the name by which tasks of one's own derive from it
 
 def view_from(setup: Setup, pose_with: Callable[[Array], Array], number: int = 0) -> Goal:
     """The goal for the law: the view from a goal pose.
-
     setup: the experiment's parts. pose_with: maps a mount T_base_camera (4, 4) to T_camera_target (4, 4) at the goal. Where the goal is a
     place of the base, a wrong calibration of the mount displaces the believed goal view. number: of the view, among several in turn.
     """

@@ -117,7 +117,6 @@ class ToleranceMonitor(TaskMonitor):
     def __init__(self, task: Continuing, setup: Setup, views: int, supervisor: Supervisor):
         super().__init__(setup, views, supervisor)
         self.task = task
-        self._judged = False
         self._odometer, speeds = task.odometer(setup), task.least_speeds(setup)
         self._speeds = SpeedMonitor(speeds, task.settle_s) if speeds else None
         self._left_at: tuple[float, float] | None = None
@@ -136,7 +135,6 @@ class ToleranceMonitor(TaskMonitor):
     def missed(self, frame: Frame) -> Verdict | None:
         """At the end of the duration: completed, or the earliest violation."""
         t, duration, settled = frame.t, self.setup.stop.duration_s, frame.t >= self.task.settle_s
-        self._judged = self._judged or settled
         # `not <=`: an error of NaN is a violation, too.
         if settled and self._left_at is None and not abs(self._error_m) <= self.task.tolerance_m:
             self._left_at = t, self._error_m
@@ -147,7 +145,7 @@ class ToleranceMonitor(TaskMonitor):
         if not over:
             return None
         tolerance, settle = self.task.tolerance_m, self.task.settle_s
-        if not self._judged:
+        if not settled:
             return Outcome.timed_out, f"{duration:g} s ended before the {settle:g} s in which it may settle"
         slow, left = self._speeds.slow if self._speeds else None, self._left_at
         if slow and (left is None or slow[0] < left[0]):

@@ -206,7 +206,6 @@ def _lines(target: Target) -> GroundLines:
 
 def along_route(route: Route) -> Odometer:
     """Distance along a route, in the direction that the vehicle faced at the start: a painted line has no direction.
-
     ds (1 - curvature offset) is the vehicle's own step beside the line, which in a bend is longer or shorter than the line's.
     """
     last, sense, travelled = math.nan, 1.0, 0.0

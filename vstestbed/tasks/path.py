@@ -164,7 +164,6 @@ def _smooth(p: float) -> float:
 
 def between(a: Array, b: Array, share: float) -> Array:
     """The pose (4, 4) at a share of the way from pose a to pose b: on a straight line, with a rotation about a fixed axis.
-
     Of a camera on its way from view to view: its poses T_target_camera. T_camera_target would bend the line while the camera turns.
     """
     T = np.eye(4)

@@ -204,14 +204,10 @@ class Planned(NamedTuple):
 
 
 class Shutter:
-    """Plans the camera's pictures; those that will be dropped are not rendered at all.
+    """Plans the camera's pictures; those that will be dropped are not rendered at all. opening: of the picture planned last.
 
-    Attributes:
-        opening: of the picture planned last.
-
-    Args:
-        timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
-        rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none. flicker: of the light.
+    timing, camera: as the scenario says. step_s: of the physics [s]. steps_per_frame: in a camera's period.
+    rng: draws jitters and losses. link: may lose them in bursts; None for one that loses none. flicker: of the light.
     """
 
     def __init__(
