@@ -52,10 +52,10 @@ MOVING: dict[str, str] = {"film_arm": "arm_ibvs", "film_omni": "omni_ibvs", "fil
 """Films of the README: their scenarios."""
 MOVING_WIDTH, MOVING_HZ, MOVING_QUALITY = 480, 12, 70
 STUDIES: dict[str, tuple[str, str]] = {
-    "compare_differences": ("compare arm_laws --figures", "figures/differences.png"),
+    "compare_differences": ("compare arm_laws", "figures/differences.png"),
     "compare_arm_laws": ("compare arm_laws --seeds 1", "comparison.mp4"),
-    "canonical_tasks": ("compare canonical --figures", "figures/tasks.png"),
-    "canonical_arm_tasks": ("compare canonical_arm --figures", "figures/tasks.png"),
+    "canonical_tasks": ("compare canonical", "figures/tasks.png"),
+    "canonical_arm_tasks": ("compare canonical_arm", "figures/tasks.png"),
     "basin_canonical": (
         "basin canonical --set camera.rate_hz=5 --x x=-2:2 --y yaw=-180:180 --at y=1 --at z=-1",
         "basin.png",

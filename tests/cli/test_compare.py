@@ -14,7 +14,7 @@ NO_FILM = ("--no-film", "--jobs", 1)
 
 
 def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path, here: None, one_figure: None):
-    ended = command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, "--figures", *NO_FILM)
+    ended = command("compare", "quick.yaml", "--vary", "law.gain=3,6", "--seeds", 2, *NO_FILM)
     folder = Path("runs/compare/001")
     assert (ended.code, ended.out) == (0, "")
     first, *statistics, last = ended.err.splitlines()

@@ -161,7 +161,7 @@ def _must_hold(folder: Path, *names: str) -> None:
 
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, a comparison's or a search's.")],
-    figures: Annotated[bool, typer.Option("--figures", help="A comparison's figures for a paper, too: PDF and PNG.")] = False,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="A comparison's figures for a paper, too.")] = True,
     quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:

@@ -38,7 +38,7 @@ def compare(
     tolerance: Annotated[
         float | None, typer.Option(min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]")
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures", help="The page's figures for a paper, too: PDF and PNG.")] = False,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="The page's figures for a paper, too: PDF and PNG.")] = True,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,

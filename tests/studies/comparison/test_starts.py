@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         run_here(patch)
         draw_one_figure(patch)
-        compare([str(place / "turns.yaml")], out=place / "out", jobs=1, figures=True)
+        compare([str(place / "turns.yaml")], out=place / "out", jobs=1)
     return place / "out"
 
 

@@ -42,7 +42,7 @@ def compare(
     force: bool = False,
     baseline: str | Path | None = None,
     limit: int | None = None,
-    figures: bool = False,
+    figures: bool = True,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -83,7 +83,7 @@ def carry_out(
     stage: Callable[[str], None] = lambda words: None,
     report: bool = True,
     baseline: Baseline | None = None,
-    figures: bool = False,
+    figures: bool = True,
 ) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
     Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
@@ -179,7 +179,7 @@ def _essence(c: Variant) -> tuple[object, ...]:
     return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
 
-def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = False) -> Path:
+def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True) -> Path:
     """Make table, film and report of a comparison's folder again from its runs.
     plugins: besides those that it remembers. figures: as of `compare`.
     """
