@@ -24,4 +24,4 @@ def test_any_robot_may_track_and_nobody_must_keep_going():
     goal, setup = GoalTrack(T_camera_target=Pose(xyz=(0, 0, 1)), band_m=0.1, settle_s=2.0), vs.load("arm_ibvs").setup
     assert goal.bases == {"fixed", "planar", "floating"} and goal.continuing
     assert (goal.tolerance_m, goal.settle_s, goal.end_s) == (0.1, 2.0, 0.0)
-    assert goal.least_speeds(setup) == () and goal.odometer(setup) is None
+    assert goal.least_speeds(setup) == ((), None)

@@ -79,13 +79,9 @@ class Continuing(Task):
         """True task error at a time t [s], [m]."""
         raise NotImplementedError
 
-    def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
-        """Minimum speeds; none by default."""
-        return ()
-
-    def odometer(self, setup: Setup) -> Odometer | None:
-        """The odometer for `least_speeds`; None without any."""
-        return None
+    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+        """Minimum speeds, and the odometer that measures them; by default none."""
+        return (), None
 
     @property
     def end_s(self) -> float:
@@ -117,7 +113,7 @@ class ToleranceMonitor(TaskMonitor):
     def __init__(self, task: Continuing, setup: Setup, views: int, supervisor: Supervisor):
         super().__init__(setup, views, supervisor)
         self.task = task
-        self._odometer, speeds = task.odometer(setup), task.least_speeds(setup)
+        speeds, self._odometer = task.least_speeds(setup)
         self._speeds = SpeedMonitor(speeds, task.settle_s) if speeds else None
         self._left_at: tuple[float, float] | None = None
         self._error_m = np.nan

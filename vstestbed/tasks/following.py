@@ -94,17 +94,14 @@ class GoalGap(Continuing):
         """Distance minus gap: positive when too far."""
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
-    def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
+    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
         """Of leader and follower, where the target is carried."""
         # Without them a run could be completed behind a leader that is stuck, or by a follower that stands while the leader circles it.
         if setup.target.carrier is None:
-            return ()
+            return (), None
         v = setup.target.carrier.speed_mps
-        return ("the vehicle ahead", v, STEADY * v), ("the vehicle that follows", v, FOLLOWS * v)
-
-    def odometer(self, setup: Setup) -> Odometer | None:
-        """Of both vehicles."""
-        return leader_and_follower(setup.target) if setup.target.carrier else None
+        speeds = ("the vehicle ahead", v, STEADY * v), ("the vehicle that follows", v, FOLLOWS * v)
+        return speeds, leader_and_follower(setup.target)
 
 
 def leader_and_follower(target: Target) -> Odometer:
@@ -187,14 +184,10 @@ class GoalLine(Continuing):
         here = place_of(inverse(T_world_target) @ T_world_base)
         return _lines(setup.target).route.beside(here) - self.offset_m
 
-    def least_speeds(self, setup: Setup) -> tuple[MinSpeed, ...]:
-        """That of the law's cruising speed."""
-        v = setup.law.cruise_mps
-        return () if v is None else (("the vehicle, along its line,", v, STEADY * v),)
-
-    def odometer(self, setup: Setup) -> Odometer | None:
-        """Distance along the route."""
-        return along_route(_lines(setup.target).route)
+    def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
+        """That of the law's cruising speed, along the route."""
+        v, odometer = setup.law.cruise_mps, along_route(_lines(setup.target).route)
+        return () if v is None else (("the vehicle, along its line,", v, STEADY * v),), odometer
 
 
 def _lines(target: Target) -> GroundLines:
