@@ -105,7 +105,6 @@ def _resampled(path: Path, column: str, t: Array) -> Array:
 BANDS = 4  # Most controllers whose quartile bands are drawn in one panel: more bands hide each other
 PANELS = 24  # Most controllers with a line, a row or a panel of their own: lines of more cannot be told apart
 LINES, EACH_LEAST, EACH_MOST = 200, 5, 30  # Single runs drawn in all panels of `each_run` together, and fewest and most in one panel
-LEAST_DIFFERENCE = 1e-9  # Differences below this, in any display unit, are rounding
 
 
 def medians(data: Data, width_in: float) -> Figure:
@@ -219,7 +218,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
                 axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
             axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
             largest = max(largest, float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max()))
-        if largest <= LEAST_DIFFERENCE:  # otherwise rounding errors would fill the width
+        if largest <= 1e-9:  # rounding errors, in any display unit, would fill the width
             axes.set_xlim(-1, 1)
     return figure
 
@@ -263,7 +262,6 @@ def legend(figure: Figure, data: Data) -> None:
 
 # Strip plots of a comparison's metrics: the runs of each controller as points, with median and quartiles, failures below.
 POINTS = 1500  # Most runs drawn in one panel, shared among its controllers: every point is an element of the page's SVG
-LOG_RATIO = 30.0  # Ratio of the largest to the smallest value above which a panel is logarithmic
 
 
 def distributions(data: Data, width_in: float) -> Figure:
@@ -293,7 +291,7 @@ def _set_limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = float(used.min()), float(used.max())
     below, above = (0.4 if beyond else 0.06 for beyond in (known.min() < low, known.max() > high))
-    low, high = _with_margins(axes, low, high, low > 0 and high > LOG_RATIO * low, below, above)
+    low, high = _with_margins(axes, low, high, low > 0 and high > 30 * low, below, above)
     axes.set_xlim(low, high)
     return low, high
 
@@ -340,7 +338,6 @@ def _draw_strip(axes: Axes, row: int, controller: ControllerResults, metric: Met
 # Performance profiles of a comparison: which share of the runs is as good as a value or better, over all values of a metric.
 STEPS: Final = 300  # Most steps of a drawn curve: more cannot be told apart, and each is a part of the page's SVG
 COLUMNS: Final = 5  # Most panels side by side
-LOG_PERCENTILES: Final = 30.0  # Ratio of the 98th to the 2nd percentile of the values above which an axis is logarithmic
 
 
 def profile(controller: ControllerResults, metric: Metric) -> tuple[Array, Array, int]:
@@ -403,7 +400,7 @@ def _limits(axes: Axes, data: Data, metric: Metric) -> tuple[float, float]:
     found = np.concatenate([profile(c, metric)[0] for c in data.comparison.controllers])
     common, rare = np.quantile(found, [0.02, 0.98])
     low, high = float(found.min()), float(found.max())
-    low, high = _with_margins(axes, low, high, low > 0 and rare > LOG_PERCENTILES * common, 0.04, 0.04)
+    low, high = _with_margins(axes, low, high, low > 0 and rare > 30 * common, 0.04, 0.04)
     return (high, low) if metric.better > 0 else (low, high)
 
 

@@ -23,8 +23,6 @@ ERROR = Metric.named("final_position_error_m")
 LEAST = 3  # Fewest values of the first axis of which a grid is drawn
 STRONGEST = 0.55  # Opacity of the strongest colour: the numbers are read through it
 LEAST_SHOWN_S = 0.005  # Changes and errors below this are shown as 0 [s, mm]
-MOST_COLUMNS = 9  # Columns for which a number has its full size
-WIDER = 1.3  # Width of a cell with a sign and two digits over that of the others
 ALL = "all"  # Heading of the mean over all columns
 Place = TypeVar("Place", bound=Hashable)
 Look = tuple[str, str, float, bool]  # Of a cell: words, colour, strength of the colour from 0 to 1, whether in bold
@@ -97,7 +95,7 @@ def grid(data: Data, width_in: float) -> Figure | None:
         return None
     figure = new_figure(0.24 * len(found.rows) + 1.4, width_in)
     n = len(found.columns)
-    panels = figure.subplots(1, 3, sharey=True, width_ratios=(n, WIDER * (n + (n > 1)), n))
+    panels = figure.subplots(1, 3, sharey=True, width_ratios=(n, 1.3 * (n + (n > 1)), n))  # wider cells for a sign and two digits
     _reached(panels[0], found)
     _times(panels[1], found)
     _errors(panels[2], found)
@@ -156,7 +154,7 @@ def _errors(axes: Axes, found: Grid) -> None:
 def _draw(axes: Axes, found: Grid, looks: Mapping[tuple[int, int], Look]) -> None:
     from matplotlib.patches import Rectangle
 
-    size = 6.5 * min(1.0, MOST_COLUMNS / len(found.columns))
+    size = 6.5 * min(1.0, 9 / len(found.columns))  # a number has its full size in up to nine columns
     for (i, j), (words, color, strength, bold) in looks.items():
         axes.add_patch(Rectangle((j - 0.47, i - 0.45), 0.94, 0.9, color=color, alpha=STRONGEST * strength, linewidth=0))
         style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": size, "fontweight": "bold" if bold else "normal"}

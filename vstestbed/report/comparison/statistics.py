@@ -326,10 +326,9 @@ def _t_of(drawn: Array, centred: Array) -> Array:
 # Interquartile mean with its stratified bootstrap interval: as robust as a median against few wild runs, and less noisy.
 FEWEST_RUNS: Final = 5  # Fewest runs for an interval: of four, the mean of two has hardly any other values
 MOST_RUNS: Final = 200  # Most runs for the bootstrap: of more, the normal approximation is within a few hundredths of it, at no cost
-RESAMPLES: Final = 1999
 
 
-def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resamples: int = RESAMPLES) -> IntervalEstimate:
+def interquartile_mean(values: ArrayLike, strata: ArrayLike | None = None, resamples: int = 1999) -> IntervalEstimate:
     """Mean of the middle half of all values, with a stratified bootstrap interval.
 
         IQM = mean of x_(k+1), ..., x_(n-k),        x_(1) <= ... <= x_(n),   k = floor(n / 4)

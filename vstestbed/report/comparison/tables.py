@@ -33,7 +33,6 @@ Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]]]
 # The result in sentences: which controller is better, by how much, and whether the difference is significant.
 
 MOST_OTHERS = 4  # Other metrics with a significant difference that a sentence names; the table has all of them
-MOST_SENTENCES = 3  # Up to this many pairs have their sentence in the box itself: those of three controllers
 
 
 def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> tuple[str, str, list[str], list[str]]:
@@ -55,7 +54,7 @@ def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = 
     # all pairs of up to three controllers; of more controllers the pairs of the one that wins most often
     wins = _wins(labels, all_pairs)
     best = wins.index(max(wins))
-    shown = all_pairs if len(all_pairs) <= MOST_SENTENCES else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
+    shown = all_pairs if len(all_pairs) <= 3 else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
     sentences = [*caution, *(pair_text(p, labels) for p in shown)]
     return verdict, "good" if decided else "open", sentences, [pair_text(p, labels) for p in all_pairs if p not in shown]
 

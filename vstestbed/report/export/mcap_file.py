@@ -163,7 +163,6 @@ def _series(scenario: Scenario, columns: tuple[str, ...]) -> Series:
 # Frames of reference: `world` (z up), `camera` (x right, y down, z forward), `target`, `goal` (of the camera), the robot's bodies.
 NS = 1_000_000_000
 FIRST_PIXEL = 0.5  # Where the middle of the first pixel is in annotations, whose origin is the picture's corner; in logs and in K it is 0
-LINE_PX = 1.5
 SEEN, TRUE = (1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 1.0)
 """Colours (red, green, blue, alpha) of circles round measured and true markers; those at the goal have the marker's own."""
 SIZES_PX = {"seen": 14.0, "goal": 20.0, "true": 8.0}
@@ -217,7 +216,7 @@ def circles(time_ns: int, uv: Array, colors: Iterable[Sequence[float]], size_px:
                 timestamp=when,
                 position=Point2(x=u + FIRST_PIXEL, y=v + FIRST_PIXEL),
                 diameter=size_px,
-                thickness=LINE_PX,
+                thickness=1.5,
                 outline_color=Color(r=c[0], g=c[1], b=c[2], a=c[3]),
             )
             for (u, v), c in zip(uv.tolist(), colors, strict=True)

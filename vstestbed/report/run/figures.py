@@ -16,7 +16,6 @@ from vstestbed.report.run.tracks import MeasuredError, Tracks
 
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
-LIMIT_RADPS = 1000.0  # Speed limit of a rotor [rad/s], from models/quadrotor.xml
 JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]"}
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
 """Where a vehicle believes to be: columns, words, colour."""
@@ -204,7 +203,7 @@ def rotors(tracks: Tracks) -> Chart | None:
         return None
     windy = bool(np.nanmax(np.abs(wind), initial=0.0) > 0)  # without wind its columns are zero
     chart = over_time(tracks, 4.2 if windy else 2.8, "rotors [rad/s]", *["wind [m/s]"] * windy)
-    chart.panels[0].rule(LIMIT_RADPS, linewidth=1.4, linestyle=":")
+    chart.panels[0].rule(1000.0, linewidth=1.4, linestyle=":")  # [rad/s], the limit of a rotor in models/quadrotor.xml
     for i, name in enumerate(names):
         chart.panels[0].plot(tracks.t, tracks.column(f"speed_{name}"), color=line_color(i), label=name.removeprefix("rotor_"), **LINE)
     for i in range(3 * windy):

@@ -104,7 +104,6 @@ def _edge(trail: Array, which: int) -> Array:
 # Floor plan of a vehicle's run: true path, estimated path, odometry, landmarks, and the visible region. Equal scale.
 DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 """Corners of an arrow head of length about 1 that points along x: the vehicle."""
-HEADING_EVERY = 0.09  # Distance between the headings that are drawn along the path, as a share of the figure's extent
 TRUE = LINE_COLORS[0]
 
 
@@ -176,9 +175,9 @@ def _draw_paths(panel: ChartPanel, tracks: Tracks, true: Array, span: float) -> 
     if expected is not None and len(expected) > 1:
         label = f"ideal bicycle: at most {' '.join(with_unit(largest_deviation(true[:, :2], expected), 'm'))} off"
         panel.plot(*expected.T, color=INK, linewidth=1.0, linestyle=(0, (5, 2)), label=label, zorder=3)
-    # at most 30 headings, evenly along the way, without its ends
+    # headings evenly along the way, without its ends: every 0.09 of the figure's extent, at most 30
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(true[:, :2], axis=0), axis=1))])
-    count = min(int(along[-1] / (HEADING_EVERY * span)), 30)
+    count = min(int(along[-1] / (0.09 * span)), 30)
     for place in true[np.unique(np.searchsorted(along, np.linspace(0, along[-1], count + 2)[1:-1]))]:
         _dart(panel, place, 0.022 * span, "", TRUE, filled=True)
     _dart(panel, true[0], 0.05 * span, "start", INK, filled=False)

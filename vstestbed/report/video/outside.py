@@ -28,7 +28,6 @@ INSET_S: Final = 0.2  # Time between two pictures of the servo camera in the ins
 EDGE: Final = 2  # Width of the edge of the inset [px]
 DRAWN_FOR: Final = 360
 """Height of a picture in which a plain line is a pixel wide [px]; in a lower one it is no thinner, and has no dark edge (as `SMALL`)."""
-SPACING: Final = 0.006  # Distance of two points of it over the picture's width, at their place
 GHOST_FILL: Final = 0.25
 FOLDED: Final = np.array([[i, j, 1.0] for i, j in ((-0.6, -0.6), (0.6, -0.6), (0.6, 0.6), (-0.6, 0.6))])
 """Corners of the pyramid that stands for the frustum of a lens that sees sideways."""
@@ -99,7 +98,7 @@ class Outside:
 
     def _extend(self, pen: Pen, place: Array) -> None:
         trail = self._trail
-        self._spacing = self._spacing or pen.metres(SPACING, place)
+        self._spacing = self._spacing or pen.metres(0.006, place)  # between two points
         if not len(trail) or np.linalg.norm(place - trail[-1]) >= self._spacing:
             trail = np.vstack([trail, place])
         if len(trail) > MOST_PLACES:

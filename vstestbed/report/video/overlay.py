@@ -33,7 +33,6 @@ GOOD: Final[Color] = (24, 122, 62)
 GOAL: Final[Color] = (72, 214, 255)
 """Of goals that have no colour of their own, and of a region's, which would not stand out from the region in its colour."""
 WAY: Final[Color] = (255, 255, 255)
-LEAST_WAY_PX: Final = 2.0  # A line shorter than this, from a point to its goal, would only blur its two ends
 WAYS: Final = 8  # At most so many of the points of an outline have such a line
 HOLD_S: Final = 1  # How long the last picture of a film stays [s]
 ENDING: Final = 0.82  # Opacity of the band with the outcome
@@ -134,8 +133,8 @@ class Overlay:
                 cv2.polylines(image, line, True, color, width, cv2.LINE_AA, SHIFT)
 
     def _ways(self, image: Image, uv: Array, goal: Array) -> None:
-        """Draw a thin line from each point to its goal, both (N, 2), where both are known and apart."""
-        ways = np.stack([goal, uv], axis=1)[np.linalg.norm(goal - uv, axis=1) > LEAST_WAY_PX]
+        """Draw a thin line from each point to its goal, both (N, 2), where both are known; one under 2 px would only blur its two ends."""
+        ways = np.stack([goal, uv], axis=1)[np.linalg.norm(goal - uv, axis=1) > 2.0]
         lines = list(np.rint(ways[:, :, None] * UNIT).astype(np.int32))
         for color, width in ((INK, 2 * self._stroke + self._edge), (WAY, self._stroke)):
             cv2.polylines(image, lines, False, color, width, cv2.LINE_AA, SHIFT)
