@@ -23,7 +23,6 @@ from vstestbed.report.run import space
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from mpl_toolkits.mplot3d import Axes3D
 
 MOTIONS = ("$v_x$", "$v_y$", "$v_z$", r"$\omega_x$", r"$\omega_y$", r"$\omega_z$")
 FORMATS = (".png", ".svg", ".pdf")
@@ -113,9 +112,9 @@ def draw_sphere(depth: float = 1.0) -> Figure:
     figure.set_layout_engine("none")
     for i, (rate, motion) in enumerate(zip(rates, MOTIONS, strict=True)):
         place = (i % 3 / 3, (0.1 if i >= 3 else 3.1) / 6.7, 1 / 3, 3.0 / 6.7)  # 3 in by 3 in each
-        axes: Axes3D = figure.add_axes(place, projection="3d")  # pyright: ignore[reportAssignmentType]
+        axes: Any = figure.add_axes(place, projection="3d")  # Any: matplotlib's stubs have only 2-D axes
         axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
-        axes.set_box_aspect((1, 1, 1), zoom=1.36)  # pyright: ignore[reportArgumentType] - the stubs say int
+        axes.set_box_aspect((1, 1, 1), zoom=1.36)
         axes.view_init(elev=24, azim=52)
         axes.set_axis_off()
         space.draw_net(axes, PI, PI / 6, hide_back=True)

@@ -83,10 +83,10 @@ class Outside:
             height, width = small.shape[:2]
             # of a large picture not every pixel counts, since their mean would take longer than the rest
             every = max(1, image.shape[1] // (2 * width))
-            image = image[every // 2 :: every, every // 2 :: every]
-            if image.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
-                image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-            small[:] = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+            sampled = image[every // 2 :: every, every // 2 :: every]
+            if sampled.shape[1] >= 2 * width:  # half the size takes a tenth of the time of any other share
+                sampled = cv2.resize(sampled, (sampled.shape[1] // 2, sampled.shape[0] // 2), interpolation=cv2.INTER_AREA)
+            small[:] = cv2.resize(sampled, (width, height), interpolation=cv2.INTER_LINEAR)
             self._overlay.marks(small, (frame.uv + 0.5) * self._scale - 0.5, (frame.goal_uv + 0.5) * self._scale - 0.5)
             self._inset_t = frame.t
         height, width = self._inset.shape[:2]
