@@ -11,7 +11,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.geometry import Pose, inverse
 from vstestbed.laws.views import has_batch
-from vstestbed.studies.batch import fly, ideal, started_at
+from vstestbed.studies.batch import ideal, simulate_batch, started_at
 from vstestbed.studies.delay import displaced, growth, prepared
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "first_law.md"
@@ -49,7 +49,7 @@ def test_a_batch_of_it_ends_as_its_runs_do(plugin: str):
     assert has_batch(scenario.law)
     poses = [Pose(xyz=(0.3, -0.2, -1.5), rpy_deg=(5, -10, 30)), Pose(xyz=(0, 0, -1.2), rpy_deg=(0, 0, 170))]
     starts = np.array([inverse(pose.T) for pose in poses])
-    found = fly(scenario, starts)
+    found = simulate_batch(scenario, starts)
     assert list(found.outcome) == [vs.run(started_at(scenario, start)).outcome for start in starts]
     assert found.outcome[0] is vs.Outcome.converged
 

@@ -22,8 +22,6 @@ from vstestbed.laws.views import Views
 
 DEAD_RECKON_S = 0.3
 """How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and what it accelerates by counts."""
-OF_MARKERS, OF_POSE = ("xy", "depth", "ray", "range"), ("T_camera_target", "relative")
-"""Fields of a view that each marker has, and those that the view has as a whole."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +197,8 @@ class ErrorLaw(Law[ErrorState], ABC):
     @cached_property
     def _reads(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Of `inputs` the fields that each marker has, and those that the view has as a whole."""
-        return tuple(n for n in self.inputs if n in OF_MARKERS), tuple(n for n in self.inputs if n in OF_POSE)
+        of_markers = tuple(n for n in self.inputs if n in ("xy", "depth", "ray", "range"))
+        return of_markers, tuple(n for n in self.inputs if n in ("T_camera_target", "relative"))
 
     def _shaped(self, before: ErrorState, t: float, u: Array) -> tuple[ErrorState, Array]:
         """The next state, and the command after smooth start and filter, for the law's u (n,) at a time t [s]."""

@@ -70,11 +70,6 @@ class SwitchCondition:
                 found.append((quantity, 1 if side == "over" else -1, limit))
         return tuple(found)
 
-    @property
-    def quantities(self) -> tuple[str, ...]:
-        """The names of what is compared."""
-        return tuple(name for name, _, _ in self.limits)
-
     def holds(self, values: Mapping[str, float]) -> bool:
         """Whether a quantity is beyond its limit; one that is unknown (NaN) is not."""
         return any(side * values[name] > side * limit for name, side, limit in self.limits)
@@ -292,7 +287,7 @@ class Switched(Law[SwitchedState]):
         """Refuse what one of the laws refuses, and a border where the image has none."""
         for i, part in enumerate(self.laws):
             part.law.check(points, goal)
-            if "border" in part.until.quantities and len(goal.camera.panels) > 1:
+            if part.until.border_under_px is not None and len(goal.camera.panels) > 1:
                 words = "must be left out with a camera that sees all round: its image has no border"
                 raise ParameterError(f"law.laws.{i}.until.border_under_px", words, part.until.border_under_px)
 
@@ -319,7 +314,7 @@ class Switched(Law[SwitchedState]):
 
     @cached_property
     def _quantities(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(name for part in self.laws for name in part.until.quantities))
+        return tuple(dict.fromkeys(name for part in self.laws for name, _, _ in part.until.limits))
 
     def _chosen(self, state: SwitchedState, observation: Observation, goal: Goal) -> SwitchedState:
         """The state with the law that is to work in this frame."""
