@@ -172,9 +172,8 @@ class Session:
 def run(scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None = None, *, pictures: bool = False) -> Recording:
     """Simulate a scenario from its nominal start until an outcome (`Scenario.randomised` draws another start).
 
-    watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. folder: where `log.part`
-    grows with the run; in memory alone by default. pictures: take whole
-    pictures for those who watch, see `Session`, whose errors it raises.
+    watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. folder: where `log.part` grows with the
+    run; in memory alone by default. pictures: take whole pictures for those who watch, see `Session`, whose errors it raises.
     """
     if not isinstance(scenario, Scenario):
         raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)

@@ -63,7 +63,6 @@ T = TypeVar("T")
 
 class DelayLine(Generic[T]):
     """A queue: an item pushed at step k is due at step k + delay, and never before an earlier item, unless items may overtake.
-
     delay_steps: whole physics steps between in and out, >= 0. overtakes: an item that is due before an earlier one leaves first.
     """
 
