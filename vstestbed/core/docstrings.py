@@ -11,7 +11,6 @@ import dataclasses
 import functools
 import inspect
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from vstestbed.core.fields import Node, fields
@@ -55,8 +54,12 @@ def class_text(cls: type) -> ClassText:
 
 def _field_texts(cls: type) -> dict[str, FieldText]:
     words: dict[str, FieldText] = {}
-    for base in reversed(cls.__mro__):
-        words |= dict(_field_lines(_sections(base)[1]))
+    for names, text in (line for base in reversed(cls.__mro__) for line in _sections(base)[1]):
+        example, sentence = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
+        each, units = [name.strip() for name in names.split(",")], unit_in(sentence).split(", ")
+        of_each = units if len(units) == len(each) else [units[0] if len(units) == 1 else ""] * len(each)
+        for name, unit in zip(each, of_each, strict=True):
+            words[name] = FieldText(sentence, unit, example[1] if example else "")
     own = {name: (field.node, words.get(name, FieldText("", ""))) for name, field in fields(cls).items()}
     return {name: dataclasses.replace(text, unit=_unit_of(node, text)) for name, (node, text) in own.items()}
 
@@ -80,16 +83,6 @@ def _sections(cls: type) -> tuple[str, tuple[tuple[str, str], ...]]:
         elif heading == "Args:" and items:  # the next line of a field
             items[-1][1] += f" {line.strip()}"
     return "\n".join(text), tuple((names, words.strip()) for names, words in items)
-
-
-def _field_lines(lines: tuple[tuple[str, str], ...]) -> Iterator[tuple[str, FieldText]]:
-    for names, text in lines:
-        example, words = _EXAMPLE.search(text), _EXAMPLE.sub("", text)
-        each = [name.strip() for name in names.split(",")]
-        units = unit_in(words).split(", ")
-        for i, name in enumerate(each):
-            unit = units[i] if len(units) == len(each) else units[0] if len(units) == 1 else ""
-            yield name, FieldText(words, unit, example[1] if example else "")
 
 
 def unit_in(words: str) -> str:

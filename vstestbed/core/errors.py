@@ -28,11 +28,7 @@ class VstestbedError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickled as they are: the constructors take other arguments than the message, and errors come from worker processes."""
-        return _unpickled, (type(self), self.args), self.__dict__
-
-
-def _unpickled(cls: type[VstestbedError], args: tuple[object, ...]) -> VstestbedError:
-    return cls.__new__(cls, *args)
+        return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class ParameterError(VstestbedError, ValueError):

@@ -38,11 +38,6 @@ class Node:
     registry: Registry | None = None
 
     @property
-    def is_list(self) -> bool:
-        """Whether it is a list."""
-        return self.type is tuple
-
-    @property
     def number(self) -> bool:
         """Whether it is a number, or a choice between numbers."""
         return self.type in (int, float) or any(isinstance(word, int | float) and not isinstance(word, bool) for word in self.words)
@@ -128,20 +123,18 @@ class SchemaField:
     needed: bool
 
 
+# of a class itself: `typing.get_type_hints` would read those of a base anew for each class
+_annotations = functools.cache(inspect.get_annotations)
+
+
 @functools.cache
 def fields(cls: type) -> dict[str, SchemaField]:
     """The fields of a spec class that its constructor takes, by name."""
     own = {field.name: field for field in dataclasses.fields(cls) if field.init}
     # of a class in a function, `spec` has read the types already
     bases = reversed(cls.__mro__) if any(isinstance(f.type, str) for f in own.values()) else ()
-    types = {name: hint for base in bases for name, hint in _own_types(base).items()}
+    types = {name: hint for base in bases for name, hint in _annotations(base, eval_str=True).items()}
     return {name: SchemaField(name, _node(types.get(name, field.type)), *_default(field)) for name, field in own.items()}
-
-
-@functools.cache
-def _own_types(cls: type) -> dict[str, Any]:
-    """The types in the annotations of a class itself; `typing.get_type_hints` would read those of a base anew for each class."""
-    return inspect.get_annotations(cls, eval_str=True)
 
 
 def needed(cls: type) -> list[str]:

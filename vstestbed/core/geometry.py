@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from vstestbed.core.quantity import Angles, Position
-from vstestbed.core.spatial import Array, as_se3, is_matrix, pose_matrix, tidy_angles, tidy_position
+from vstestbed.core.spatial import Array, as_se3, is_matrix, pose_matrix, tidy, tidy_position
 from vstestbed.core.spec import spec
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class Pose:
 def pose_block(value: Any) -> dict[str, Any]:
     """The fields of the Pose of an SE3 or a matrix (4, 4), without the last digits of rounding (`pose_matrix`)."""
     T = pose_matrix(value)
-    return {"xyz": tidy_position(T), "rpy_deg": tidy_angles(rpy_of(T[:3, :3].tolist()))}
+    return {"xyz": tidy_position(T), "rpy_deg": [tidy(angle, 12) for angle in rpy_of(T[:3, :3].tolist())]}
 
 
 FEW = 32  # numbers up to which a sum in Python takes less time than the call of numpy's: 0.5 us in place of 1.3 for eight
@@ -157,27 +157,18 @@ def skew(w: Array) -> Array:
 
 def inverse(T: Array) -> Array:
     """Inverse of a rigid transform, shape (..., 4, 4)."""
-    if T.ndim == 2:
-        return _inverse_of_one(T.tolist())
+    if T.ndim == 2:  # one, for the time loop: as in `exp`
+        (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = T.tolist()
+        first = (xx, yx, zx, -(xx * x + yx * y + zx * z))
+        second = (xy, yy, zy, -(xy * x + yy * y + zy * z))
+        third = (xz, yz, zz, -(xz * x + yz * y + zz * z))
+        return np.array([first, second, third, (0.0, 0.0, 0.0, 1.0)])
     R_t = np.swapaxes(T[..., :3, :3], -1, -2)  # of a rigid transform: cheaper and more exact than a matrix inverse
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t
     out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
     out[..., 3, 3] = 1.0
     return out
-
-
-def _inverse_of_one(T: list[list[float]]) -> Array:
-    """`inverse` of one matrix, for the time loop: see `_exp_of_one`."""
-    (xx, xy, xz, x), (yx, yy, yz, y), (zx, zy, zz, z), _ = T
-    return np.array(
-        [
-            (xx, yx, zx, -(xx * x + yx * y + zx * z)),
-            (xy, yy, zy, -(xy * x + yy * y + zy * z)),
-            (xz, yz, zz, -(xz * x + yz * y + zz * z)),
-            (0.0, 0.0, 0.0, 1.0),
-        ]
-    )
 
 
 def transform(T: Array, p: Array) -> Array:
@@ -193,8 +184,15 @@ def exp(xi: Array) -> Array:
     Reference: Lynch & Park 2017, Modern Robotics, eqs 3.51 and 3.88.
     """
     xi = np.asarray(xi, dtype=float)
-    if xi.ndim == 1:
-        return _exp_of_one(xi.tolist())
+    if xi.ndim == 1:  # one, for the time loop: numpy's overhead would be ten times the arithmetic
+        vx, vy, vz, x, y, z = xi.tolist()
+        theta2 = x * x + y * y + z * z
+        theta = math.sqrt(theta2)
+        if theta < 1e-4:
+            a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
+        else:
+            a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
+        return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
     vx, vy, vz, x, y, z = np.moveaxis(xi, -1, 0)
     theta2 = x * x + y * y + z * z
     theta = np.sqrt(theta2)
@@ -210,18 +208,6 @@ def exp(xi: Array) -> Array:
             out[..., row, column] = value
     out[..., 3, 3] = 1.0
     return out
-
-
-def _exp_of_one(xi: list[float]) -> Array:
-    """`exp` of six numbers, for the time loop: numpy's overhead would be ten times the arithmetic."""
-    vx, vy, vz, x, y, z = xi
-    theta2 = x * x + y * y + z * z
-    theta = math.sqrt(theta2)
-    if theta < 1e-4:
-        a, b, c = 1 - theta2 / 6, 0.5 - theta2 / 24, 1 / 6 - theta2 / 120
-    else:
-        a, b, c = math.sin(theta) / theta, 2 * math.sin(theta / 2) ** 2 / theta2, (theta - math.sin(theta)) / (theta2 * theta)
-    return np.array([*_exp_entries(vx, vy, vz, x, y, z, a, b, c), (0.0, 0.0, 0.0, 1.0)])
 
 
 def _exp_entries(vx: Any, vy: Any, vz: Any, x: Any, y: Any, z: Any, a: Any, b: Any, c: Any) -> tuple[tuple[Any, ...], ...]:

@@ -166,11 +166,6 @@ def load_file(path: Path) -> ModuleType:
     return module
 
 
-def is_file_module(name: str) -> bool:
-    """Whether a module's name is one that `load_file` gives."""
-    return "@" in name
-
-
 def line_of(error: BaseException, name: str, path: Path | None) -> str:
     """FILE:LINE where an error was raised in a file: the last line of it that was at work; `name` where it has no part in it."""
     import traceback  # here: `--help` imports this module

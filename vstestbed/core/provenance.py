@@ -17,14 +17,9 @@ def vstestbed_version() -> str:
         return "unknown"
 
 
+@functools.cache  # it takes 5 ms, and a process may do thousands of runs
 def versions() -> dict[str, str]:
-    """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python."""
-    return dict(_versions())
-
-
-@functools.cache
-def _versions() -> dict[str, str]:
-    # read once: it takes 5 ms, and a process may do thousands of runs
+    """Versions of vstestbed, mujoco, dm_control, opencv, numpy and python, which nobody may change."""
     found = {"vstestbed": vstestbed_version()}
     for name, package in PACKAGES.items():
         try:

@@ -10,7 +10,7 @@ import pydantic
 
 from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
-from vstestbed.core.fields import Node, fields, needed
+from vstestbed.core.fields import Node, SchemaField, fields, needed
 from vstestbed.core.registry import Registry, registries_of, to_mapping
 
 Key = tuple[str | int, ...]
@@ -42,14 +42,11 @@ def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
     elif isinstance(plain, list | tuple) and isinstance(built, list):
         for i, (p, b) in enumerate(zip(plain, built, strict=False)):
             yield from converted(p, b, (*key, i))
-    elif (expected := _expected_type(plain, built)) is not None:
-        yield key, f"must be {expected}, got {short(plain)}"
-
-
-def _expected_type(plain: Any, built: Any) -> str | None:
-    if isinstance(built, bool):  # before int: a bool is one
-        return None if isinstance(plain, bool) else "true or false"
-    return "a number" if isinstance(built, int | float) and isinstance(plain, str | bool) else None
+    elif isinstance(built, bool):  # before int: a bool is one
+        if not isinstance(plain, bool):
+            yield key, f"must be true or false, got {short(plain)}"
+    elif isinstance(built, int | float) and isinstance(plain, str | bool):
+        yield key, f"must be a number, got {short(plain)}"
 
 
 UNKNOWN = "is an unknown field"  # how the sentence for one begins
@@ -85,7 +82,7 @@ class _Place:
     block: type
     registry: Registry | None
     name: str = ""
-    field: Node | None = None
+    field: SchemaField | None = None
     node: Node | None = None
 
 
@@ -103,17 +100,15 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
         if isinstance(part, str) and (node is None or node.type is not dict):
             block, registry = (node and node.block_of(here)) or (place.block, place.registry)
             field = fields(block).get(part)
-            place = _Place(key, block, registry, part, field and field.node, field and field.node)
+            place = _Place(key, block, registry, part, field, field and field.node)
         else:
             place = replace(place, key=key, node=node.parts[0] if node and node.type in (tuple, dict) else node)
-        here = _child(here, part) if named else here
+        if named:
+            try:
+                here = here[part]
+            except LookupError:  # a missing field
+                here = None
     return place
-
-
-def _child(here: Any, part: int | str) -> Any:
-    if isinstance(here, dict):
-        return here.get(part)
-    return here[part] if isinstance(part, int) and part < len(here) else None
 
 
 def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
@@ -177,20 +172,16 @@ def _such_as(place: _Place) -> str:
         return ""
     for registry, block in place.node.blocks():
         return f" of blocks, each {_a(registry.what) if registry else f'of {_listed(block)}'}"
-    example = _list_like(place.block, place.name)
+    # the example of the field's docstring, or its default
+    default = place.field.default
+    example = class_text(place.block).fields[place.name].example or (short(default) if isinstance(default, list) and default else "")
     if not example:
         return ""
-    return f", such as {example}" if place.node is place.field else f", as in {place.name}: {example}"
+    return f", such as {example}" if place.node is place.field.node else f", as in {place.name}: {example}"
 
 
 def _a(noun: str) -> str:
     return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
-
-
-def _list_like(block: type, name: str) -> str:
-    """A valid list: the example of a field's docstring, or its default; "" where it has neither."""
-    default = fields(block)[name].default
-    return class_text(block).fields[name].example or (short(default) if isinstance(default, list) and default else "")
 
 
 def _shown(context: dict[str, Any]) -> dict[str, Any]:

@@ -106,8 +106,11 @@ class Registry:
             name = getattr(member, "__name__", repr(member))
             raise ParameterError(name, f"is not a spec; a {self.what} is a class with @spec directly above it, below any `add`")
         kind = kind_of(member)
-        if kind in self.members and self.members[kind] is not member and not _same_cell(self.members[kind], member):
-            home = self.members[kind].__module__
+        known = self.members.get(kind, member)
+        home = known.__module__
+        # a notebook's cell that is run once more after a change defines its class again
+        again = home == member.__module__ == "__main__" and known.__qualname__ == member.__qualname__
+        if known is not member and not again:
             place = home if home.startswith("vstestbed.") else getattr(sys.modules.get(home), "__file__", home)
             taken = f"{kind!r} is already a {self.what} ({place})"
             raise ParameterError("kind", f"{taken}; give {member.__name__} a `kind` of its own")
@@ -163,11 +166,6 @@ class Registry:
         return {"anyOf": choices}
 
 
-def is_kind(word: str) -> bool:
-    """Whether a word is a kind of some block."""
-    return any(word in registry.members for registry in REGISTRIES)
-
-
 def registries_of(cls: type) -> list[Registry]:
     """The registries that a spec class is a member of."""
     return [registry for registry in REGISTRIES if cls in registry.members.values()]
@@ -179,11 +177,6 @@ def kind_of(cls: type) -> str:
         if own.name == "kind" and isinstance(own.default, str):
             return own.default
     raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
-
-
-def _same_cell(before: type, after: type) -> bool:
-    """Whether two classes are one that was defined again by hand: a notebook's cell, run once more after a change."""
-    return before.__module__ == after.__module__ == "__main__" and before.__qualname__ == after.__qualname__
 
 
 @functools.cache
@@ -236,20 +229,14 @@ def to_mapping(value: Any) -> Any:
 def brief_mapping(value: Any) -> Any:
     """A spec as people write it: without defaults and what `preset_values` stand for, whole numbers without `.0`, with shorthands."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return _brief_block(value)
+        preset = getattr(value, "preset_values", {})
+        block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
+        return _with_kind(value.kind, block, registries_of(type(value))) if hasattr(value, "kind") else block
     if isinstance(value, tuple | list):
         return [brief_mapping(v) for v in value]
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e6:
         return int(value)
     return value
-
-
-def _brief_block(value: Any) -> Any:
-    preset = getattr(value, "preset_values", {})
-    block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
-    if not hasattr(value, "kind"):
-        return block
-    return _with_kind(value.kind, block, registries_of(type(value)))
 
 
 def _brief_part(value: Any, preset: Any) -> Any:

@@ -49,7 +49,7 @@ def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
     """
     if class_of(value) == "SE2" or (np.shape(value) == (3, 3) and not class_of(value)):
         T = _rigid(_one(value, class_of(value), 3, "a place: an SE2, or a homogeneous matrix (3, 3)", name), name)
-        return _tidy(T[0, 2], 15), _tidy(T[1, 2], 15), heading_of(T)
+        return tidy(T[0, 2], 15), tidy(T[1, 2], 15), heading_of(T)
     (x, y, z), heading = upright(value, name)
     if abs(z) > LEVEL:
         raise ParameterError(name, f"must be at height 0, on the floor; this pose is at z = {z:.3g} m")
@@ -58,7 +58,7 @@ def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
 
 def heading_of(T: Array) -> float:
     """The heading [deg] of the x axis of a matrix (3, 3) or (4, 4), without the last digits of rounding."""
-    return _tidy(math.degrees(math.atan2(T[1, 0], T[0, 0])), 12)
+    return tidy(math.degrees(math.atan2(T[1, 0], T[0, 0])), 12)
 
 
 def upright(value: Any, name: str = "") -> tuple[list[float], float]:
@@ -72,12 +72,7 @@ def upright(value: Any, name: str = "") -> tuple[list[float], float]:
 
 def tidy_position(T: Array) -> list[float]:
     """The translation of a pose (4, 4) [m] without the last digits of rounding, which nobody wants to read in YAML."""
-    return [_tidy(x, 15) for x in T[:3, 3].tolist()]
-
-
-def tidy_angles(angles_deg: tuple[float, ...]) -> list[float]:
-    """Angles [deg] without the last digits of rounding: 90 for 90.00000000000001, by which a pose changes less than 1e-14."""
-    return [_tidy(a, 12) for a in angles_deg]
+    return [tidy(x, 15) for x in T[:3, 3].tolist()]
 
 
 def twist_numbers(value: Any, name: str = "command") -> Any:
@@ -133,7 +128,8 @@ def _rigid(T: Array, name: str) -> Array:
     return T
 
 
-def _tidy(x: float, digits: int) -> float:
+def tidy(x: float, digits: int) -> float:
+    """A number without the last digits of rounding: with 12 digits 90 for 90.00000000000001 degrees, which moves a pose less than 1e-14."""
     return round(float(x), digits) + 0.0  # -0.0 becomes 0.0
 
 

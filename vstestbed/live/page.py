@@ -27,8 +27,6 @@ REACH = 0.13  # length of the camera's frustum over its distance from the target
 REACH_OF_ROOM = 0.05
 """The same of a camera that stands in the room: it may be nearer to the viewer than the robot, and must not hide it."""
 SHORTEST_M, LONGEST_M = 0.06, 0.6
-NEAR = 0.02
-"""Near plane over the distance of what is looked at: the depth buffer must tell lines on the floor from the floor."""
 LAYER_M = 0.004  # distance of the grid under the floor of the simulation, and of the surface under the grid [m]
 GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
 PLACES = 400  # points of the trail: when there are more, every other one is dropped
@@ -55,7 +53,12 @@ class SceneView:
         self._goal = self._frustum("/goal", GOAL) if not aside else None
         self._ghost = self._made_ghost(first)
         self.plate: viser.MeshHandle | None = None
-        self._look_at(server, film.t, first.T_world_goal)
+        T, middle, fovy = replay.outside_view(film.t, first.T_world_goal)
+        view = server.initial_camera
+        view.position, view.look_at, view.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
+        view.up = (0.0, 0.0, 1.0) if scenario.robot.body else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
+        # the depth buffer must tell lines on the floor from the floor
+        view.near = 0.02 * float(np.linalg.norm(middle - T[:3, 3]))
 
     def show(self, sample: Sample, image: Image | None) -> None:
         """Put everything where it is in a sample. image: the camera's picture for its frustum, if there is a new one."""
@@ -164,13 +167,6 @@ class SceneView:
             trail, self._spacing = trail[::2], 2 * self._spacing
         self._trail = trail
 
-    def _look_at(self, server: viser.ViserServer, t: float, T_world_goal: Array | None) -> None:
-        T, middle, fovy = self._replay.outside_view(t, T_world_goal)
-        camera = server.initial_camera
-        camera.position, camera.look_at, camera.fov = tuple(T[:3, 3].tolist()), tuple(middle.tolist()), fovy
-        camera.up = (0.0, 0.0, 1.0) if self._scenario.robot.body else tuple((-T[:3, 1]).tolist())  # a free camera's room has no upright
-        camera.near = NEAR * float(np.linalg.norm(middle - T[:3, 3]))
-
 
 def _square(edge_m: float) -> tuple[Array, Array]:
     return edge_m / 2 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
@@ -220,42 +216,13 @@ THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width":
 AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
 
 
-class Curves:
-    """Rows of numbers over time, at most `MOST` of them."""
-
-    def __init__(self, columns: int):
-        self._rows = np.empty((MOST, columns))
-        self.clear()
-
-    def add(self, row: Array) -> None:
-        """One more row, the first number of which is the time; only every k-th is kept once the run is long."""
-        self._skipped += 1
-        if self._skipped < self._every:
-            return
-        self._skipped = 0
-        if self._count == MOST:
-            self._count = MOST // 2
-            self._rows[: self._count] = self._rows[::2].copy()
-            self._every *= 2
-        self._rows[self._count] = row
-        self._count += 1
-
-    def clear(self) -> None:
-        """Begin anew."""
-        self._count, self._every, self._skipped = 0, 1, 0
-
-    @property
-    def columns(self) -> tuple[Array, ...]:
-        """The columns, as copies."""
-        return tuple(np.ascontiguousarray(column) for column in self._rows[: self._count].T)
-
-
 class Plots:
     """The plots of a run. gui: where they are added, in the container that is open. unit: of the judged error."""
 
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, unit: str):
         self._joints = joints = len(scenario.robot.joints)
-        self._curves = Curves(8 + joints)
+        self._rows = np.empty((MOST, 8 + joints))  # time, error, twist, joints
+        self.clear()
         self._error = _plot(gui, f"judged error [{unit}]", ["error"], [LINE_COLORS[0]], log=True)
         key = " · ".join(f'<span style="color:{color}">{axis}</span>' for axis, color in zip("xyz", AXIS_COLORS, strict=True))
         self._key = gui.add_html(f'<div style="font-size:12px;text-align:center">commanded twist: {key} of the camera</div>')
@@ -265,17 +232,26 @@ class Plots:
         self._q = _plot(gui, "joints [rad]", names, [LINE_COLORS[i % len(LINE_COLORS)] for i in range(joints)]) if joints else None
 
     def add(self, sample: Sample) -> None:
-        """One more frame."""
+        """One more frame; only every k-th is kept once the run is long."""
+        self._skipped += 1
+        if self._skipped < self._every:
+            return
+        self._skipped = 0
+        if self._count == MOST:
+            self._count = MOST // 2
+            self._rows[: self._count] = self._rows[::2].copy()
+            self._every *= 2
         positive = sample.judged if sample.judged > 0 else np.nan  # logarithmic
-        self._curves.add(np.array([sample.film.t, positive, *sample.twist, *sample.film.q[: self._joints]]))
+        self._rows[self._count] = sample.film.t, positive, *sample.twist, *sample.film.q[: self._joints]
+        self._count += 1
 
     def clear(self) -> None:
         """Begin anew."""
-        self._curves.clear()
+        self._count, self._every, self._skipped = 0, 1, 0
 
     def draw(self) -> None:
         """Send the curves, which need not be done with every frame."""
-        t, error, *rest = self._curves.columns
+        t, error, *rest = (np.ascontiguousarray(column) for column in self._rows[: self._count].T)
         if len(t) < 2:
             return
         self._error.data = t, error
@@ -394,20 +370,16 @@ class LiveView:
             self._replay.close()
 
 
-class Gizmo:
+def add_gizmo(
+    server: viser.ViserServer, name: str, T: Array, size_m: float, dragged: Callable[[Array], None]
+) -> viser.TransformControlsHandle:
     """A handle in the scene at which something is dragged. T: pose (4, 4). dragged: called with the pose, from another thread."""
+    wxyz = quaternion_wxyz(T[:3, :3])
+    handle = server.scene.add_transform_controls(name, scale=size_m, position=T[:3, 3], wxyz=wxyz, depth_test=False)
 
-    def __init__(self, server: viser.ViserServer, name: str, T: Array, size_m: float, dragged: Any):
-        self._handle = server.scene.add_transform_controls(
-            name, scale=size_m, position=T[:3, 3], wxyz=quaternion_wxyz(T[:3, :3]), depth_test=False
-        )
+    async def moved(event: Any) -> None:
+        if event.client is not None:
+            dragged(pose_from(np.array(event.target.position), np.array(event.target.wxyz)))
 
-        async def moved(event: Any) -> None:
-            if event.client is not None:
-                dragged(pose_from(np.array(event.target.position), np.array(event.target.wxyz)))
-
-        self._handle.on_update(moved)
-
-    def remove(self) -> None:
-        """Take it away."""
-        self._handle.remove()
+    handle.on_update(moved)
+    return handle

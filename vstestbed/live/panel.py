@@ -322,31 +322,6 @@ class HandPanel:
         return asked
 
 
-class RunPanel:
-    """The whole panel of a live run."""
-
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        inbox: Inbox,
-        run: LiveRun,
-        *,
-        set_: Callable[[str, object], None],
-        gizmo: Callable[[str, bool], None],
-        reset: Callable[[], None],
-        save: Callable[[], None],
-    ):
-        self.status = StatusLine(gui)
-        transport_panel(gui, inbox, run.transport, reset)
-        self.controls = Controls(gui, run.settings.scenario, lambda path, value: inbox.put(lambda: set_(path, value), path), inbox.waits)
-        with gui.add_folder("any other field", expand_by_default=False):
-            field, value = gui.add_text("field", "goal.T_camera_target.xyz"), gui.add_text("value", "[0, 0, 0.8]")
-            on_click(gui.add_button("set", hint="as --set field=value"), inbox, lambda: set_(field.value, read_value(value.value)))
-        self.hand = HandPanel(gui, inbox, run, gizmo)
-        on_click(gui.add_button("start without a seed", hint="the scenario's own start"), inbox, lambda: set_("seed", None))
-        on_click(gui.add_button("save as scenario", hint="what repeats these settings from the start"), inbox, save)
-
-
 def on_click(button: Any, inbox: Inbox, order: Callable[[], None]) -> None:
     """Every click of a page is an order of its own."""
 

@@ -59,9 +59,14 @@ class Settings:
         self._refuse_new_texts(path, value)
         overrides, seed = self._overrides, self.seed
         if path == SEED:
-            seed = None if value is None else self._whole(value)
+            if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < 0):
+                raise ScenarioError([Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")])
+            seed = value
         else:
-            path, value = self._whole_list(path, value)
+            block, _, item = path.rpartition(".")
+            if block == DISTORTION and item.isdecimal():  # all coefficients at once: a lens without distortion has no list to change
+                now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
+                path, value = block, [value if i == int(item) else k for i, k in enumerate(now)]
             # what was set inside the old value, or round it, is gone; the last setting is applied last
             overrides = {p: v for p, v in overrides.items() if p != path and not p.startswith(f"{path}.")} | {path: value}
         scenario = load(self._name, overrides, seed, from_option(overrides), self._plugins)
@@ -87,19 +92,6 @@ class Settings:
                 if block in TEXTS or not hint.startswith("did you mean"):
                     hint = f"files and new names are given on the command line alone (--set {path}=...)"
                 raise ScenarioError([Mistake("page", path, f"{short(told)} is no word of this scenario; {hint}")])
-
-    def _whole(self, value: object) -> int:
-        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-            raise ScenarioError([Mistake("page", SEED, f"must be a whole number from 0 on, got {value!r}")])
-        return value
-
-    def _whole_list(self, path: str, value: object) -> tuple[str, object]:
-        """A coefficient of a lens's distortion as a setting of all of them, since a lens without one has no list to change."""
-        parent, _, item = path.rpartition(".")
-        if parent != DISTORTION or not item.isdecimal():
-            return path, value
-        now: Any = getattr(self.scenario.camera, "distortion", None) or (0.0,) * 5
-        return parent, [value if i == int(item) else k for i, k in enumerate(now)]
 
     def keep(self, note: str = "") -> Path:
         """Write the scenario that repeats these settings from the start, `runs/<scenario>/live/<number>/scenario.yaml`.
@@ -330,22 +322,19 @@ class LiveRun:
     def change(self, path: str, value: object) -> bool:
         """Change a setting, at once where the law alone changes and can, else with a new start; whether there was one."""
         before = copy.copy(self.settings)  # `change` replaces its parts, and writes into none
-        now = self.settings.change(path, value)
+        was, now = before.scenario.resolved, self.settings.change(path, value).resolved
         try:
-            return self._put_in_force(before.scenario.resolved, now.resolved)
+            if now == was:
+                return False
+            if not self.ended and replace(now, law=was.law) == was:
+                with contextlib.suppress(ParameterError):  # of another kind or feature: its memory begins anew
+                    self.session.retune(now.law)
+                    return False
+            self.restart()
+            return True
         except BaseException:
             self.settings = before
             raise
-
-    def _put_in_force(self, before: Scenario, now: Scenario) -> bool:
-        if now == before:
-            return False
-        if not self.ended and replace(now, law=before.law) == before:
-            with contextlib.suppress(ParameterError):  # of another kind or feature: its memory begins anew
-                self.session.retune(now.law)
-                return False
-        self.restart()
-        return True
 
     def push(self, force: Array, duration_s: float) -> None:
         """Push the robot; ParameterError where it has no mass."""

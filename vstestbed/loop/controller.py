@@ -18,7 +18,6 @@ import numpy as np
 from vstestbed.camera import DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
-from vstestbed.core.named_files import is_file_module
 from vstestbed.core.outcome import Outcome
 from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
@@ -69,7 +68,8 @@ class GuardedLaw:
             # File and line where it came from: of the law's module or a file of others, else the innermost ones.
             frames = list(traceback.walk_tb(error.__traceback__))
             modules = [str(frame.f_globals.get("__name__")) for frame, _ in frames]
-            ours = [name == type(self._law).__module__ or is_file_module(name) for name in modules]
+            # with an `@`: as `load_file` names them
+            ours = [name == type(self._law).__module__ or "@" in name for name in modules]
             written = [not frame.f_code.co_filename.startswith("<string>") for frame, _ in frames]  # what dataclasses generate has no line
             own = [at for at, mine, there in zip(frames, ours, written, strict=True) if mine and there]
             frame, line = (own or frames)[-1]

@@ -41,7 +41,7 @@ def catalogue(**roots: type) -> dict[str, Entry]:
     while waiting:
         owner, cls = waiting.popleft()
         kinds = _kinds_of(found[owner]) if owner in found else [cls]
-        blocks = ((each.name, each.node.is_list, *block) for each in fields(cls).values() for block in each.node.blocks())
+        blocks = ((each.name, each.node.type is tuple, *block) for each in fields(cls).values() for block in each.node.blocks())
         for at, listed, union, inner in blocks:
             place = f"{at}[]" if listed else at
             if union is None:
@@ -206,7 +206,7 @@ def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
     holders = [_scenario(entries)]
     for part in before:
         nodes = [fields(cls)[part].node for cls in holders if part in fields(cls)]
-        if not nodes or any(node.is_list for node in nodes):
+        if not nodes or any(node.type is tuple for node in nodes):
             return False
         holders = list(_within(holders, part))
     return True
@@ -277,7 +277,7 @@ def _in_block(cls: type, key: str, written: Any) -> Iterator[tuple[type, str, An
 
 def _in_field(node: Node, key: str, written: Any) -> Iterator[tuple[type, str, Any]]:
     if isinstance(written, list):
-        for item in written if node.is_list else ():
+        for item in written if node.type is tuple else ():
             yield from _in_field(node.parts[0], f"{key}[]", item)
     elif (block := node.block_of(written)) is not None:
         yield from _in_block(block[0], key, written)
@@ -353,7 +353,7 @@ def examples_of(cls: type, name: str, uses: Uses) -> Iterator[Any]:
         yield filled
     elif inner := _blocks_at(cls, name):
         block = example_block(inner[0][1], uses)
-        yield [block] if fields(cls)[name].node.is_list else block
+        yield [block] if fields(cls)[name].node.type is tuple else block
 
 
 def example_block(cls: type, uses: Uses) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
-from vstestbed.core.registry import is_kind
+from vstestbed.core.registry import REGISTRIES
 
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]  # the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
@@ -270,7 +270,8 @@ def override(plain: dict[str, Any], dotted: str, value: object, marks: Marks, ow
         child = here.get(step) if isinstance(here, dict) else here[step]
         if child is None:
             marks[key] = where
-        block = {} if child is None else {"kind": child} if isinstance(child, str) and is_kind(child) else child
+        is_kind = isinstance(child, str) and any(child in registry.members for registry in REGISTRIES)
+        block = {} if child is None else {"kind": child} if is_kind else child
         if not isinstance(block, dict | list):
             raise ScenarioError([Mistake(where, dotted, f"{'.'.join(map(str, key))} is a value, not a block, got {short(child)}")])
         here[step] = block
