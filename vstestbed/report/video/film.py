@@ -109,27 +109,25 @@ class Pictures:
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
         error = error_in_words(self._scenario, values)
         if self._camera == "eye":
-            image = np.array(scaled(self._seen(frame), self._size))  # a copy: the detector and other films use it
+            taken = self._taken(frame)
+            seen = self._rendered("eye", frame) if taken is None else taken
+            image = np.array(scaled(seen, self._size))  # a copy: the detector and other films use it
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
             self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
             if self._residual is not None:
-                self._residual.put(image, self._seen(frame), frame, int(values.get("view", 0)))
+                self._residual.put(image, seen, frame, int(values.get("view", 0)))
             return image
         if self._outside is not None:
             T = self._scenario.goal_pose_at(frame.t, int(values.get("view", 0)))
             image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
-            self._outside.put_inset(image, frame, self._seen_already(frame), lambda: self._rendered("eye", frame))
+            self._outside.put_inset(image, frame, self._taken(frame), lambda: self._rendered("eye", frame))
         else:
             image = self._rendered(self._camera, frame)
         draw_caption(image, self._title, t=frame.t, error=error)
         return image
 
-    def _seen(self, frame: FilmFrame) -> Image:
-        image = self._seen_already(frame)
-        return self._rendered("eye", frame) if image is None else image
-
-    def _seen_already(self, frame: FilmFrame) -> Image | None:
-        """The same, if it has been rendered for the run or for another film."""
+    def _taken(self, frame: FilmFrame) -> Image | None:
+        """The servo camera's image, if it has been rendered for the run or for another film."""
         return self._replay.seen(frame.t) if frame.image is None else frame.image
 
     def _rendered(self, camera: str, m: FilmFrame) -> Image:
