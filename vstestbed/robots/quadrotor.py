@@ -97,11 +97,6 @@ class FlightStart:
     random: FlightBox | None = None
 
 
-ESTIMATE = ("est_roll", "est_pitch", "est_vx", "est_vy", "est_vz", "est_wx", "est_wy", "est_wz")
-REFERENCE = ("ref_roll", "ref_pitch", "ref_wx", "ref_wy", "ref_wz")
-WIND = ("wind_x", "wind_y", "wind_z")
-
-
 class FlightLog(RobotLog):
     """Estimates, references and rotor speeds of a flight.
 
@@ -115,8 +110,10 @@ class FlightLog(RobotLog):
 
     def __init__(self, supervisor: Supervisor, battery: bool = False):
         super().__init__(supervisor)
-        more = ("battery_v",) if battery else ()
-        self.columns = (*ESTIMATE, *REFERENCE, *WIND, *(f"speed_rotor_{name}" for name in ROTORS), "supervisor", *more)
+        estimate = (f"est_{name}" for name in ("roll", "pitch", "vx", "vy", "vz", "wx", "wy", "wz"))
+        reference = (f"ref_{name}" for name in ("roll", "pitch", "wx", "wy", "wz"))
+        truth = ("wind_x", "wind_y", "wind_z", *(f"speed_rotor_{name}" for name in ROTORS))
+        self.columns = (*estimate, *reference, *truth, "supervisor", *(("battery_v",) if battery else ()))
 
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""

@@ -61,11 +61,6 @@ class GroundStart:
         x, y, heading = (rng.uniform(-1, 1, 3) * (box.x, box.y, box.heading_deg) + (at.x, at.y, at.heading_deg)).tolist()
         return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=heading), random=box)
 
-    def at(self, place: Array) -> GroundStart:
-        """The same box round another nominal pose (x, y, heading), shape (3,) [m, m, rad]."""
-        x, y, heading = place.tolist()
-        return GroundStart(nominal=GroundPose(x=x, y=y, heading_deg=math.degrees(heading)), random=self.random)
-
 
 class VehicleLog(RobotLog):
     """Columns of a vehicle: places (x, y [m], heading [rad]) in the world, and its slip.
@@ -193,7 +188,9 @@ class Vehicle(Realistic):
 
     def started_at(self, configuration: Array) -> Self:
         """The same vehicle from another place (x, y, heading)."""
-        return dataclasses.replace(self, start=self.start.at(configuration))
+        x, y, heading = configuration.tolist()
+        nominal = GroundPose(x=x, y=y, heading_deg=math.degrees(heading))
+        return dataclasses.replace(self, start=GroundStart(nominal=nominal, random=self.start.random))
 
     def lagged(self, now: Value, order: Value, dt: float) -> Value:
         """What the drive follows after dt [s] of an order, from what it follows now, (n,) each: y' = (order - y) / drive_lag_s, exactly."""

@@ -135,7 +135,6 @@ def points_of(goal: Goal) -> Array:
 
 # Search windows around tracked objects in the next picture.
 Move = tuple[float, float]  # displacement (du, dv) of an object from one picture to the next [px]
-MOST_WINDOWED = 0.3  # share of the image area that the windows may cover together; beyond it a search of the whole image is faster
 
 
 def window_round(box: Window, move: Move, lens: Camera, margin: float) -> Window | None:
@@ -169,4 +168,5 @@ def windows_round(
             return None
         out.append(window)
     covered = sum((w[2] - w[0]) * (w[3] - w[1]) for w in out)
-    return out if out and covered <= MOST_WINDOWED * sum(p.lens.width * p.lens.height for p in camera.panels) else None
+    # Where windows cover more of the image together, a search of the whole is faster.
+    return out if out and covered <= 0.3 * sum(p.lens.width * p.lens.height for p in camera.panels) else None

@@ -116,8 +116,6 @@ Candidates = list[list[Placed]]  # for each marker the blobs of its hue
 Hypothesis = tuple[Array, Candidates, int]  # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
 
 MOST_OF_A_HUE, SEEDS = 4, 4  # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
-NEAR_PX, NEAR_SHARE = 15.0, 0.15  # search radius around a marker under the last pose [px], or this share of the target's size in the image
-LIKE_AREA = 0.3  # largest |log(area / predicted area)| of a marker's blob: rejects balls of another size elsewhere in the scene
 
 
 def allowed_px(uv: Array) -> float:
@@ -164,7 +162,7 @@ def _of_four_or_near(few: Candidates, present: list[int], camera: Camera, target
     if previous is None:
         return
     uv = camera.project(transform(previous, target.points))
-    radius = max(NEAR_PX, NEAR_SHARE * float(np.ptp(uv, axis=0).max()))
+    radius = max(15.0, 0.15 * float(np.ptp(uv, axis=0).max()))  # round a marker under the last pose [px], by the target's size
     near = [[f for f in c if _away(f[1], uv[i]) <= radius] for i, c in enumerate(few)]
     for three in combinations([i for i in present if near[i]][:SEEDS], 3):
         for T in _poses(list(three), near, camera, target, previous):
@@ -194,7 +192,8 @@ def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tup
     uv = centre + bias
     allowed, chosen, score = allowed_px(uv), [], 0.0
     for i, some in enumerate(few):
-        like = [f for f in some if not f[1].whole or abs(np.log(f[1].area / area[i])) <= LIKE_AREA]  # a cut one may have any area
+        # Not balls of another size elsewhere in the scene; a cut one may have any area.
+        like = [f for f in some if not f[1].whole or abs(np.log(f[1].area / area[i])) <= 0.3]
         fitting = [(f, _away(f[1], uv[i])) for f in like]
         f, distance = min(fitting, key=lambda g: g[1], default=(None, np.inf))
         chosen.append(f if distance <= allowed else None)

@@ -89,14 +89,11 @@ def level_rays(ray: Array, tilt: Array, camera: Camera, how: Derotation) -> Arra
         level = np.column_stack([xy, one])
         out[seen] = level / np.linalg.norm(level, axis=1, keepdims=True)
         return out
-    s, L = _ANGLES.measure(rays).reshape(-1, 2), _ANGLES.interaction(rays, one).reshape(-1, 2, 6)
-    theta, phi = (s - (_printed(s) @ turn[:2] if how == "as_printed" else L[..., 3:] @ turn)).T
+    s, L = _ANGLES.measure(rays).reshape(-1, 2), _ANGLES.interaction(rays, one).reshape(-1, 2, 6)[..., 3:]
+    if how == "as_printed":  # wrong, see the module's docstring
+        (theta, phi), turn = s.T, turn[:2]
+        rows = [[np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], [np.sin(phi), -np.cos(phi)]]
+        L = np.ascontiguousarray(np.moveaxis(np.array(rows), -1, 0))
+    theta, phi = (s - L @ turn).T
     out[seen] = np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     return out
-
-
-def _printed(s: Array) -> Array:
-    """The derotation matrix (N, 2, 2) as printed, at angles (theta, phi) (N, 2): wrong, see the module's docstring."""
-    theta, phi = s.T
-    rows = [[np.cos(phi) * np.cos(theta), np.sin(phi) * np.cos(theta)], [np.sin(phi), -np.cos(phi)]]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), -1, 0))

@@ -90,15 +90,13 @@ def those(pairs: Pairs, which: NDArray[np.bool_], first: int) -> tuple[Pairs, in
 # Places of matches below a pixel: each point's patch of the goal's picture, laid over this one.
 HALF = 10  # half the side of a patch, without its middle [px of the goal's picture]
 ROUNDS, SETTLED_PX = 8, 0.005  # most Gauss-Newton steps, and the step under which none follows [px]
-REACH_PX = 3.0  # a patch that moves farther than this from its match has found something else [px]
 ALIKE = 0.8  # least correlation of a patch with the goal's [1]
 TEXTURE = 1e-3  # least of the smaller eigenvalue of a patch's normal equations, as a share of the larger one: an edge alone is no place
-SMOOTH_PX = 0.8  # standard deviation of the Gaussian over both pictures, without which interpolation between pixels adds a bias [px]
 
 
 def smooth(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """A picture (H, W) as `refined` takes it."""
-    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTH_PX), np.float32)
+    """A picture (H, W) as `refined` takes it: not filtered, interpolation between pixels would add a bias."""
+    return np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 0.8), np.float32)
 
 
 def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Array, uv: Array, A: Array) -> Array:
@@ -131,7 +129,7 @@ def refined(goal: NDArray[np.float32], image: NDArray[np.float32], uv_goal: Arra
         if np.abs(step).max(initial=0.0) < SETTLED_PX:
             break
     usable &= _inside(goal, uv_goal[:, None] + x) & _inside(image, at[:, None] + over)
-    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < REACH_PX)
+    found = usable & (alike > ALIKE) & (np.linalg.norm(at - start, axis=1) < 3.0)  # farther away it has found something else
     return np.where(found[:, None], at, np.nan)
 
 
