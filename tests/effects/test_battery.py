@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vstestbed.effects.battery import Battery, reference_voltage
+from vstestbed.effects.rotors import Battery, reference_voltage
 from vstestbed.robots.rotors import X4
 
 HOVER = (X4.hover**0.5,) * 4

@@ -11,8 +11,7 @@ import pytest
 
 from tests.sim.two_mass import ROTOR, arm, frequency, inertia, plant_of, stage_of
 from vstestbed.core.geometry import Array
-from vstestbed.effects.joints import Gears
-from vstestbed.effects.strain_wave import CURVES, StrainWave
+from vstestbed.effects.joints import CURVES, Gears, StrainWave
 from vstestbed.sim.scene.scene import Scene
 
 K = 2000.0

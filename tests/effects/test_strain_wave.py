@@ -16,8 +16,7 @@ from tests.robots.arms import NEEDS_PANDA
 from tests.sim.two_mass import arm, frequency, inertia, stage_of
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array
-from vstestbed.effects.joints import Gears
-from vstestbed.effects.strain_wave import CURVES, StrainWave, Torsion
+from vstestbed.effects.joints import CURVES, Gears, StrainWave, Torsion
 from vstestbed.robots.base import needed_step
 from vstestbed.robots.chain import reader
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.effects.tyres import LOW_SPEED, Tyres
+from vstestbed.effects.wheels import LOW_SPEED, Tyres
 
 LOAD, MU, DT = 150.0, 0.8, 0.002
 

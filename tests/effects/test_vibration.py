@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from vstestbed.effects.vibration import Vibration
+from vstestbed.effects.rotors import Vibration
 from vstestbed.robots.rotors import X4
 
 STILL = [0.0] * 6

@@ -13,8 +13,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.planar import place_of
 from vstestbed.effects.floor import HALF_M, RELIEF, UnevenFloor
-from vstestbed.effects.tyres import TyreForces, Tyres
-from vstestbed.effects.wheels import WHEELS, WheelSpread
+from vstestbed.effects.wheels import WHEELS, TyreForces, Tyres, WheelSpread
 from vstestbed.robots.car import Car, CarLimits, CarParameters
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.vehicle import GroundStart

@@ -12,8 +12,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
 from vstestbed.effects.body import loosen, put
 from vstestbed.effects.floor import UnevenFloor
-from vstestbed.effects.tyres import Tyres
-from vstestbed.effects.wheels import WHEELS, WheelSpread
+from vstestbed.effects.wheels import WHEELS, Tyres, WheelSpread
 from vstestbed.robots.base import Reading
 from vstestbed.robots.car import Car, CarLimits
 from vstestbed.robots.omni import Omni

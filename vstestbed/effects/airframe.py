@@ -14,9 +14,7 @@ import numpy as np
 from vstestbed.core.spec import spec
 from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag, nearness
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
-from vstestbed.effects.battery import Battery
-from vstestbed.effects.rotors import ROTOR_M, MotorSpread, RotorInertia, _Craft, _four
-from vstestbed.effects.vibration import Vibration
+from vstestbed.effects.rotors import ROTOR_M, Battery, MotorSpread, RotorInertia, Vibration, _Craft, _four
 
 ALONG, ACROSS = (1.0, 0.0, -1.0, 0.0), (0.0, -1.0, 0.0, 1.0)  # where front, right, back and left are, along x and y, in arms
 NOTHING: Vector = (0.0, 0.0, 0.0)

@@ -21,9 +21,8 @@ from vstestbed.core.geometry import Array, inverse, log, rigid_error
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
-from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, each, quickest
+from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
 from vstestbed.effects.links import DisplacedLinks, GeometryError, Payload
-from vstestbed.effects.strain_wave import StrainWave
 from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
 from vstestbed.robots.base import STOP_S, BodyFile, Reading, SensorModel, random_of
 from vstestbed.robots.chain import JointChain, reader

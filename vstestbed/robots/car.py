@@ -24,8 +24,7 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
-from vstestbed.effects.tyres import Tyres
-from vstestbed.effects.wheels import WHEELS, WheelSpread
+from vstestbed.effects.wheels import WHEELS, Tyres, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
 from vstestbed.robots.base import BodyFile, Onboard, Reading, SensorModel
 from vstestbed.robots.own_model import OwnModel
