@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from vstestbed.effects.aerodynamics import AIR, Downwash, GroundEffect, nearness
-from vstestbed.effects.airframe import Airframe, FlightBlocks
+from vstestbed.effects.airframe import AIR, Airframe, Downwash, FlightBlocks, GroundEffect, nearness
 from vstestbed.robots.rotors import X4
 
 R = 0.165

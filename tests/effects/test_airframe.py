@@ -10,7 +10,7 @@ import pytest
 
 from tests.robots.craft import WEIGHT, Craft
 from tests.robots.flying import QUIET, perfect
-from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.effects.airframe import Downwash, GroundEffect, RotorDrag
 from vstestbed.effects.rotors import ROTOR_M, X4_ROTOR, Battery, MotorSpread, RotorInertia
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.rotors import X4

@@ -14,7 +14,7 @@ import vstestbed as vs
 from tests.catalogue.test_catalogue import LAW_PARAMETERS, SMALL_PICTURES
 from vstestbed.core import spec
 from vstestbed.core.named_files import folder
-from vstestbed.effects.aerodynamics import RotorDrag
+from vstestbed.effects.airframe import RotorDrag
 from vstestbed.features import FEATURES
 from vstestbed.laws import LAWS, Predictive
 from vstestbed.laws.feedforward import FEEDFORWARDS

@@ -16,7 +16,6 @@ from vstestbed.effects.base import Four, Vector
 
 ROTOR_M = 0.045  # height of the rotors over the centre of mass [m], by models/quadrotor.xml
 X4_ROTOR = 6.49e-5  # inertia of a rotor of the X-4 Flyer about its axis [kg m^2], as in models/quadrotor.xml
-SPIN = (1.0, -1.0, 1.0, -1.0)  # sense of rotation of front, right, back, left about the craft's z
 
 
 class _Craft(Protocol):
