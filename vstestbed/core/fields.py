@@ -65,11 +65,6 @@ class Node:
                 highs += [float(getattr(bound, name)) for name in ("lt", "le") if getattr(bound, name, None) is not None]
         return max(lows), min(highs)
 
-    @property
-    def positive(self) -> bool:
-        """Whether a number must be over 0."""
-        return any(isinstance(bound, Gt) and bound.gt == 0 for bound in self.bounds)
-
     def leaves(self) -> Iterator[Node]:
         """The nodes without parts in it."""
         if not self.parts:

@@ -157,8 +157,7 @@ except ImportError:  # Windows has no flock
     fcntl = None
 
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in "123456789¹²³")}
-Identity = tuple[int, int]  # device and inode of a folder
-_held: dict[Identity, int] = {}  # how many nested holds this process has on each folder
+_held: dict[tuple[int, int], int] = {}  # how many nested holds this process has on each folder, by its device and inode
 
 
 @contextmanager

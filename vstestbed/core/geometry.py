@@ -39,17 +39,13 @@ def rpy_of(R: list[list[float]]) -> Angles:
     angles = _rpy_from_largest(R)
     # near a pitch of 90 degrees roll and yaw, each taken alone, are uncertain, and the two errors must cancel
     if abs(R[2][0]) > 1 - 1e-4 and np.abs(rotation_from_rpy(np.radians(angles)) - R).max() > 1e-14:
-        return _rpy_in_turn(R)
+        # each angle from what the ones before leave: R is met at every pitch, to rounding
+        (xx, xy, xz), (yx, yy, yz), (zx, _, _) = R
+        yaw = math.atan2(yx, xx)
+        c, s = math.cos(yaw), math.sin(yaw)
+        pitch, roll = math.atan2(-zx, c * xx + s * yx), math.atan2(s * xz - c * yz, c * yy - s * xy)
+        return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
     return angles
-
-
-def _rpy_in_turn(R: list[list[float]]) -> Angles:
-    """`rpy_of` with each angle taken from what the ones before leave: R is met at every pitch, to rounding."""
-    (xx, xy, xz), (yx, yy, yz), (zx, _, _) = R
-    yaw = math.atan2(yx, xx)
-    c, s = math.cos(yaw), math.sin(yaw)
-    pitch, roll = math.atan2(-zx, c * xx + s * yx), math.atan2(s * xz - c * yz, c * yy - s * xy)
-    return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
 
 def _rpy_from_largest(R: list[list[float]]) -> Angles:

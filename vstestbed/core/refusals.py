@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Union
@@ -205,10 +206,11 @@ def _meaning(place: _Place) -> str:
 def _block_needed(block: type, found: Any) -> str:
     """The sentence for a value where a block belongs: its fields, and the block of the one that takes the value."""
     words = f"must be a block (a mapping) of {_listed(block)}, got {short(found)}"
-    fitting = next((name for name in _meant(block, found) if _takes(block, name, found)), None)
-    if fitting is None:
-        return words
-    return f"{words}; did you mean {{{fitting}: {short(list(found) if isinstance(found, tuple) else found)}}}?"
+    for name in _meant(block, found):
+        with contextlib.suppress(ParameterError):
+            block(**{name: found})
+            return f"{words}; did you mean {{{name}: {short(list(found) if isinstance(found, tuple) else found)}}}?"
+    return words
 
 
 def _listed(block: type) -> str:
@@ -221,14 +223,6 @@ def _meant(block: type, value: Any) -> list[str]:
         return list(fields(block)) if value else []
     only = needed(block) or list(fields(block))
     return only if isinstance(value, int | float) and not isinstance(value, bool) and len(only) == 1 else []
-
-
-def _takes(block: type, name: str, value: Any) -> bool:
-    try:
-        block(**{name: value})
-    except ParameterError:
-        return False
-    return True
 
 
 def _unknown(place: _Place) -> str:

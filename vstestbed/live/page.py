@@ -21,16 +21,11 @@ from vstestbed.sim.replay import Replay
 
 FLOOR, LINES, SKY = (74, 92, 115), (98, 117, 141), (190, 202, 216)
 FLOOR_M, GRID_M = 400.0, 60.0  # edges of the floor, and of the part of it with lines [m]
-AMBIENT = 1.2
 LIGHTS = (("key", (-2.0, -3.0, 4.0), 1.7), ("fill", (3.0, 2.0, 1.0), 0.6))
-REACH = 0.13  # length of the camera's frustum over its distance from the target, or from its goal, at the start
-REACH_OF_ROOM = 0.05
-"""The same of a camera that stands in the room: it may be nearer to the viewer than the robot, and must not hide it."""
 SHORTEST_M, LONGEST_M = 0.06, 0.6
 LAYER_M = 0.004  # distance of the grid under the floor of the simulation, and of the surface under the grid [m]
 GHOST = 0.3  # opacity of the robot, or the target in the gripper, at its goal
 PLACES = 400  # points of the trail: when there are more, every other one is dropped
-PLATE_GREY = (115, 115, 120)
 
 
 class SceneView:
@@ -41,10 +36,10 @@ class SceneView:
         film, aside = first.film, scenario.target.on_gripper
         ends = [film.T_world_target, *([] if first.T_world_goal is None else [first.T_world_goal])]
         far = max(float(np.linalg.norm(T[:3, 3] - film.T_world_camera[:3, 3])) for T in ends)
-        self.reach_m = float(np.clip((REACH_OF_ROOM if aside else REACH) * far, SHORTEST_M, LONGEST_M))
+        # of the frustum; a camera that stands in the room may be nearer to the viewer than the robot, and must not hide it
+        self.reach_m = float(np.clip((0.05 if aside else 0.13) * far, SHORTEST_M, LONGEST_M))
         self._scene.reset()
-        self._light()
-        self._floor()
+        self._surroundings()
         self._bodies = self._solids()
         self._poses: Array | None = None  # of all bodies as they were put last (B, 7)
         self._trail, self._spacing = np.zeros((0, 3)), self.reach_m / 12
@@ -97,19 +92,17 @@ class SceneView:
             self.plate.remove()
             self.plate = None
         if T_world_plate is not None and self.plate is None:
-            self.plate = self._scene.add_mesh_simple("/plate", *_square(edge_m), color=PLATE_GREY, side="double")
+            self.plate = self._scene.add_mesh_simple("/plate", *_square(edge_m), color=(115, 115, 120), side="double")
         if T_world_plate is not None and self.plate is not None:
             _put(self.plate, T_world_plate)
 
-    def _light(self) -> None:
+    def _surroundings(self) -> None:
         self._scene.set_background_image(np.full((2, 2, 3), SKY, np.uint8))
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
-        self._scene.add_light_ambient("/lights/all", intensity=AMBIENT)
+        self._scene.add_light_ambient("/lights/all", intensity=1.2)
         for name, direction, intensity in LIGHTS:
             self._scene.add_light_directional(f"/lights/{name}", intensity=intensity, position=direction, cast_shadow=False)
-
-    def _floor(self) -> None:
         z = self._scenario.world.floor_z
         self._scene.add_mesh_simple("/floor", *_square(FLOOR_M), color=FLOOR, side="double", position=(0, 0, z - 2 * LAYER_M))
         grid = {"cell_size": 1.0, "section_size": 5.0, "cell_color": LINES, "section_color": LINES}
@@ -177,8 +170,6 @@ def _put(handle: viser.SceneNodeHandle, T: Array) -> None:
 
 
 WIDTH, EYE_HEIGHT = 400, 320  # the picture in the panel is at most as large [px]
-FRUSTUM_WIDTH = 160  # width of the one in the frustum [px]
-JPEG_QUALITY = 70
 
 
 class Eye:
@@ -191,13 +182,13 @@ class Eye:
         self._scenario, self._replay = scenario, replay
         self._pictures = Pictures(scenario, "eye", replay, self._size)
         blank = np.full((self._size[1], self._size[0], 3), 60, np.uint8)
-        self._shown = gui.add_image(blank, label="servo camera", format="jpeg", jpeg_quality=JPEG_QUALITY)
+        self._shown = gui.add_image(blank, label="servo camera", format="jpeg", jpeg_quality=70)
 
     def draw(self, sample: Sample) -> Image:
-        """Send the picture of a sample; returns a small one for the frustum."""
+        """Send the picture of a sample; returns a small one, at most 160 px wide, for the frustum."""
         image = self._pictures.picture(sample.film)
         self._shown.image = image
-        share = min(1.0, FRUSTUM_WIDTH / image.shape[1])
+        share = min(1.0, 160 / image.shape[1])
         return scaled(image, (round(share * image.shape[1]), round(share * image.shape[0])))
 
     def clear(self) -> None:

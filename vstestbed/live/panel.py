@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 import viser
+from annotated_types import Gt
 
 from vstestbed.core.fields import Node, fields
 from vstestbed.core.quantity import GainOrZero, PositiveGain, SignedGain
@@ -44,8 +45,6 @@ HIGH = {
     "law.speed_mps": 3.0,
 }
 """Right ends of sliders: far over what is usual, far under what is valid."""
-GAIN_HIGH, GAIN_TIMES = 4.0, 4.0
-DISTORTION_END = 0.4
 STEPS = 200
 
 
@@ -88,8 +87,7 @@ def fields_of(scenario: Scenario) -> list[Field]:
         found += _inside(block, value)
     if hasattr(scenario.camera, "distortion"):
         now = getattr(scenario.camera, "distortion", None) or (0.0,) * 5
-        end, step = DISTORTION_END, DISTORTION_END / STEPS
-        found += [Field(f"camera.distortion.{i}", "slider", now[i], -end, end, step) for i in (0, 1)]
+        found += [Field(f"camera.distortion.{i}", "slider", now[i], -0.4, 0.4, 0.4 / STEPS) for i in (0, 1)]
     rank = {path: i for i, path in enumerate(FIRST)}
     return sorted(found, key=lambda f: rank.get(f.path, -1) if f.comes_first else len(FIRST))
 
@@ -129,19 +127,18 @@ GAINS = [bound for quantity in (PositiveGain, GainOrZero, SignedGain) for bound 
 def _number(path: str, value: float, node: Node) -> Field:
     """A slider where its useful range is known, else a number to type."""
     is_gain, whole = node.within in GAINS, node.type is int
-    high = HIGH.get(path, max(GAIN_HIGH, GAIN_TIMES * abs(value)) if is_gain else 0.0)
+    high = HIGH.get(path, max(4.0, 4.0 * abs(value)) if is_gain else 0.0)
     if not high or whole:
         return Field(path, "number", value, whole=whole)
     low, top = node.limits
     high = min(max(high, value), top)
     power = 10.0 ** int(f"{high / STEPS:e}".partition("e")[2])
     step = next(m * power for m in (5, 2, 1) if m * power <= high / STEPS * (1 + 1e-9))
-    left = -high if low < 0 else min(step, value) if node.positive else 0.0
+    left = -high if low < 0 else min(step, value) if any(isinstance(bound, Gt) and bound.gt == 0 for bound in node.bounds) else 0.0
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
 Ask = Callable[[str, object], None]  # ask for a setting: path and value
-DIGITS = 9  # to which a slider's number is rounded: the browser adds up steps
 
 
 class Controls:
@@ -187,7 +184,7 @@ class Controls:
         gui, hint = self._gui, f"--set {field.path}=..."
         handle: Any
         if field.control == "choice":
-            label = f"{field.label}.kind" if field.path in KIND_AND_NUMBER else field.label
+            label = f"{field.label}.kind" if field.path == "law.gain" else field.label  # whose number has a slider
             handle = gui.add_dropdown(label, field.choices, initial_value=field.value, hint=hint)
         elif field.control == "switch":
             handle = gui.add_checkbox(field.label, field.value, hint=hint)
@@ -196,18 +193,16 @@ class Controls:
         else:
             handle = gui.add_number(field.label, field.value if field.whole else float(field.value), hint=hint)
 
-        async def asked(event: viser.GuiEvent[Any]) -> None:  # async: run at once and in order, not in a pool of threads
-            if event.client is not None:
-                value = event.target.value
-                value = read_value(value) if field.control == "choice" else value
-                self._ask(field.path, round(value, DIGITS) if isinstance(value, float) and field.control != "choice" else value)
+        def asked(value: Any) -> None:
+            if field.control == "choice":
+                value = read_value(value)
+            elif isinstance(value, float):
+                value = round(value, 9)  # the browser adds up a slider's steps
+            self._ask(field.path, value)
 
-        handle.on_update(asked)
+        on_change(handle, asked)
         self._handles[_key(field)] = field, handle
         return handle
-
-
-KIND_AND_NUMBER = {"law.gain"}  # fields whose kind has a menu, and whose number a slider
 
 
 def _key(field: Field) -> str:
@@ -216,7 +211,6 @@ def _key(field: Field) -> str:
 
 SPEEDS = {"0.1 x": 0.1, "0.25 x": 0.25, "0.5 x": 0.5, "1 x": 1.0, "2 x": 2.0, "5 x": 5.0, "as fast as it can": math.inf}
 LAW = "law"  # of what is changed by hand, that which a scenario can repeat, though from the start alone
-SLOWER = 0.95  # share of the asked pace under which the page says that the machine is slower
 PUSH_S = 0.2  # how long a push lasts [s]
 
 
@@ -230,13 +224,7 @@ def transport_panel(gui: viser.GuiApi, inbox: Inbox, transport: Transport, reset
 
     buttons.on_click(clicked)
     speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1 x", hint="simulated time against real time")
-
-    async def asked(event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            wanted = SPEEDS[event.target.value]
-            inbox.put(lambda: transport.set_speed(wanted), "speed")
-
-    speed.on_update(asked)
+    on_change(speed, lambda wanted: inbox.put(lambda: transport.set_speed(SPEEDS[wanted]), "speed"))
 
 
 class StatusLine:
@@ -280,7 +268,7 @@ def _state(sample: Sample, transport: Transport) -> str:
     pace, wanted = transport.pace, transport.speed
     if math.isnan(pace):
         return "running"
-    if math.isfinite(wanted) and pace < SLOWER * wanted:
+    if math.isfinite(wanted) and pace < 0.95 * wanted:
         return f"running at {pace:.2f} x real time: slower than the {wanted:g} x asked for"
     return f"running at {pace:.2f} x real time"
 
@@ -299,9 +287,13 @@ class HandPanel:
             self._called = [shown.called(i) for i in range(len(shown.places))] or ["0"]
             self._marker = gui.add_dropdown("before marker", self._called)
         self._boxes = {"target": target, "plate": plate}
-        for what, box in self._boxes.items():
-            box.on_update(self._asked(inbox, what, gizmo))
-        self._marker.on_update(self._asked(inbox, "plate", gizmo))
+
+        def ask(what: str, on: bool) -> None:
+            inbox.put(lambda: gizmo(what, on), f"hand.{what}")
+
+        on_change(target, lambda on: ask("target", on))
+        on_change(plate, lambda on: ask("plate", on))
+        on_change(self._marker, lambda _: ask("plate", plate.value))
 
     @property
     def marker(self) -> int:
@@ -313,13 +305,15 @@ class HandPanel:
         for what, box in self._boxes.items():
             box.value = what in held
 
-    def _asked(self, inbox: Inbox, what: str, gizmo: Callable[[str, bool], None]) -> Any:
-        async def asked(event: viser.GuiEvent[Any]) -> None:
-            if event.client is not None:
-                on = bool(self._boxes[what].value)
-                inbox.put(lambda: gizmo(what, on), f"hand.{what}")
 
-        return asked
+def on_change(control: Any, act: Callable[[Any], None]) -> None:
+    """Call `act` with the value of a control when a page has set it."""
+
+    async def changed(event: viser.GuiEvent[Any]) -> None:  # async: run at once and in order, not in a pool of threads
+        if event.client is not None:
+            act(event.target.value)
+
+    control.on_update(changed)
 
 
 def on_click(button: Any, inbox: Inbox, order: Callable[[], None]) -> None:

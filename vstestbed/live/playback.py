@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import viser
 
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.live.app import IDLE_S
 from vstestbed.live.page import LiveView
-from vstestbed.live.panel import StatusLine, transport_panel
+from vstestbed.live.panel import StatusLine, on_change, transport_panel
 from vstestbed.live.run import Sample, Served, Transport, sample
 from vstestbed.live.server import LocalServer
 from vstestbed.loop.columns import TWIST
@@ -70,7 +68,7 @@ class PlaybackApp(Served):
         transport_panel(gui, self._inbox, self.transport, lambda: self.go_to(0))
         last = float(self.recorded.t[-1])
         self._slider = gui.add_slider("t [s]", 0.0, max(last, 1e-3), max(1e-3, last / 1000), 0.0)
-        self._slider.on_update(self._asked)
+        on_change(self._slider, lambda t: self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER))
         gui.main_panel.dock_right()
         self.go_to(0)
 
@@ -98,11 +96,6 @@ class PlaybackApp(Served):
         """How long the next frame is not due [s]; None where none is to come: paused, at the end, or nobody looks."""
         ended = self.i + 1 >= len(self.recorded)
         return None if ended or not self._server.get_clients() else self.transport.wait_s(self._sample.film.t)
-
-    async def _asked(self, event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            t = float(event.target.value)
-            self._inbox.put(lambda: self.go_to(self.recorded.at(t)), SLIDER)
 
     def go_to(self, i: int) -> None:
         """Show another frame (by the thread that serves), with the curves and the trail up to it."""

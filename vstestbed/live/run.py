@@ -256,11 +256,8 @@ class Transport:
         return (t_now - t) / (wall_now - wall) if wall_now > wall else math.nan
 
 
-PLATE_RADII, LEAST_PLATE_M = 5.0, 0.06
-"""Edge of the plate in reserve: so many radii of a marker, but at least so much [m]."""
 PICTURE_S, REST = 1 / 15, 2.5
 """Least time on the wall between two whole pictures [s], and over the time that a frame with one took."""
-NEAR_MARKER = 0.75  # where the plate is held, as a share of the way from the camera to the marker
 
 
 class LiveRun:
@@ -293,7 +290,7 @@ class LiveRun:
 
     def restart(self) -> None:
         """Begin again, with the settings in force. A run that cannot begin leaves the one before as it is."""
-        edge = max(LEAST_PLATE_M, PLATE_RADII * self.scenario.target.marker.radius)
+        edge = max(0.06, 5.0 * self.scenario.target.marker.radius)  # of the plate in reserve [m]: it hides one marker
         session = Session(self.scenario, pictures=True, plate_m=edge)
         frame = session.reset()
         if self.restarts:
@@ -363,7 +360,7 @@ class LiveRun:
         places = target.places if len(target.places) else np.zeros((1, 3))
         marker = transform(truth.T_world_target, places)[min(i, len(places) - 1)]
         T = truth.T_world_camera.copy()
-        T[:3, 3] += NEAR_MARKER * (marker - T[:3, 3])
+        T[:3, 3] += 0.75 * (marker - T[:3, 3])  # nearer to the marker than to the camera
         return T
 
     def _goes_on(self) -> None:

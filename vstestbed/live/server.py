@@ -26,7 +26,6 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError, short
 HOST = "127.0.0.1"
 OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?", re.IGNORECASE)
 """Header `Host` of a request by a name of this machine, at any port: a tunnel (`ssh -L`) may have another one."""
-SECRET_BYTES = 16
 _log = logging.getLogger(__name__)
 _web_log = logging.getLogger(f"{__name__}.web")
 _web_log.setLevel(logging.WARNING)  # below, websockets logs whole requests, and with them the secret
@@ -45,7 +44,7 @@ class Gate:
     """
 
     def __init__(self) -> None:
-        self.secret, self.stands = secrets.token_urlsafe(SECRET_BYTES), False
+        self.secret, self.stands = secrets.token_urlsafe(16), False
 
     def refusal(self, request: Request) -> str | None:
         """Why a request is not served; None for one that is."""
