@@ -125,7 +125,7 @@ def flush_entries(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> Path:
-    """Make a folder inside one of results, unless it is there."""
+    """Make a folder of results, or one inside it, unless it is there; returns it."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     return folder
@@ -267,9 +267,7 @@ def new_folder(parent: Path, out: Path | None, remedy: str = "give a new one") -
     if out is None:
         return numbered(parent)
     must_be_new(out, remedy)
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-    return out
+    return make_folder(out)
 
 
 @contextmanager

@@ -276,8 +276,6 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     return field.default_factory() if field.default_factory is not dataclasses.MISSING else field.default
 
 
-# Contract: what each member of a registry must have, checked once, when the member is registered.
-#
 # A plugin that lacks a method would otherwise run until the loop first calls that method, and end with a traceback there.
 @dataclass(frozen=True)
 class Contract:

@@ -45,7 +45,11 @@ def spec(cls: type[T]) -> type[T]:
         types = typing.get_type_hints(made, localns=dict(sys._getframe(1).f_locals), include_extras=True)
         for field in dataclasses.fields(made):
             field.type = types[field.name]
-    has_more = _needs_values(made)
+    # Whether the defaults alone make no object: a field has none, or a validator of pydantic's checks what has been made. One in the mode
+    # "before" reads what is given, and has nothing to read then.
+    has_more = any(field.init and field.default is field.default_factory is dataclasses.MISSING for field in dataclasses.fields(made))
+    checks = (getattr(member, "decorator_info", None) for base in made.__mro__ for member in vars(base).values())
+    has_more |= any(check is not None and getattr(check, "mode", "") != "before" for check in checks)
 
     def init(self: Any, *nameless: Any, **values: Any) -> None:
         construct(self, made, has_more, nameless, values)
@@ -98,15 +102,6 @@ def _default(field: dataclasses.Field[Any]) -> Any:
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
     return inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default
-
-
-def _needs_values(cls: type) -> bool:
-    """Whether the defaults alone make no object: a field has none, or a validator of pydantic's checks what has been made. One in the mode
-    "before" reads what is given, and has nothing to read here.
-    """
-    lacks = any(field.init and field.default is field.default_factory is dataclasses.MISSING for field in dataclasses.fields(cls))
-    checks = (getattr(member, "decorator_info", None) for base in cls.__mro__ for member in vars(base).values())
-    return lacks or any(check is not None and getattr(check, "mode", "") != "before" for check in checks)
 
 
 def construct(made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], values: dict[str, Any]) -> None:

@@ -138,15 +138,12 @@ def _number(path: str, value: float, node: Node) -> Field:
     return Field(path, "slider", value, low=left, high=high, step=step, is_gain=is_gain)
 
 
-Ask = Callable[[str, object], None]  # ask for a setting: path and value
-
-
 class Controls:
     """The controls of a scenario: those that a person turns first, and the others in folders, one a block, which are closed.
     ask: told what a page sets, at once and from another thread. waits: whether what was asked for a path is still to come.
     """
 
-    def __init__(self, gui: viser.GuiApi, scenario: Scenario, ask: Ask, waits: Callable[[str], bool]):
+    def __init__(self, gui: viser.GuiApi, scenario: Scenario, ask: Callable[[str, object], None], waits: Callable[[str], bool]):
         self._gui, self._ask, self._waits = gui, ask, waits
         self._parts: list[Any] = []
         self._handles: dict[str, tuple[Field, Any]] = {}
