@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.shortcuts import one_quick
-from vstestbed.env.rollout import Reward, RewardKind, Rollout, rollout_of
+from vstestbed.env.rollout import Reward, RewardKind, Rollout
 
 DISCOUNTS = 0.9, 0.95, 0.99, 1.0
 BUNDLED = "arm_ibvs", "arm_pbvs", "omni_ibvs", "car_pbvs", "quadrotor_hover", "arm_track_circle"
@@ -65,7 +65,7 @@ def soonest_lost(rollout: Rollout) -> Policy:
 def test_the_law_wins_against_giving_up_and_against_an_end(quick: Path, discount: float, ends: bool) -> None:
     def worth(policy: Policy) -> tuple[float, str]:
         given = {"reward": "negative_error", "discount": discount, "end_on_rest": ends, "end_on_loss": ends}
-        rewards, info = flown(rollout_of(quick, success_bonus=0.0, overrides={"law.gain": 1.0, "stop.duration_s": 8}, **given), policy)
+        rewards, info = flown(Rollout(quick, success_bonus=0.0, overrides={"law.gain": 1.0, "stop.duration_s": 8}, **given), policy)
         return returned(rewards, discount), info["outcome"]
 
     best, outcome = worth(Rollout.expert)
@@ -99,7 +99,7 @@ def test_the_law_wins_in_bundled_scenarios(name: str, monkeypatch: pytest.Monkey
         return list(steps)
 
     for ends in (True, False):
-        rollout = rollout_of(name, reward="negative_error", end_on_rest=ends, end_on_loss=ends)
+        rollout = Rollout(name, reward="negative_error", end_on_rest=ends, end_on_loss=ends)
         policies = {"still": still, "random": at_random()} | ({"lost": soonest_lost(rollout)} if ends else {})
         best, others = episode(rollout, Rollout.expert), {name: episode(rollout, policy) for name, policy in policies.items()}
         rollout.close()

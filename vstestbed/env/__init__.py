@@ -29,17 +29,6 @@ ANY = "vstestbed/scenario-v0"
 REMEDY = "pip install 'vstestbed[env]'"
 
 
-def _register() -> None:
-    if find_spec("gymnasium") is None:
-        return
-    from gymnasium import register
-
-    entry = "vstestbed.env.gym_env:GymServo"
-    register(ANY, entry_point=entry)
-    for name in bundled_scenarios():
-        register(f"vstestbed/{name}-v0", entry_point=entry, kwargs={"scenario": name})
-
-
 def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict[str, Any], Any]:
     """A Gymnasium environment of any scenario (a YAML file, a bundled name, or a loaded one), `gymnasium.make` of the id ANY.
     settings: as of `GymServo` or `gymnasium.make`. Errors: those of `GymServo`; EnvironmentLackError where Gymnasium is not installed.
@@ -53,13 +42,18 @@ def make(scenario: str | Path | Scenario, **settings: Any) -> gymnasium.Env[dict
 
 def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: Any) -> DmServo:
     """A dm_env environment of any scenario (a YAML file, a bundled name, or a loaded one).
-    settings: as of `rollout.rollout_of`. seed: of the seeds that episodes get, one after the other; None: other ones each time.
+    settings: as of `rollout.Rollout`. seed: of the seeds that episodes get, one after the other; None: other ones each time.
     Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
     from vstestbed.env.deepmind import DmServo
-    from vstestbed.env.rollout import rollout_of
+    from vstestbed.env.rollout import Rollout
 
-    return DmServo(rollout_of(scenario, **settings), seed)
+    return DmServo(Rollout(scenario, **settings), seed)
 
 
-_register()
+if find_spec("gymnasium") is not None:
+    from gymnasium import register
+
+    register(ANY, entry_point="vstestbed.env.gym_env:GymServo")
+    for _name in bundled_scenarios():
+        register(f"vstestbed/{_name}-v0", entry_point="vstestbed.env.gym_env:GymServo", kwargs={"scenario": _name})

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
-from vstestbed.env.rollout import MOST_SEED, Step, rollout_of
+from vstestbed.env.rollout import MOST_SEED, Rollout, Step
 from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
@@ -26,23 +26,17 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         render_mode: None, or `rgb_array`, the scene from outside.
-        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `rollout.rollout_of` has them.
+        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `Rollout` has them.
     Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
 
-    def __init__(
-        self,
-        scenario: str | Path | Scenario,
-        *,
-        render_mode: str | None = None,
-        **settings: Any,
-    ):
+    def __init__(self, scenario: str | Path | Scenario, *, render_mode: str | None = None, **settings: Any):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError("render_mode", "must be None or rgb_array", render_mode)
         self.render_mode = render_mode
-        self._rollout = rollout_of(scenario, **settings)
+        self._rollout = Rollout(scenario, **settings)
         self.scenario = self._rollout.scenario
         self.task, self.task_description = self.scenario.name, self.scenario.description
         self._max_episode_steps = self._rollout.most_steps

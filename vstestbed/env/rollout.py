@@ -61,7 +61,7 @@ class Reward:
     2019, "Discriminator-actor-critic: addressing sample inefficiency and reward bias in adversarial imitation learning", ICLR.
     """
 
-    kind: RewardKind = "potential"
+    kind: RewardKind
     discount: float = 0.99
     success_bonus: float = 10.0
 
@@ -132,17 +132,21 @@ class Rollout:
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
-        observation: the mode. reward: of a step. overrides: values by dotted path, as `vstestbed.load`.
+        observation: the mode. reward, discount, success_bonus: of a step, see `Reward`.
+        overrides: values by dotted path, as `vstestbed.load`.
         end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
         end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
-    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario.
+    Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario; those of `Reward`.
     """
 
     def __init__(
         self,
         scenario: str | Path | Scenario,
         observation: ObservationMode = "markers",
-        reward: Reward = Reward(),
+        *,
+        reward: RewardKind = "potential",
+        discount: float = 0.99,
+        success_bonus: float = 10.0,
         overrides: Mapping[str, object] | None = None,
         end_on_rest: bool = True,
         end_on_loss: bool = True,
@@ -155,7 +159,7 @@ class Rollout:
         rest = {} if end_on_rest else {"rest_after_s": None}
         loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
         self.scenario = replace(given, stop=replace(given.stop, **rest, **loss))
-        self._mode, self._reward = observation, reward
+        self._mode, self._reward = observation, Reward(reward, discount, success_bonus)
         robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
         self.action_unit = action_unit(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
@@ -296,18 +300,3 @@ class Rollout:
             "seed": self._episode.scenario.seed,
             "truth": {name: np.array(value) for name, value in true.items()},
         }
-
-
-def rollout_of(
-    scenario: str | Path | Scenario,
-    *,
-    observation: ObservationMode = "markers",
-    reward: RewardKind = "potential",
-    discount: float = 0.99,
-    success_bonus: float = 10.0,
-    overrides: Mapping[str, object] | None = None,
-    end_on_rest: bool = True,
-    end_on_loss: bool = True,
-) -> Rollout:
-    """A rollout by the settings of an environment: reward, discount and bonus as `Reward` has them, the others as `Rollout`."""
-    return Rollout(scenario, observation, Reward(reward, discount, success_bonus), overrides, end_on_rest, end_on_loss)

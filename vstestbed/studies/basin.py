@@ -6,13 +6,12 @@ import dataclasses
 import logging
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_json, write_table
@@ -29,47 +28,29 @@ if TYPE_CHECKING:
     import polars
 
 
-# What a map of ideal runs leaves out of a scenario: it is told, since the map is that of the law alone.
-OF_CAMERAS = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
-"""What the pictures of an ideal camera do not have."""
-THAT_HIDE = "plates", "scenery"
-"""What of the world may stand before a target; the rest of it changes how pictures look."""
-
-
 def left_out(scenario: Scenario) -> list[str]:
     """What `ideal` takes out of a scenario: a robot's body, points of a detector's own, effects on pictures and timing by their paths."""
     found = [] if scenario.robot.body is None else [*_of_robot(scenario.robot)]
     if scenario.detector.rows is not None:
         found.append(f"the points that detector {scenario.detector.kind} finds (the law has the target's corners in their place)")
-    found += [f"camera.{name}" for name in OF_CAMERAS if getattr(scenario.camera, name) not in (0.0, None)]
-    for block in ("noise", "timing"):
-        found += [f"{block}.{name}" for name in _changed(getattr(scenario, block))]
-    return found + [f"world.{name}" for name in THAT_HIDE if getattr(scenario.world, name)]
-
-
-def tell_left_out(scenarios: Iterable[Scenario]) -> None:
-    """Warn of all that is left out of scenarios, in one sentence."""
-    if found := dict.fromkeys(name for scenario in scenarios for name in left_out(scenario)):
-        words = "the maps are of the law behind an ideal camera, and leave out %s; vstestbed compare runs it all, start by start"
-        logging.getLogger("vstestbed").warning(words, ", ".join(found))
+    of_cameras = "latency_s", "readout_s", "optics", "exposure", "sensor", "stream"
+    found += [f"camera.{name}" for name in of_cameras if getattr(scenario.camera, name) not in (0.0, None)]
+    for name in ("noise", "timing"):
+        block = getattr(scenario, name)
+        plain = type(block)()
+        found += [f"{name}.{f.name}" for f in dataclasses.fields(block) if getattr(block, f.name) != getattr(plain, f.name)]
+    # what may stand before a target; the rest of the world changes how pictures look
+    return found + [f"world.{name}" for name in ("plates", "scenery") if getattr(scenario.world, name)]
 
 
 def _of_robot(robot: Robot) -> Iterator[str]:
     """Its dynamics and limits, its preset, and the effects that it has: the blocks that are none by default."""
     yield f"the dynamics and limits of robot {robot.kind}"
-    names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
     if getattr(robot, "realism", "none") != "none":
-        yield "robot.realism"
-        return  # it fills the others
+        yield "robot.realism"  # which fills the others
+        return
+    names = {field.name: field.default for field in dataclasses.fields(robot) if field.init}  # pyright: ignore[reportArgumentType] - a spec
     yield from (f"robot.{name}" for name, default in names.items() if default is None and getattr(robot, name) is not None)
-
-
-def _changed(block: object) -> Iterator[str]:
-    """The names of a block's fields that are not as by default."""
-    plain = type(block)()
-    for field in dataclasses.fields(block):  # pyright: ignore[reportArgumentType] - a spec
-        if getattr(block, field.name) != getattr(plain, field.name):
-            yield field.name
 
 
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -165,7 +146,8 @@ class Basin:
         """The map in numbers, as `basin.json` has it."""
         names, counts = np.unique(self.endings.astype(str), return_counts=True)
         shares = dict(zip(names.tolist(), (counts / counts.sum()).tolist(), strict=True))
-        detector = self.scenario.detector
+        detector, gain = self.scenario.detector, getattr(self.scenario.law, "gain", None)
+        gain = gain if isinstance(gain, float) else getattr(gain, "value", None)
         return {
             "label": self.label,
             "x": vars(self.x) | {"unit": self.x.unit},
@@ -176,18 +158,11 @@ class Basin:
             "shares": dict(sorted(shares.items(), key=lambda item: -item[1])),
             "run_steps": self.batch.run_steps,
             "processor_s": self.processor_s,
-            "gain_step": _gain_step(self.scenario),
+            "gain_step": None if gain is None else gain * self.scenario.camera.period,  # the step of the discrete loop
             "checked": self.checked,
             "agreeing": self.checked - len(self.disagreements),
             "disagreements": [vars(d) | {"words": d.words(self.x.name, self.y.name)} for d in self.disagreements],
         }
-
-
-def _gain_step(scenario: Scenario) -> float | None:
-    """Gain times period, the step of the discrete loop; None for a law without a constant gain."""
-    gain = getattr(scenario.law, "gain", None)
-    value = gain if isinstance(gain, float) else getattr(gain, "value", None)
-    return None if value is None else value * scenario.camera.period
 
 
 def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
@@ -233,7 +208,9 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
             problem = f"`{label}` would make the same map as `{same[0]}`: its cameras are ideal, without the arm's dynamics, latency"
             raise ParameterError("scenario", f"{problem} and noise; leave one of the two out")
         found.append((label, scenario))
-    tell_left_out(c.scenario for c in chosen)
+    if omitted := dict.fromkeys(name for c in chosen for name in left_out(c.scenario)):
+        words = "the maps are of the law behind an ideal camera, and leave out %s; vstestbed compare runs it all, start by start"
+        logging.getLogger("vstestbed").warning(words, ", ".join(omitted))
     return found
 
 
@@ -247,15 +224,11 @@ def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, flo
         return mapped
     # a seed of its own: the same starts are checked every time
     spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)
-    different = (*_on_map(mapped, poses, spots), *_on_axis(scenario))
-    return replace(mapped, checked=len(spots) + len(ON_AXIS_DEG), disagreements=different)
-
-
-def _on_map(mapped: Basin, poses: Array, spots: NDArray[np.int_]) -> Iterator[Disagreement]:
-    """Those of the starts (M, 4, 4) at `spots` whose single runs end otherwise."""
-    for i, batch, full in _different(mapped.scenario, poses[spots], mapped.batch.outcome[spots].tolist()):
-        j, k = divmod(int(spots[i]), mapped.x.n)  # x fastest
-        yield Disagreement(float(mapped.x.values[k]), float(mapped.y.values[j]), batch, full)
+    different = list[Disagreement]()
+    for i, here, full in _different(scenario, poses[spots], batch.outcome[spots].tolist()):
+        j, k = divmod(int(spots[i]), x.n)  # x fastest
+        different.append(Disagreement(float(x.values[k]), float(y.values[j]), here, full))
+    return replace(mapped, checked=len(spots) + len(ON_AXIS_DEG), disagreements=(*different, *_on_axis(scenario)))
 
 
 def _on_axis(scenario: Scenario) -> Iterator[Disagreement]:

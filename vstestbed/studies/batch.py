@@ -146,13 +146,13 @@ class BatchSetup:
 
     def __post_init__(self) -> None:
         """Refuse what a batch cannot simulate."""
-        for field, fits, words in (*self._of_law(), *self._of_task(), *self._of_camera()):
+        for field, fits, words in self._conditions():
             if not fits:
                 raise ParameterError(field, words)
 
-    def _of_law(self) -> Iterator[tuple[str, bool, str]]:
-        """Field, whether it fits, and what else the message says, of each condition on the law."""
-        law = self.scenario.law
+    def _conditions(self) -> Iterator[tuple[str, bool, str]]:
+        """Field, whether it fits, and what else the message says."""
+        s, law = self.scenario, self.scenario.law
         foreign = sorted({"proprioception", "motion", "odometry", "place"} & set(law.inputs))
         yield "law.kind", not foreign, f"{law.kind} reads {''.join(foreign[:1])}, which the ideal cameras of a batch do not measure"
         margin_px = law.visibility.margin_px
@@ -160,19 +160,13 @@ class BatchSetup:
         yield "law.feedforward", law.feedforward.kind == "none", "must be none in a batch"
         known = not (isinstance(law.depth, Estimate) or law.depth.measured)
         yield "law.depth", known, f"may not be {law.depth.kind} in a batch; valid: pnp, constant, goal, oracle"
-
-    def _of_task(self) -> Iterator[tuple[str, bool, str]]:
-        s = self.scenario
         words = "must be [] in a batch, whose runs share one scenario; compare --seeds draws it for each run"
         yield "randomise", not s.randomise, words
         one_view = not (len(s.goal_views) > 1 or s.target.moves or s.goal.continuing or s.goal.lands)
         yield "goal", one_view, "must be one view of a target that stands still, in a batch"
         in_pixels = s.stop.converged.error_px is not None and not s.stop.converged.by_estimate
         yield "stop.converged", in_pixels, "must be judged by error_px alone in a batch"
-
-    def _of_camera(self) -> Iterator[tuple[str, bool, str]]:
-        s = self.scenario
-        oracle, solid = isinstance(s.detector, Oracle), s.target.body is not None and not s.target.outlined
+        solid = s.target.body is not None and not s.target.outlined
         bordered = isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited"
         words = "has a solid, and a batch does not know which markers it hides; give an unlimited field of view, or a target without one"
         yield "target", not (solid and bordered), words
@@ -181,7 +175,7 @@ class BatchSetup:
         yield "monitors", not s.monitors, "must be none in a batch, which ends runs by the loop's own alone"
         disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
         words = "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"
-        ideal = s.robot.body is None and oracle and not disturbed and not s.world.hides
+        ideal = s.robot.body is None and isinstance(s.detector, Oracle) and not disturbed and not s.world.hides
         yield "scenario", ideal, f"{words}; `basin.setup.ideal` makes it so"
 
     @cached_property
@@ -199,12 +193,6 @@ class BatchSetup:
     def needed(self) -> int:
         """Fewest visible markers with which the law gives a command."""
         return self.scenario.law.markers_needed(np.eye(6))
-
-    @cached_property
-    def posed(self) -> bool:
-        """Whether the law uses a pose solved from the pixels, or depths from it."""
-        law = self.scenario.law
-        return isinstance(law.depth, PnP) and law.inputs != ("relative",)
 
     def frames(self, duration_s: float) -> int:
         """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of inf more than any run has."""
@@ -462,7 +450,8 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     # a wide camera sees points behind its image plane, which have no normalised coordinates
     usable = seen & (p[..., 2] > 0) if plane else seen
     memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
-    needed = max(setup.needed, FIRST_POSE) if setup.posed and t == 0 else setup.needed
+    posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)  # by a pose solved from the pixels, or depths from it
+    needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
         views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth, setup.scenario.target.marker.radius)

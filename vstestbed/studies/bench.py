@@ -35,7 +35,7 @@ from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.speed_baseline import measure_baseline
 from vstestbed.studies.batch import simulate_batch
 from vstestbed.studies.comparison import compare
-from vstestbed.studies.run_folder import Films, run_into
+from vstestbed.studies.run_folder import run_into
 from vstestbed.tasks.stop import Stop
 
 NEVER_S = 1e9  # hold time at the goal that no run completes, so that the duration ends it
@@ -200,17 +200,21 @@ def measure(scenario: Scenario, repeats: int = 5) -> Bench:
     pairs = [_pair(scenario) for _ in range(repeats + 1)][1:]  # the first pair warms up
     recordings, floors = [r for r, _ in pairs], [f for _, f in pairs]
     # the ratio of each pair, not of the medians: both share the load of the machine at that time
-    ratios = [r.loop_s / sum(f) for r, f in pairs]
+    ratios, frames = [r.loop_s / sum(f) for r, f in pairs], len(recordings[0].table)
+    # without films; `other` is what no part accounts for
+    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
+    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
+    physics, render = (statistics.median(1e3 * f[part] / frames for f in floors) for part in (0, 1))
     return Bench(
         scenario=scenario.name,
-        frames=len(recordings[0].table),
+        frames=frames,
         repeats=repeats,
         real_time_factor=statistics.median(float(r["t"][-1]) / r.loop_s for r in recordings),
         ratio=statistics.median(ratios),
         ratio_low=min(ratios),
         ratio_high=max(ratios),
-        ms_per_frame=_ms_per_frame(recordings),
-        floor_ms=_floor_ms(floors, len(recordings[0].table)),
+        ms_per_frame=parts | {"other": whole - sum(parts.values()), "whole": whole},
+        floor_ms={"physics": physics, "render": render, "whole": physics + render},
         setup_s=statistics.median(r.wall_time_s - r.loop_s for r in recordings),
         renderer=recordings[0].versions["renderer"],
     )
@@ -220,24 +224,6 @@ def _pair(scenario: Scenario) -> tuple[Recording, tuple[float, float]]:
     """A run, and at once its floor (physics, pictures) [s], so that both meet the same load of the machine."""
     recording = uninterrupted(run(scenario))
     return recording, _floor(recording)
-
-
-def _loop_and_floor(scenario: Scenario) -> tuple[float, float]:
-    recording, floor = _pair(scenario)
-    return recording.loop_s, sum(floor)
-
-
-def _ms_per_frame(recordings: list[Recording]) -> dict[str, float]:
-    """Median wall time of a frame by part, without films; `other` is what no part accounts for."""
-    frames = len(recordings[0].table)
-    parts = {k: statistics.median(r.time_ms[k] / frames for r in recordings) for k in recordings[0].time_ms if k != "video"}
-    whole = statistics.median(1e3 * r.loop_s / frames for r in recordings)
-    return parts | {"other": whole - sum(parts.values()), "whole": whole}
-
-
-def _floor_ms(floors: list[tuple[float, float]], frames: int) -> dict[str, float]:
-    physics, render = (statistics.median(1e3 * f[part] / frames for f in floors) for part in (0, 1))
-    return {"physics": physics, "render": render, "whole": physics + render}
 
 
 def _floor(recording: Recording) -> tuple[float, float]:
@@ -391,15 +377,20 @@ def measure_one(floor: str, pair: Pair, repeats: int = 5) -> BesideFloor:
 def benchmarks() -> dict[str, tuple[str, Pair]]:
     """Every benchmark: what its floor is, and how both are measured."""
     arm = _short("arm_ibvs")
-    robots = {name: ("same physics steps, same raw pictures", partial(_loop_and_floor, _short(name))) for name in ROBOTS}
+    robots = {name: ("same physics steps, same raw pictures", partial(_of_robot, name)) for name in ROBOTS}
     return robots | {
         "ideal loop": ("equations of the law alone", _ideal),
         "run folder": ("the run in memory", partial(_folder, load("ibvs_book", IDEAL))),
-        "drafts of films": ("the run without films", partial(_filmed, arm, "both")),
+        "drafts of films": ("the run without films", partial(_filmed, arm)),
         "report": ("the run", partial(_report, arm)),
         "comparison": (f"its {RUNS} runs without folders, shared by {JOBS} processes", _comparison),
         "first frame": ("import of MuJoCo, OpenCV and NumPy", _first_frame),
     }
+
+
+def _of_robot(name: str) -> tuple[float, float]:
+    recording, floor = _pair(_short(name))
+    return recording.loop_s, sum(floor)
 
 
 def _short(name: str) -> Scenario:
@@ -432,9 +423,9 @@ def _folder(scenario: Scenario) -> tuple[float, float]:
     return whole[0], alone[0]
 
 
-def _filmed(scenario: Scenario, films: Films) -> tuple[float, float]:
+def _filmed(scenario: Scenario) -> tuple[float, float]:
     taken = []
-    for which in (films, "none"):
+    for which in ("both", "none"):
         with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as one:
             uninterrupted(run_into(folder, scenario, which, report=False))
         taken += one
@@ -454,12 +445,11 @@ def _report(scenario: Scenario) -> tuple[float, float]:
 
 def _comparison() -> tuple[float, float]:
     """A comparison with all its files but films, and its runs alone, one after another, over the number of processes."""
-    name, settings = "ibvs_book", IDEAL
     with _timed() as alone:
         for seed in range(RUNS):
-            uninterrupted(run(replace(load(name, settings), seed=seed)))
+            uninterrupted(run(replace(load("ibvs_book", IDEAL), seed=seed)))
     with TemporaryDirectory(prefix="vstestbed_bench_") as folder, _timed() as whole:
-        compare([name], set=settings, seeds=RUNS, jobs=JOBS, out=Path(folder) / "comparison", film=False)
+        compare(["ibvs_book"], set=IDEAL, seeds=RUNS, jobs=JOBS, out=Path(folder) / "comparison", film=False)
     return whole[0], alone[0] / JOBS
 
 

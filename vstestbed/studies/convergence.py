@@ -7,7 +7,6 @@ import math
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +24,7 @@ from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.comparison.runs import is_light
-from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed, pool_of, workers
+from vstestbed.studies.pools import MOST_TRIES, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4  # runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms
 
@@ -119,7 +118,7 @@ class Study:
         must_be_few(c, self.force)
 
     @cached_property
-    def runs(self) -> Sequence[Job]:
+    def runs(self) -> Jobs:
         """Every run."""
         return Jobs(controllers(self.comparison, self.force), self.comparison.seeds)
 
@@ -128,12 +127,15 @@ class Study:
         runs, again = self.runs, list[Work]()
         with closing(pool_of("local", workers(processes, len(runs)), folder)) as pool:
             for chunk, request, future in completed(pool, self._work(on_done), again):
-                endings = _endings(future, request, pool, len(chunk))
-                if endings is None:  # each by itself: one of them may have killed the worker
-                    again += [work for place, job in chunk if (work := _work([(place, job)], on_done))]
-                else:
-                    for (place, job), ending in zip(chunk, endings, strict=True):
-                        on_done(place, job, ending)
+                try:
+                    endings = future.result()
+                except WorkerLostError:
+                    if len(chunk) > 1 or pool.tries(request) < MOST_TRIES:  # each by itself: one of them may have killed the worker
+                        again += [work for one in chunk if (work := _work([one], on_done))]
+                        continue
+                    endings = [RunEnding.without_run(Outcome.crashed)]
+                for (place, job), ending in zip(chunk, endings, strict=True):
+                    on_done(place, job, ending)
 
     def _work(self, on_done: Callable[[int, Job, RunEnding], None]) -> Iterator[Work]:
         """All runs, some at a time."""
@@ -180,14 +182,6 @@ def _work(chunk: list[tuple[int, Job]], on_done: Callable[[int, Job, RunEnding],
     first = drawn[0][0][1].folder
     name = first if len(drawn) == 1 else f"{first} and {len(drawn) - 1} more"
     return [one for one, _ in drawn], MapRequest.of(name, [scenario for _, scenario in drawn])
-
-
-def _endings(future: Future[list[RunEnding]], request: MapRequest, pool: Pool, runs: int) -> list[RunEnding] | None:
-    """The endings of a request's runs; None where its worker died and each is to be done by itself, or again."""
-    try:
-        return future.result()
-    except WorkerLostError:
-        return [RunEnding.without_run(Outcome.crashed)] if runs == 1 and pool.tries(request) >= MOST_TRIES else None
 
 
 def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:

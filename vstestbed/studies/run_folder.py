@@ -196,19 +196,16 @@ def _all_or_nothing(folder: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if _has_frames(folder):  # a run that fails later keeps its log
+        frames = 0
+        with contextlib.suppress(RunFolderError):
+            frames = len(open_log(folder))
+        if frames:  # a run that fails later keeps its log
             raise
         for name in OWN_FILES:  # by name: a folder that the user gave may hold other files by now
             (folder / name).unlink(missing_ok=True)
         shutil.rmtree(folder / ASSETS, ignore_errors=True)
         files.remove_empty(folder)
         raise
-
-
-def _has_frames(folder: Path) -> bool:
-    with contextlib.suppress(RunFolderError):
-        return len(open_log(folder)) > 0
-    return False
 
 
 @contextmanager

@@ -126,18 +126,14 @@ def parameter(path: str, given: object) -> Parameter:
     if ":" not in str(given):
         raise ParameterError(OPTION, f"{path}: one value leaves nothing to choose; it {FORM}", given)
     low, high, scale = (*map(str.strip, str(given).split(":", 2)), "")[:3]
-    ends = _number(low), _number(high)
-    if ends[0] is None or ends[1] is None or scale not in ("", "log"):
+    least, most = _number(low), _number(high)
+    if least is None or most is None or scale not in ("", "log"):
         raise ParameterError(OPTION, f"{path}: is no range of numbers; it {FORM}", given)
-    return _range(path, given, ends[0], ends[1], scale == "log")
-
-
-def _range(path: str, given: object, low: float, high: float, log: bool) -> Range:
-    if low >= high:
+    if least >= most:
         raise ParameterError(OPTION, f"{path}: must have its low end first, and below the high one", given)
-    if log and low <= 0:
+    if scale and least <= 0:
         raise ParameterError(OPTION, f"{path}: must begin above 0 where it is logarithmic", given)
-    return Range(path, low, high, log)
+    return Range(path, least, most, scale == "log")
 
 
 def _number(text: str) -> float | None:
@@ -370,9 +366,7 @@ def _told(p: Parameter, value: object) -> Any:
 
 def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
     params = study.ask(_distributions(space)).params
-    return {
-        p.path: p.values[p.words.index(params[p.path])] if isinstance(p, Choice) else p.rounded(params[p.path]) for p in space.parameters
-    }
+    return {p.path: p.chosen(params[p.path]) if isinstance(p, Choice) else p.rounded(params[p.path]) for p in space.parameters}
 
 
 def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:

@@ -309,9 +309,6 @@ class Search:
         return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
 
 
-BEST, TABLE = "best.yaml", "trials"
-
-
 @dataclass(frozen=True)
 class TuningResult:
     """What a search has found.
@@ -430,14 +427,11 @@ class TuningResult:
 
     def write(self) -> Path:
         """Write the table of trials, `best.yaml`, the page and its figures; returns the page's path."""
-        write_table(self.folder / TABLE, self.table)
-        if self.best is not None:
-            dump(self.scenario, self.folder / BEST)
-        return write_tuning(self.folder, self._page())
-
-    def _page(self) -> TuningPage:
         plan, best = self.plan, self.best
-        return TuningPage(
+        write_table(self.folder / "trials", self.table)
+        if best is not None:
+            dump(self.scenario, self.folder / "best.yaml")
+        page = TuningPage(
             Path(plan.scenario).stem,
             self.headline,
             self.sentences(),
@@ -450,6 +444,7 @@ class TuningResult:
             None if best is None else best.number,
             plan.command,
         )
+        return write_tuning(self.folder, page)
 
 
 def _axis(p: Parameter) -> ParameterAxis:
@@ -530,15 +525,11 @@ def planned(
     if scenario is None:
         raise ParameterError("SCENARIO", "is missing: name the scenario that is to be tuned")
     loaded, here = load_plugins(plugins), Path.cwd()  # first: a metric may be one of theirs
-    varied = {path: _plain(parameter(path, given)) for path, given in vary.items()}
+    asked = [parameter(path, given) for path, given in vary.items()]
+    varied = {p.path: [block_of(value) for value in p.values] if isinstance(p, Choice) else str(p) for p in asked}
     own = {path: block_of(value) for path, value in settings.items()}
     own, varied = absolute_files(own, here), absolute_files(varied, here)
     return Tuning(scenario=str(scenario), plugins=loaded, set=own, vary=varied, **others)
-
-
-def _plain(one: Parameter) -> object:
-    """A range as its text, a choice as a list."""
-    return [block_of(value) for value in one.values] if isinstance(one, Choice) else str(one)
 
 
 @contextmanager

@@ -25,7 +25,6 @@ from vstestbed.report.comparison.baseline import BaselineChanges, change_of
 from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
-from vstestbed.tasks.metrics import Metric
 
 PLAN = "comparison.yaml"
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
@@ -70,7 +69,8 @@ def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.Data
     # Some thousands of rows at a time: as dictionaries they take twenty times the memory of a table.
     found, parts = finished(folder, jobs, damaged), list[pl.DataFrame]()
     while rows := [_row(job, summary) for job, summary in itertools.islice(found, GROUP)]:
-        names = _names(rows)
+        # in the order of the longest row: a crashed run has only a few of the summary's names
+        names = list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
         filled = [dict(zip(names, map(row.get, names), strict=True)) for row in rows]
         parts.append(pl.DataFrame(filled, infer_schema_length=None, strict=False))
     if not parts:
@@ -78,11 +78,6 @@ def table_of(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> pl.Data
     table = pl.concat(parts, how="diagonal_relaxed")
     longest = max(parts, key=lambda part: part.width).columns
     return table.select(*(name for name in dict.fromkeys([*longest, *table.columns]) if name != "attempts"), "attempts")
-
-
-def _names(rows: list[dict[str, Any]]) -> list[str]:
-    """Columns in the order of the longest row: a crashed run has only a few of the summary's names."""
-    return list(dict.fromkeys(name for row in sorted(rows, key=len, reverse=True) for name in row))
 
 
 def _row(job: Job, summary: dict[str, Any]) -> dict[str, Any]:
@@ -222,7 +217,11 @@ class Baseline:
         file = next((place / name for name in TABLES if (place / name).is_file()), place)
         if file.is_dir() or not file.exists():
             raise RunFolderError(place, "holds no comparison's results" if file.is_dir() else "no such folder or file", WORKS)
-        table = _table_in(file)
+        content = io.BytesIO(read_file(file, WORKS))
+        try:
+            table = pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
+        except (pl.exceptions.PolarsError, OSError) as error:
+            raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
         if missing := [name for name in NEEDED if name not in table.columns]:
             raise RunFolderError(file, f"is no table of a comparison (it has no column {missing[0]})", WORKS)
         return cls(place, file, table)
@@ -236,12 +235,15 @@ class Baseline:
         if not any(_key(_as_text(row), varied) in there for row in rows):
             names = list(dict.fromkeys(map(_words, _controllers(self.table))))
             more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-            words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {_seeds(self.table)}"
+            seeds = sorted(set(self.table["seed"].to_list()))
+            of = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else ", ".join(map(str, seeds))
+            words = f"has no run of this comparison; it has {'; '.join(names[:MOST_NAMED])}{more}, seeds {of}"
             raise RunFolderError(self.place, words, "compare the same scenarios with the same --vary and --seeds")
 
     def changes(self, comparison: Comparison, table: pl.DataFrame, folder: Path) -> BaselineChanges:
         """What changed in the runs that both have. comparison: the new one. table: of its runs. folder: its folder."""
         results = ComparisonResults(table, comparison.varied, comparison.metrics or shown_by_default(table))
+        metrics = list({m.name: m for m in (*results.shown, TIME)}.values())
         before = _rows_by_key(self.table, comparison.varied)
         left, only_now, found = dict(before), list[str](), []
         for controller in results.controllers:
@@ -251,7 +253,7 @@ class Baseline:
                 only_now.append(f"{controller.label}, {len(keys) - len(here)} of {len(keys)} runs")
             if here:
                 now, then = controller.runs[here], self.table[[before[keys[i]] for i in here]]
-                found.append(change_of(controller.label, then, now, _with_time(results.shown), self._settings(then, folder, now)))
+                found.append(change_of(controller.label, then, now, metrics, self._settings(then, folder, now)))
         return BaselineChanges(str(self.place), sum(c.runs for c in found), tuple(only_now), self._named(left.values()), tuple(found))
 
     def _named(self, rows: Iterable[int]) -> tuple[str, ...]:
@@ -266,19 +268,6 @@ class Baseline:
         if "folder" not in then.columns:
             return ()
         return differing([self.file.parent / str(then["folder"][0]), folder / str(now["folder"][0])])
-
-
-def _table_in(file: Path) -> pl.DataFrame:
-    content = io.BytesIO(read_file(file, WORKS))
-    try:
-        return pl.read_csv(content, infer_schema_length=None) if file.suffix == ".csv" else pl.read_parquet(content)
-    except (pl.exceptions.PolarsError, OSError) as error:
-        raise RunFolderError(file, f"is no table of a comparison ({str(error).splitlines()[0]})", WORKS) from None
-
-
-def _with_time(shown: Sequence[Metric]) -> list[Metric]:
-    """The metrics that are shown, and the time to converge."""
-    return list({m.name: m for m in (*shown, TIME)}.values())
 
 
 def _rows_by_key(table: pl.DataFrame, varied: Sequence[str]) -> dict[Key, int]:
@@ -319,8 +308,3 @@ def _controllers(table: pl.DataFrame) -> list[dict[str, Any]]:
 
 def _words(row: Mapping[str, Any]) -> str:
     return ", ".join([str(row["scenario"]), *(f"{name}={value}" for name, value in row.items() if name != "scenario")])
-
-
-def _seeds(table: pl.DataFrame) -> str:
-    seeds = sorted(set(table["seed"].to_list()))
-    return f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else ", ".join(map(str, seeds))

@@ -265,10 +265,11 @@ def chosen(
     Raises ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
-    path = _comparison_among(names)
+    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
+    needs = "a comparison needs base, a scenario robot, target, law and goal"
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
-    if path is None:
+    if path is None or not is_there(path) or "base" not in plain_mapping(text_of(path), str(path), needs)[0]:  # scenarios
         plugins = load_plugins(plugins)
         own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=tuple(plugins), limit=limit)
         return changed(own, options)
@@ -301,32 +302,9 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
         yield [(("tasks", name, "each" if task.each else "set"), task.set | task.each) for name, task in read.tasks.items()]
 
 
-def _comparison_among(names: list[str]) -> Path | None:
-    """The file of the comparison that the first name is of; None where it is a scenario's, or there is none."""
-    path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
-    needs = "a comparison needs base, a scenario robot, target, law and goal"
-    return path if path and is_there(path) and "base" in plain_mapping(text_of(path), str(path), needs)[0] else None
-
-
 # The controllers and runs of a comparison: counted before any is made, and made when their turn comes.
 STARTS_KEPT = 100
 """Scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes."""
-
-
-class Lazy(Sequence[T]):
-    """A sequence whose items are made when they are asked for."""
-
-    def item(self, i: int) -> T:
-        """Item i, 0 <= i < len."""
-        raise NotImplementedError
-
-    @overload
-    def __getitem__(self, i: int) -> T: ...
-    @overload
-    def __getitem__(self, i: slice) -> list[T]: ...
-    def __getitem__(self, i: int | slice) -> T | list[T]:
-        places = range(len(self))[i]
-        return self.item(places) if isinstance(places, int) else [self.item(place) for place in places]
 
 
 Start = Callable[[int], tuple[Scenario, str]]
@@ -408,7 +386,7 @@ class Job:
         return found.scenario if self.seed is None or not found.draws else seeded(found.scenario, self.seed)
 
 
-class Variants(Lazy[Variant]):
+class Variants(Sequence[Variant]):
     """All controllers of a comparison: scenarios, cases, axes and tasks, the last varying fastest."""
 
     def __init__(self, comparison: Comparison):
@@ -424,9 +402,13 @@ class Variants(Lazy[Variant]):
     def __len__(self) -> int:
         return min(math.prod(self._sizes), sys.maxsize)
 
-    def item(self, i: int) -> Variant:
-        """Variant i."""
-        return self._made(i)
+    @overload
+    def __getitem__(self, i: int) -> Variant: ...
+    @overload
+    def __getitem__(self, i: slice) -> list[Variant]: ...
+    def __getitem__(self, i: int | slice) -> Variant | list[Variant]:
+        places = range(len(self))[i]
+        return self._made(places) if isinstance(places, int) else [self._made(place) for place in places]
 
     def _make(self, i: int) -> Variant:
         c = self._comparison
@@ -544,7 +526,7 @@ def _seeds_draw(scenario: Scenario, runs: int) -> bool:
     return scenario.draws
 
 
-class Jobs(Lazy[Job]):
+class Jobs:
     """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them.
 
     Args:
@@ -569,16 +551,13 @@ class Jobs(Lazy[Job]):
         if None in self._numbers:
             yield from (Job(self._found[i], None) for i in every if self._numbers_of(i) is None)
         for turn in range(max(map(len, filter(None, self._numbers)), default=0)):
-            yield from (job for i in every if (job := self._job(i, turn)))
+            for i in every:
+                numbers = self._numbers_of(i) or ()
+                if turn < len(numbers):
+                    yield Job(self._found[i], numbers[turn], self._found[i].runs or len(numbers))
 
-    def _job(self, i: int, turn: int) -> Job | None:
-        """The run of controller i in a turn; None where it has no more."""
-        numbers = self._numbers_of(i) or ()
-        return Job(self._found[i], numbers[turn], self._found[i].runs or len(numbers)) if turn < len(numbers) else None
+    def __getitem__(self, i: int) -> Job:
+        return next(itertools.islice(self, range(len(self))[i], None))
 
     def _numbers_of(self, i: int) -> Sequence[int] | None:
         return self._numbers[i % len(self._numbers)]
-
-    def item(self, i: int) -> Job:
-        """Run i."""
-        return next(itertools.islice(self, i, None))

@@ -19,7 +19,7 @@ from vstestbed.scenario.dump import given_text
 from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.folder import finished
-from vstestbed.studies.comparison.plan import Job
+from vstestbed.studies.comparison.plan import Job, Jobs
 from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
@@ -103,7 +103,7 @@ class Runner:
     """
 
     folder: Path
-    jobs: Sequence[Job]
+    jobs: Jobs | Sequence[Job]
     filmed: tuple[int | None, ...] = ()
 
     @property
@@ -146,15 +146,12 @@ class Runner:
             try:
                 scenario = job.scenario()
             except VstestbedError as error:
-                self._store(job, _without_start(job, error), 1, on_done)
+                given = job.controller.scenario  # with the run's seed, without its start
+                text = given_text(given if job.seed is None else given.but(seed=job.seed))
+                if isinstance(error, UnreachableError):
+                    files = files_of_failure(text, error.problem, outcome=Outcome.unreachable)
+                else:
+                    files = files_of_failure(text, str(error))
+                self._store(job, files, 1, on_done)
             else:
                 yield job, RunRequest.of(job.folder, scenario, job.seed in self.filmed)
-
-
-def _without_start(job: Job, error: VstestbedError) -> Files:
-    """The folder of a run whose start cannot be drawn: with the scenario as it was given, and the run's seed."""
-    given = job.controller.scenario
-    text = given_text(given if job.seed is None else given.but(seed=job.seed))
-    if isinstance(error, UnreachableError):
-        return files_of_failure(text, error.problem, outcome=Outcome.unreachable)
-    return files_of_failure(text, str(error))
