@@ -94,9 +94,6 @@ class OneByOne:
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
-SLACK_S = 1e-9
-"""The termination of one run allows this much when it compares times [s]."""
-
 MOST_STARTS = 4_000_000
 """Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
 
@@ -198,7 +195,8 @@ class BatchSetup:
         """Number of frames after which a time [s] has passed, by the rule of the `Termination`; of inf more than any run has."""
         if math.isinf(duration_s):
             return sys.maxsize // 2
-        return max(0, math.ceil((duration_s - SLACK_S) * self.scenario.camera.rate_hz - 1e-9))
+        # 1 ns: the termination of one run allows as much when it compares times
+        return max(0, math.ceil((duration_s - 1e-9) * self.scenario.camera.rate_hz - 1e-9))
 
 
 def start_of(scenario: Scenario) -> Array:

@@ -125,8 +125,11 @@ class Study:
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
         """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each."""
         runs, again = self.runs, list[Work]()
+        waiting = enumerate(runs)
+        chunks = iter(lambda: list(itertools.islice(waiting, CHUNK)), [])
+        requests = (work for chunk in chunks if (work := _work(chunk, on_done)))
         with closing(pool_of("local", workers(processes, len(runs)), folder)) as pool:
-            for chunk, request, future in completed(pool, self._work(on_done), again):
+            for chunk, request, future in completed(pool, requests, again):
                 try:
                     endings = future.result()
                 except WorkerLostError:
@@ -136,13 +139,6 @@ class Study:
                     endings = [RunEnding.without_run(Outcome.crashed)]
                 for (place, job), ending in zip(chunk, endings, strict=True):
                     on_done(place, job, ending)
-
-    def _work(self, on_done: Callable[[int, Job, RunEnding], None]) -> Iterator[Work]:
-        """All runs, some at a time."""
-        waiting = enumerate(self.runs)
-        while chunk := list(itertools.islice(waiting, CHUNK)):
-            if work := _work(chunk, on_done):
-                yield work
 
     def maps(self, ended: Ended) -> list[ConvergenceMap]:
         """One map for each scenario and combination of cases, in their order; NaN in the cells of which no run is done."""

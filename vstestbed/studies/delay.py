@@ -334,7 +334,9 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """The gain limit at one delay, by bisection."""
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
     at_start = displaced(at_goal)
-    g_linear, robot = _linear(at_goal, delay_frames), at_goal.robot
+    robot, g_linear = at_goal.robot, None
+    if robot.joints and at_goal.timing.interpolation == "hold":  # the linear arm has no commands that are led to
+        g_linear = linear_gain_limit(linear_arm(robot), delay_frames + _late_frames(at_goal), period)
     elastic = any(effect.springs(np.zeros(len(robot.joints))) for effect in robot.acting)
     lags = () if elastic else _lags(at_goal, delay_frames)  # at a resonance two shares of a command do not describe a joint
     g_lag = min((gain_limit(delay_frames, lag.shares) for lag in lags), default=None)
@@ -380,13 +382,6 @@ def _theory(at_goal: Scenario, delay_frames: float) -> float:
     shares = loop_shares(at_goal.timing.interpolation != "hold", _late_frames(at_goal))
     whole = int(delay_frames)
     return closed_form(whole) if shares == NO_LAG and whole == delay_frames else gain_limit(delay_frames, shares)
-
-
-def _linear(at_goal: Scenario, delay_frames: float) -> float | None:
-    """The g of the linear arm; None for a robot without joints, and with commands that are led to, which it does not have."""
-    if not at_goal.robot.joints or at_goal.timing.interpolation != "hold":
-        return None
-    return linear_gain_limit(linear_arm(at_goal.robot), delay_frames + _late_frames(at_goal), at_goal.camera.period)
 
 
 def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:

@@ -230,7 +230,9 @@ class LocalPool:
         error = WorkerLostError("the pool is closed") if inner.cancelled() else inner.exception()
         if isinstance(error, BrokenProcessPool):
             slot.broken = True
-            error = WorkerLostError("its worker process died") if slot.answered else EnvironmentLackError(NO_WORKERS, UNDER_MAIN)
+            remedy = "in a script, call it under `if __name__ == '__main__':`"
+            never = EnvironmentLackError("worker processes cannot start", remedy)
+            error = WorkerLostError("its worker process died") if slot.answered else never
         self._free.append(slot)
         if error is not None:
             outer.set_exception(error)
@@ -266,9 +268,6 @@ class LocalPool:
         for slot in self._slots:  # waited for: Python wakes its threads at exit, and prints an error of one that closes just then
             slot.executor.shutdown(wait=True, cancel_futures=True)
         shutil.rmtree(Path(self._place).parent, ignore_errors=True)
-
-
-NO_WORKERS, UNDER_MAIN = "worker processes cannot start", "in a script, call it under `if __name__ == '__main__':`"
 
 
 SCHEDULER_GONE = "the dask scheduler is gone", "start it again, then go on with --resume"

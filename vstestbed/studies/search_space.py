@@ -27,7 +27,6 @@ OPTION = "--vary"
 FORM = "needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2,..."
 STEPS = 1000
 """Values of a range from which a search chooses: a recommendation of more digits than these would claim too much."""
-EDGE = 0.02  # share of a range at each end that counts as its end
 
 
 @dataclass(frozen=True)
@@ -158,11 +157,6 @@ class SearchSpace:
     def size(self) -> float:
         """Number of different settings; infinite where a range has real numbers."""
         return math.prod(p.size for p in self.parameters)
-
-    def at_an_end(self, values: Mapping[str, object]) -> list[Range]:
-        """The ranges at whose ends a setting lies."""
-        ranges = [p for p in self.parameters if isinstance(p, Range)]
-        return [p for p in ranges if not EDGE < p.place(values[p.path]) < 1 - EDGE]
 
 
 def checked(plan: Comparison, parameters: Sequence[Parameter]) -> SearchSpace:
@@ -370,13 +364,10 @@ def _asked(study: optuna.Study, space: SearchSpace) -> dict[str, object]:
 
 
 def _drawn(space: SearchSpace, random: np.random.Generator) -> dict[str, object]:
-    values: dict[str, object] = {}
-    for p in space.parameters:
-        if isinstance(p, Choice):
-            values[p.path] = p.values[random.integers(len(p.values))]
-        else:
-            values[p.path] = p.rounded(p.at(random.random()))
-    return values
+    def of(p: Parameter) -> object:
+        return p.values[random.integers(len(p.values))] if isinstance(p, Choice) else p.rounded(p.at(random.random()))
+
+    return {p.path: of(p) for p in space.parameters}
 
 
 def _key(space: SearchSpace, values: dict[str, object]) -> tuple[object, ...]:

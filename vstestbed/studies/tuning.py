@@ -47,7 +47,7 @@ from vstestbed.studies.search_space import (
     read_record,
     write_record,
 )
-from vstestbed.tasks.metrics import FIGURES, Metric, own_metrics
+from vstestbed.tasks.metrics import FIGURES, METRICS, Metric, own_metrics
 
 __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", "planned", "report_again", "tune"]
 
@@ -145,19 +145,12 @@ def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, 
     space = checked(comparison, plan.parameters)
     bare = changed(comparison, axes={}, seeds=seeds)
     scenario = controllers(bare)[0].scenario
-    _check_metric(plan, scenario.metrics)
+    own: Sequence[Any] = scenario.metrics
+    if plan.metric not in FIGURES and not any(plan.metric in metric.titles for metric in own):
+        kinds: Mapping[str, Any] = METRICS.members
+        kind = next(kind for kind, cls in kinds.items() if plan.metric in cls.titles)
+        raise ParameterError("--metric", f"is of the metric {kind}, which the scenario does not have; --set metrics=[{kind}]", plan.metric)
     return bare, space, seeds if seeds is not None else SEEDS if scenario.draws else None
-
-
-def _check_metric(plan: Tuning, own: Sequence[Any]) -> None:
-    """Refuse a figure of a metric that the scenario does not have."""
-    if plan.metric in FIGURES or any(plan.metric in metric.titles for metric in own):
-        return
-    from vstestbed.tasks.metrics import METRICS
-
-    kinds: Mapping[str, Any] = METRICS.members
-    kind = next(kind for kind, cls in kinds.items() if plan.metric in cls.titles)
-    raise ParameterError("--metric", f"is of the metric {kind}, which the scenario does not have; --set metrics=[{kind}]", plan.metric)
 
 
 CASE, AS_IT_IS = "trial", "as_it_is"
@@ -227,7 +220,12 @@ class Search:
             self._stack = stack
             self._search()
             self.listener.say("checking the best on fresh starts")
-            return self._check()
+            best = self.best
+            if best is None or not self.fresh:
+                return None
+            name, metric = str(best.number), self.plan.shown
+            found = self._run({name: best.values, AS_IT_IS: {}}, self.runs, self.runs + self.fresh)
+            return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
 
     @cached_property
     def _pool(self) -> Pool:
@@ -250,10 +248,18 @@ class Search:
             found = "" if best is None else f", best {best.mean:.3g} {self.plan.shown.unit}".rstrip()
             self.listener.say(f"trial {place + 1} of {self.plan.trials}{found}")
             self.trials += self._tried(dict(enumerate(batch, place)))
-            self._check_metric()
+            reached = [x for trial in self.trials for x, good in zip(trial.found, trial.reached, strict=True) if good]
+            if reached and all(map(math.isnan, reached)):  # no run that reached the goal has it
+                words = "is no number of the runs that reached the goal; take another, such as final_error_px or path_length_m"
+                raise ParameterError("--metric", words, self.plan.metric)
 
     def _tried(self, settings: Mapping[int, dict[str, object]]) -> list[Trial]:
-        refused = {number: words for number, values in settings.items() if (words := self._refusal(number, values))}
+        refused = dict[int, str]()
+        for number, values in settings.items():  # the scenario takes each of its values, but maybe not together
+            try:
+                controllers(self._comparison({str(number): values}, self.plan.seeds))
+            except (ScenarioError, ParameterError) as error:
+                refused[number] = str(error).splitlines()[0]
         if not self.trials and len(refused) == len(settings):
             raise ParameterError("--vary", f"gives settings that the scenario does not take: {next(iter(refused.values()))}")
         good = {str(number): values for number, values in settings.items() if number not in refused}
@@ -263,14 +269,6 @@ class Search:
             Trial(number, values, refused=refused[number]) if number in refused else Trial.of(number, values, found[str(number)], metric)
             for number, values in settings.items()
         ]
-
-    def _refusal(self, number: int, values: dict[str, object]) -> str:
-        """Why the scenario does not take a setting, each value of which it takes; "" where it does."""
-        try:
-            controllers(self._comparison({str(number): values}, self.plan.seeds))
-        except (ScenarioError, ParameterError) as error:
-            return str(error).splitlines()[0]
-        return ""
 
     def _comparison(self, settings: Mapping[str, dict[str, object]], seeds: int | None) -> Comparison:
         # an outer block first, which would overwrite what is in it
@@ -292,21 +290,6 @@ class Search:
         for job in wanted:
             found[str(job.controller.values[CASE])].append(summary_of(self.folder, job))
         return found
-
-    def _check_metric(self) -> None:
-        """Refuse a metric that no run that reached the goal has, as soon as there is one."""
-        reached = [x for trial in self.trials for x, good in zip(trial.found, trial.reached, strict=True) if good]
-        if reached and not any(x == x for x in reached):
-            words = "is no number of the runs that reached the goal; take another, such as final_error_px or path_length_m"
-            raise ParameterError("--metric", words, self.plan.metric)
-
-    def _check(self) -> tuple[Trial, Trial] | None:
-        best = self.best
-        if best is None or not self.fresh:
-            return None
-        name, metric = str(best.number), self.plan.shown
-        found = self._run({name: best.values, AS_IT_IS: {}}, self.runs, self.runs + self.fresh)
-        return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
 
 
 @dataclass(frozen=True)
@@ -384,21 +367,18 @@ class TuningResult:
             ended = Counter(outcome for trial in self.trials for outcome in trial.outcomes)
             return [f"The runs ended with: {', '.join(f'{name} ({n})' for name, n in ended.most_common())}."]
         own = f"Trial {best.number} of {len(self.trials)}: {self._numbers(best)}."
-        return [own, *self._on_fresh_starts(), *(f"Caution: {words}" for words in self.cautions())]
+        fresh = list[str]()
+        if self.check is not None:
+            tried, now = self.check
+            words = f"On {len(tried.reached)} starts that no trial has seen: {self._numbers(tried)}"
+            as_it_is = f"{words}; the scenario as it is: {self._numbers(now)}{self._change(tried, now)}."
+            fresh = [f"{words}. The scenario as it is was the best." if best.values == self.space.now else as_it_is]
+        return [own, *fresh, *(f"Caution: {words}" for words in self.cautions())]
 
     def _numbers(self, trial: Trial) -> str:
         metric = self.plan.shown
         mean = f"{metric.title.lower()} {trial.mean:.4g} {metric.unit}".rstrip() if math.isfinite(trial.mean) else "no number"
         return f"{mean}, {sum(trial.reached)} of {len(trial.reached)} runs reached the goal"
-
-    def _on_fresh_starts(self) -> list[str]:
-        if self.check is None:
-            return []
-        best, now = self.check
-        words = f"On {len(best.reached)} starts that no trial has seen: {self._numbers(best)}"
-        if self.best and self.best.values == self.space.now:
-            return [f"{words}. The scenario as it is was the best."]
-        return [f"{words}; the scenario as it is: {self._numbers(now)}{self._change(best, now)}."]
 
     def _change(self, best: Trial, now: Trial) -> str:
         """The paired difference of two trials over the starts on which both reached the goal."""
@@ -417,8 +397,10 @@ class TuningResult:
         if self.check is not None and self.check[0].failed:
             failed = f"{self.check[0].failed} of {len(self.check[0].reached)} runs failed ({_ended(self.check[0])})"
             found.append(f"on fresh starts {failed}; a search with more --seeds finds settings that hold.")
-        for p in self.space.at_an_end(best.values):
-            found.append(f"{p.path}={flow_text(best.values[p.path])} is at an end of {p}; a wider range may hold a better value.")
+        for p in self.space.parameters:
+            # the first and the last fiftieth of a range count as its ends
+            if isinstance(p, Range) and not 0.02 < p.place(best.values[p.path]) < 0.98:
+                found.append(f"{p.path}={flow_text(best.values[p.path])} is at an end of {p}; a wider range may hold a better value.")
         if (self.plan.seeds or 1) == 1:
             found.append(
                 "one start decides; from other starts these values may fail. Give the scenario random starts, and --seeds 5 or more."

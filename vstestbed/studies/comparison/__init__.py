@@ -170,13 +170,12 @@ def _resumed(folder: Path, requested: Comparison | None, force: bool, plugins: S
 
 def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
     """Whether two comparisons are equal, wherever their files are: in seeds, scenarios as loaded, folders of the runs."""
-    if (a.seeds, a.limit) != (b.seeds, b.limit) or len(of_a) != len(of_b):
-        return False
-    return all(_essence(x) == _essence(y) for x, y in zip(of_a, of_b, strict=True))
 
+    def essence(c: Variant) -> tuple[object, ...]:
+        return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
-def _essence(c: Variant) -> tuple[object, ...]:
-    return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
+    same = (a.seeds, a.limit) == (b.seeds, b.limit) and len(of_a) == len(of_b)
+    return same and all(essence(x) == essence(y) for x, y in zip(of_a, of_b, strict=True))
 
 
 def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True) -> Path:
