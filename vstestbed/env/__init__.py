@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from vstestbed.env.deepmind import DmServo
     from vstestbed.scenario.scenario import Scenario
 
-ANY = "vstestbed/scenario-v0"
-"""The id of any scenario, whose keyword `scenario` names it: for `gymnasium.make_vec` of one's own file."""
+ANY = "vstestbed/scenario-v0"  # the id of any scenario, whose keyword `scenario` names it: for `gymnasium.make_vec` of one's own file
 REMEDY = "pip install 'vstestbed[env]'"
 
 

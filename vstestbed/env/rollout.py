@@ -26,8 +26,7 @@ from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, in_a_frame
 
 RewardKind = Literal["potential", "negative_error", "sparse"]
-WORST = 1e4
-"""An error of so many times its limit, or more, or unknown, is the worst (2000 px where .2 px are the goal)."""
+WORST = 1e4  # an error of so many times its limit, or more, or unknown, is the worst (2000 px where .2 px are the goal)
 
 
 def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:

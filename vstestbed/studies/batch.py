@@ -41,8 +41,7 @@ if TYPE_CHECKING:
 
 # A law without equations for many runs in a batch: its `step` is asked run by run.
 SIX = np.eye(6)
-LEAST_POSE = 3
-"""Markers that leave finitely many poses."""
+LEAST_POSE = 3  # markers that leave finitely many poses
 
 
 class OneByOne:
@@ -94,8 +93,7 @@ class OneByOne:
 
 
 # What a batch of ideal closed loops needs: the scenario made ideal, and what all its runs share.
-MOST_STARTS = 4_000_000
-"""Starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory."""
+MOST_STARTS = 4_000_000  # starts that need no `--force`: one map of the largest `--n` (2000 x 2000), which takes some GB of memory
 
 
 def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
@@ -223,15 +221,12 @@ def must_be_few_starts(comparison: Comparison, n: int, force: bool = False) -> N
 #
 # A single run with robot dynamics, images and delays is in `run`. `_frame` repeats the rules of its `Termination`, vectorised; the tests
 # and `basin --check` compare the outcomes of the two.
-AT_ONCE = 2000
-"""Runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time."""
+AT_ONCE = 2000  # runs that are simulated together: their arrays fit the processor's cache, which saves a third of the time
 FLAT2 = 0.15**2
 """Squared ratio of width to length of the marker pattern below which it is tested whether the homography is undetermined; those that
 are have a ratio below 0.03."""
-FIRST_POSE = 4
-"""Markers for a first pose: with three the pose is ambiguous, and can only be continued from a known one."""
-GOING = 0
-"""Code of a run that has not ended; other codes are positions in CODES."""
+FIRST_POSE = 4  # markers for a first pose: with three the pose is ambiguous, and can only be continued from a known one
+GOING = 0  # code of a run that has not ended; other codes are positions in CODES
 CODES: tuple[Outcome | None, ...] = (None, *Outcome)
 _CODE = {outcome: code for code, outcome in enumerate(CODES)}
 

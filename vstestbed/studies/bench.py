@@ -39,8 +39,7 @@ from vstestbed.studies.run_folder import run_into
 from vstestbed.tasks.stop import Stop
 
 NEVER_S = 1e9  # hold time at the goal that no run completes, so that the duration ends it
-BATCH_STEPS = 60
-"""Steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps."""
+BATCH_STEPS = 60  # steps of a batch: fewer than any of its runs needs to its goal, so that all runs take part in all steps
 
 
 @dataclass(frozen=True)
@@ -338,8 +337,7 @@ vs.run(vs.load("arm_ibvs"), watch=[First()])
 """
 """A process that ends with the first frame of a run."""
 
-Pair = Callable[[], tuple[float, float]]
-"""Does something and then its floor; returns the wall time of both [s]."""
+Pair = Callable[[], tuple[float, float]]  # does something and then its floor; returns the wall time of both [s]
 
 
 @spec

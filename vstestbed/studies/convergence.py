@@ -44,8 +44,7 @@ class RunEnding:
         return cls(outcome.name, outcome.success, math.nan, math.nan)
 
 
-Ended = Sequence[tuple[Job, RunEnding]]
-"""The runs that are done, in the order of the plan."""
+Ended = Sequence[tuple[Job, RunEnding]]  # the runs that are done, in the order of the plan
 
 
 def run_one(scenario: Scenario) -> RunEnding:
@@ -91,8 +90,7 @@ class MapRequest:
         return [run_one(scenario) for scenario in pickle.loads(self.packed)]
 
 
-Work = tuple[list[tuple[int, Job]], MapRequest]
-"""A request with its jobs and their places in the plan."""
+Work = tuple[list[tuple[int, Job]], MapRequest]  # a request with its jobs and their places in the plan
 
 
 @dataclass(frozen=True)

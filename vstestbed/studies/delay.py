@@ -34,8 +34,7 @@ from vstestbed.vision import Oracle
 
 EXCITED, SETTLING, ROUNDS = 10, 4, 4
 """Periods for which a joint is excited; how many of them pass before its motion is used (transient); iterations of the frequency."""
-LEAST_W = 0.05
-"""A joint that does not follow a swing of this frequency follows none [rad per frame]."""
+LEAST_W = 0.05  # a joint that does not follow a swing of this frequency follows none [rad per frame]
 
 
 @dataclass(frozen=True)
@@ -177,22 +176,18 @@ def _seen(age: int, states: int, n: int) -> slice:
     return slice(states + (age - 1) * n, states + age * n) if age else slice(0, n)
 
 
-HALVINGS = 9
-"""Bisections of a bracket of 0.5 to 1.5 times the prediction: 0.2 % of it remains."""
-SWINGS = 16
-"""A run lasts this many periods of the oscillation at the limit, and 40 frames more in which other modes decay."""
+HALVINGS = 9  # bisections of a bracket of 0.5 to 1.5 times the prediction: 0.2 % of it remains
+SWINGS = 16  # a run lasts this many periods of the oscillation at the limit, and 40 frames more in which other modes decay
 OFF, OFF_WITH_FRICTION = 0.002, 0.02
 """Offset from the goal at the start of a run: along each axis [m], and about each axis or in each joint [rad]. Small enough for the
 loop to be linear and its actuators unsaturated; for joints with friction large enough for the motion to dominate friction."""
 GROWN = 20.0
 """Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
 the second half of the run."""
-MOST_FRAMES = 50
-"""The longest delay of a study [frames]."""
+MOST_FRAMES = 50  # the longest delay of a study [frames]
 MOST_G = 8.0
 """A loop that is stable at this gain * period has no limit that matters: two are deadbeat control with overshoot of the whole error."""
-SETTLED = 0.01
-"""A run whose error has fallen to this share of its start is stable, however friction or rounding move what is left."""
+SETTLED = 0.01  # a run whose error has fallen to this share of its start is stable, however friction or rounding move what is left
 UNSATURATED = 0.999
 # The error did not oscillate: the run came to rest.
 CALM = (Outcome.converged, Outcome.local_minimum)
@@ -407,8 +402,7 @@ def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[L
 
 
 # Result files of a delay study: tables, figures, page, each complete or not at all.
-BEYOND = 1.3
-"""The root locus is drawn up to this many times the gain limit."""
+BEYOND = 1.3  # the root locus is drawn up to this many times the gain limit
 
 
 def locus(delay_frames: float, gains: Array, shares: Sequence[float] = NO_LAG) -> Poles:

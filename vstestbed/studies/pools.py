@@ -73,8 +73,7 @@ DASK = "dask://"
 Done = TypeVar("Done")
 Of = TypeVar("Of")
 Asked = TypeVar("Asked", bound=Request[Any])
-MOST_TRIES = 2
-"""Attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever."""
+MOST_TRIES = 2  # attempts at a run: one that kills its worker (out of memory, a crash in a library) would do so for ever
 HERE_S = 5.0
 """Processor time of light runs after which workers are started for the rest: on a loaded machine two need about as much to start [s]."""
 RUNNING = ".running"  # folder of the workers' temporary files in a study's folder

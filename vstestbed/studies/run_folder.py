@@ -102,8 +102,7 @@ def _run_into(
 
 
 # What is in a run's folder, and how it is written: a single run, a worker of a study and a crash have their files from here.
-Files = dict[str, bytes]
-"""Content of a run's folder by file name, in the order in which they are written."""
+Files = dict[str, bytes]  # content of a run's folder by file name, in the order in which they are written
 
 
 def files_before(scenario: Scenario) -> Files:

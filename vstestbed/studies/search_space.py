@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 OPTION = "--vary"
 FORM = "needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2,..."
-STEPS = 1000
-"""Values of a range from which a search chooses: a recommendation of more digits than these would claim too much."""
+STEPS = 1000  # values of a range from which a search chooses: a recommendation of more digits than these would claim too much
 
 
 @dataclass(frozen=True)
@@ -290,8 +289,7 @@ def read_record(folder: Path, paths: Sequence[str]) -> list[dict[str, object]]:
 #
 # Reference: Bergstra et al. 2011, Algorithms for hyper-parameter optimization, NeurIPS.
 STARTUP = 8  # trials that are drawn at random before the estimator has anything to go by
-GUIDED, ATTEMPTS = 10, 200
-"""Attempts at a setting that was not tried yet: by the estimator, then at random as well."""
+GUIDED, ATTEMPTS = 10, 200  # attempts at a setting that was not tried yet: by the estimator, then at random as well
 
 
 def must_be_installed() -> Any:

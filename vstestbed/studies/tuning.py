@@ -52,8 +52,7 @@ from vstestbed.tasks.metrics import FIGURES, METRICS, Metric, own_metrics
 __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", "planned", "report_again", "tune"]
 
 PLAN = "tuning.yaml"
-SEEDS = 10
-"""Random starts of a trial where none are asked for: a setting that fails on one start in five shows it in nine searches of ten."""
+SEEDS = 10  # random starts of a trial where none are asked for: a setting that fails on one start in five shows it in nine searches of ten
 Count = Annotated[Seed, Narrower(ge=1, le=1000)]
 
 

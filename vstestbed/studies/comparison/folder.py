@@ -28,8 +28,7 @@ from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
 
 PLAN = "comparison.yaml"
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
-DEEPEST = 5
-"""Folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)."""
+DEEPEST = 5  # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)
 
 
 def summary_of(folder: Path, job: Job) -> dict[str, Any]:

@@ -303,8 +303,7 @@ def _after_set(read: Comparison) -> Iterator[list[tuple[Key, Mapping[str, object
 
 
 # The controllers and runs of a comparison: counted before any is made, and made when their turn comes.
-STARTS_KEPT = 100
-"""Scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes."""
+STARTS_KEPT = 100  # scenarios of a task's runs that are kept in memory; of more, each is made again when its turn comes
 
 
 Start = Callable[[int], tuple[Scenario, str]]
@@ -314,8 +313,7 @@ Start = Callable[[int], tuple[Scenario, str]]
 AS_IT_IS = "as_it_is"  # name of the variant of a scenario where nothing is varied
 MOST_RUNS = 100_000
 """Runs that need no `--force`: over an hour of the quickest scenario (50 ms a run) on one core, and tens of GB of run folders."""
-MOST_KEPT = 10_000
-"""Variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes."""
+MOST_KEPT = 10_000  # variants that are kept in memory (some 15 kB each); of more, each is loaded again when its turn comes
 
 
 SIDE_BY_SIDE = 1000  # most folders in one: file browsers, and some file systems, are slow with more

@@ -90,8 +90,7 @@ def picture_of_the_end(scenario: Scenario, rows: Log, folder: Path) -> None:
     film.picture_of_the_end(scenario, rows, folder / "end.png", replace(FINE, size=TILE_PX))
 
 
-OnDone = Callable[[Job, dict[str, Any]], None]
-"""Called after every finished run with the job and its summary."""
+OnDone = Callable[[Job, dict[str, Any]], None]  # called after every finished run with the job and its summary
 
 
 @dataclass
