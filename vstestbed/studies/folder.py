@@ -37,20 +37,16 @@ def study_folder(kind: str, out: Path | None, remedy: str = "give a new one") ->
 
 @contextmanager
 def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
-    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of the plan in it."""
+    """Hold the folder of a study that goes on; kind: the command, such as `compare`; plan: name of the plan in it.
+    Raises RunFolderError: there is no plan.
+    """
     if out is None:
         raise ParameterError("--resume", f"needs the folder that `vstestbed {kind}` has made: --out DIR")
-    plan_in(out, kind, plan)
+    if not (out / plan).is_file():
+        found = f"has no {plan}, so that no `vstestbed {kind}` was here" if out.is_dir() else "no such folder"
+        raise RunFolderError(out, found, f"`vstestbed {kind} --out DIR` makes one")
     with only_writer(out):
         yield out
-
-
-def plan_in(folder: Path, kind: str, plan: str) -> Path:
-    """The file of a study's plan; arguments as of `resumed_folder`. Raises RunFolderError: there is none."""
-    if not (folder / plan).is_file():
-        found = f"has no {plan}, so that no `vstestbed {kind}` was here" if folder.is_dir() else "no such folder"
-        raise RunFolderError(folder, found, f"`vstestbed {kind} --out DIR` makes one")
-    return folder / plan
 
 
 def write_plan(path: Path, plan: Any, names: str) -> None:

@@ -97,7 +97,12 @@ def _run_into(
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)
     finish(folder, recording.rows)
-    put(folder, files_after(recording))
+    goals: Files = {}
+    if images := recording.goal_images:
+        from vstestbed.report.video.writer import png_of  # imported only if there is one
+
+        goals = {"goal.png" if len(images) == 1 else f"goal_{i}.png": png_of(image) for i, image in enumerate(images)}
+    put(folder, goals | {SUMMARY: _summary(recording.summary())})
     return recording
 
 
@@ -114,16 +119,6 @@ def files_before(scenario: Scenario) -> Files:
     texts = {name: text.encode() for name, text in documents(scenario).items()}
     kept = {name: path.read_bytes() for name, path in kept_files(runs).items()}
     return texts | kept | assets | {"model.xml": xml.encode()}
-
-
-def files_after(recording: Recording) -> Files:
-    """What a run leaves beside its log and its films: the pictures taken at its goal views, and at last the summary."""
-    found: Files = {}
-    if images := recording.goal_images:
-        from vstestbed.report.video.writer import png_of  # imported only if there is one
-
-        found = {"goal.png" if len(images) == 1 else f"goal_{i}.png": png_of(image) for i, image in enumerate(images)}
-    return found | {SUMMARY: _summary(recording.summary())}
 
 
 def files_of_failure(text: str, reason: str, trace: str = "", rest: Files | None = None, outcome: Outcome = Outcome.crashed) -> Files:

@@ -30,7 +30,7 @@ from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 from vstestbed.studies.comparison.folder import summary_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
 from vstestbed.studies.comparison.runs import Runner
-from vstestbed.studies.folder import RESUMABLE, plan_in, resumed_folder, study_folder, write_plan
+from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
 from vstestbed.studies.search_space import (
     OPTION,
@@ -126,16 +126,6 @@ class Tuning:
     def parameters(self) -> list[Parameter]:
         """What is varied."""
         return [parameter(path, given) for path, given in self.vary.items()]
-
-
-def read_plan(folder: Path, plugins: Sequence[str] = ()) -> Tuning:
-    """The plan of a folder; `plugins`: besides its own."""
-    path = plan_in(folder, "tune", PLAN)
-    plain, marks = plain_mapping(text_of(path), str(path), "a search needs scenario and vary")
-    load_named(plain, marks, str(path), plugins)
-    if isinstance(name := plain.get("scenario"), str) and (folder / name).is_file():
-        plain["scenario"] = str(folder / name)
-    return build(Tuning, plain, marks, str(path))
 
 
 def prepared(plan: Tuning, seeds: int | None) -> tuple[Comparison, SearchSpace, int | None]:
@@ -529,7 +519,12 @@ def begun(plan: Tuning | None, out: Path | None, trials: int | None = None, plug
             yield Search(folder, plan, comparison, space)
         return
     with resumed_folder("tune", out, PLAN) as folder:
-        found = read_plan(folder, plugins)
+        path = folder / PLAN
+        plain, marks = plain_mapping(text_of(path), str(path), "a search needs scenario and vary")
+        load_named(plain, marks, str(path), plugins)
+        if isinstance(name := plain.get("scenario"), str) and (folder / name).is_file():
+            plain["scenario"] = str(folder / name)
+        found = build(Tuning, plain, marks, str(path))
         if trials is not None and trials != found.trials:
             found = replace(found, trials=trials)
             write_plan(folder / PLAN, found, "scenario")

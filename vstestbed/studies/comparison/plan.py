@@ -186,17 +186,14 @@ class Comparison:
         for name, cases in self.cases.items():
             if name in (*self.axes, *OWN_COLUMNS, *own_metrics(), "") or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
-        self._check_runs()
-        for name in self.metrics:
-            if name not in (known := comparable()):
-                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
-
-    def _check_runs(self) -> None:
         if self.tasks and self.seeds is not None:
             words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
             raise ParameterError("seeds", words, self.seeds)
         if self.limit is not None and not self.tasks:
             raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
+        for name in self.metrics:
+            if name not in (known := comparable()):
+                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():
