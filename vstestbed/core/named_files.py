@@ -68,21 +68,14 @@ def _no_package(name: str, inside: str) -> str:
     except (metadata.PackageNotFoundError, ValueError):
         remedy = f"pip install --no-deps {name}, if that is its name there (only its files are read), or give the file's path"
         return f"names the package {name}, which is not installed; {remedy}"
-    package, at = _inside(files, inside)
-    if not package:
-        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
-    dotted = package.replace("/", ".")
-    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
-
-
-def _inside(files: list[str], inside: str) -> tuple[str, str]:
-    """The folder of the package, of a distribution's files, that holds the end of a path, and the file's place in it; "" for none. It is
-    the outermost folder with an __init__.py, since packages of several distributions may share a namespace.
-    """
+    # the outermost folder with an __init__.py that holds the file: packages of several distributions may share a namespace
     packages = sorted((path.removesuffix("/__init__.py") for path in files if path.endswith("/__init__.py")), key=len)
     there = next((path for path in files if path.endswith(f"/{inside}")), "")
     package = next((one for one in packages if not there or there.startswith(f"{one}/")), "")
-    return package, there.removeprefix(f"{package}/") or "PATH"
+    if not package:
+        return f"names the distribution {name}, which is installed and has no such package; give the file's path"
+    dotted, at = package.replace("/", "."), there.removeprefix(f"{package}/") or "PATH"
+    return f"names the distribution {name}, which is installed, and is imported as {dotted}; write {PACKAGE}{dotted}/{at}"
 
 
 def kept_at(source: Path, what: str = "target") -> str:

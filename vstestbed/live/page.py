@@ -88,13 +88,12 @@ class SceneView:
 
     def put_plate(self, T_world_plate: Array | None, edge_m: float) -> None:
         """Show the plate in reserve at a pose (4, 4), or not at all."""
-        if self.plate is not None and T_world_plate is None:
+        if T_world_plate is not None:
+            self.plate = self.plate or self._scene.add_mesh_simple("/plate", *_square(edge_m), color=(115, 115, 120), side="double")
+            _put(self.plate, T_world_plate)
+        elif self.plate is not None:
             self.plate.remove()
             self.plate = None
-        if T_world_plate is not None and self.plate is None:
-            self.plate = self._scene.add_mesh_simple("/plate", *_square(edge_m), color=(115, 115, 120), side="double")
-        if T_world_plate is not None and self.plate is not None:
-            _put(self.plate, T_world_plate)
 
     def _surroundings(self) -> None:
         self._scene.set_background_image(np.full((2, 2, 3), SKY, np.uint8))
