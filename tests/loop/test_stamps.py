@@ -10,7 +10,7 @@ from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.loop.controller import Controller
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.tasks.frame import Cycle
-from vstestbed.timing.stamps import CameraStamps, RobotStamps
+from vstestbed.timing.clock import CameraStamps, RobotStamps
 
 ORACLE = {"detector": {"kind": "oracle", "field_of_view": "unlimited"}}
 LATE = ORACLE | {"camera.rate_hz": 25, "camera.latency_s": 0.06, "stop.duration_s": 3}

@@ -5,7 +5,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ScenarioError
-from vstestbed.timing.link import BurstLoss, bursty_link, directions
+from vstestbed.timing.clock import BurstLoss, bursty_link, directions
 
 MANY = 100_000
 IDEAL = {"camera.rate_hz": 25, "detector": {"kind": "oracle", "field_of_view": "unlimited"}}

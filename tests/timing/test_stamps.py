@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from vstestbed.timing.stamps import CameraStamps, RobotStamps
+from vstestbed.timing.clock import CameraStamps, RobotStamps
 
 
 def test_a_clock_without_errors_is_the_true_one() -> None:

@@ -87,7 +87,7 @@ class Camera(ABC):
     Args:
         width, height: picture size [px].
         rate_hz: pictures per second.
-        latency_s: time from the exposure until the law has the picture [s].
+        latency_s: time from the end of the exposure, with a rolling shutter of the last row's, until the law has the picture [s].
         readout_s: time over which a rolling shutter exposes its H rows one after another from the top, row v from v/H of it on [s]; 0 is
             a global shutter. The time stamp is the middle of the middle row's exposure, at which a depth sensor's picture is taken, too;
             e.g. `0.02`.

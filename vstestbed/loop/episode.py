@@ -31,8 +31,7 @@ from vstestbed.scenario.randomise import LINK_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
 from vstestbed.tasks.frame import Cycle, Frame
-from vstestbed.timing.clock import DelayLine
-from vstestbed.timing.link import directions
+from vstestbed.timing.clock import DelayLine, directions
 from vstestbed.vision.base import goal_of_points, points_of
 
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none

@@ -19,10 +19,8 @@ from vstestbed.robots import Reading
 from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.timing.clock import DelayLine
-from vstestbed.timing.link import Loses
+from vstestbed.timing.clock import CameraStamps, DelayLine, Loses, RobotStamps
 from vstestbed.timing.plan import Planned, Shutter
-from vstestbed.timing.stamps import CameraStamps, RobotStamps
 from vstestbed.vision.base import TruthView
 
 ROUNDS = 12
@@ -75,7 +73,7 @@ KEPT_S = 10.0  # how long readings are kept [s]
 
 
 class Stamps:
-    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.stamps`)."""
+    """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.clock`)."""
 
     def __init__(self, scenario: Scenario, plant: Plant):
         timing = scenario.timing

@@ -14,10 +14,8 @@ from vstestbed.core.quantity import Frequency, Narrower, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.imaging.shutter import Contribution, Opening, contributions, of_rows
-from vstestbed.timing.clock import _Shot
-from vstestbed.timing.link import BurstLoss, Loses
+from vstestbed.timing.clock import BurstLoss, CameraStamps, Loses, RobotStamps, _Shot
 from vstestbed.timing.setpoints import Interpolator, Mode
-from vstestbed.timing.stamps import CameraStamps, RobotStamps
 
 LEAST_PERIODS = 3  # a command lasts this many camera periods at least
 BLURRED = 0.2  # exposures under this share of a physics step are instants: of three images the outer ones would have weights of 1/600 each

@@ -30,7 +30,7 @@ from vstestbed.studies.delay import (
     measure_lags,
     prepared,
 )
-from vstestbed.timing.stamps import CameraStamps
+from vstestbed.timing.clock import CameraStamps
 
 PERIOD = 0.04
 
