@@ -61,7 +61,8 @@ def build_plant(
     parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m)
     ideal = robot.body is None
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
-    if ideal and not (needs_image or plate_m or _may_hide(target, world)):
+    may_hide = world.hides or (target.body is not None and not target.outlined)
+    if ideal and not (needs_image or plate_m or may_hide):
         from vstestbed.sim.ideal import IdealPlant
 
         return IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator), "none"
@@ -93,10 +94,6 @@ def build_plant(
 def _given(rng: np.random.Generator | None) -> np.random.Generator:
     """A generator; that of seed 0 where none is given."""
     return rng or np.random.default_rng(0)
-
-
-def _may_hide(target: Target, world: World) -> bool:
-    return world.hides or (target.body is not None and not target.outlined)
 
 
 def scene_files(

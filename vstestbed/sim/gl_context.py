@@ -95,10 +95,6 @@ class RenderingThread(executor.BaseRenderExecutor):
                 if not is_current():
                     self._thread.join()  # the driver unloads at exit: no thread of its own may be left
 
-    def abandon(self) -> None:
-        """Give up the context without freeing it: this process is a fork, in which the rendering thread does not exist."""
-        self._terminated = True
-
 
 class _OnRenderingThread(base.ContextBase):
     """Comes between a backend's context and its base class, and puts the rendering thread in the place of the calling one."""
@@ -140,7 +136,7 @@ def _after_fork() -> None:
     if "OpenGL.EGL" in sys.modules:  # dm_control's exit function, which crashes where another thread than the main one has drawn
         atexit.unregister(sys.modules["OpenGL.EGL"].eglTerminate)
     for made in _contexts:
-        made._render_executor.abandon()
+        made._render_executor._terminated = True  # given up without being freed: the rendering thread does not exist here
         gl_probe.switch_off("this process is a fork of one that has drawn with it", "start processes with multiprocessing's method spawn")
 
 
@@ -176,13 +172,19 @@ class Physics(dm.Physics):
         contexts: Any = self._contexts
         if contexts is None and not is_current():
             contexts = super().contexts  # makes them; it takes a lock, for which the rendering thread must not wait
+        if contexts is None or contexts.gl.thread is not threading.current_thread():
+            return contexts
         # Several rendering contexts share one OpenGL context, whose current buffer is global state: switched only where it is another's,
         # and within the job that draws, since another thread's job may come before.
-        if contexts is not None and contexts.gl.thread is threading.current_thread() and _target[0] is not contexts.mujoco:
+        if _target[0] is not contexts.mujoco:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, contexts.mujoco.ptr)
             _target[0] = contexts.mujoco
-        if contexts is not None and contexts.gl.thread is threading.current_thread() and _glossy[0] != self.glossy:
-            _add_highlights(self.glossy)
+        if _glossy[0] != self.glossy:
+            from OpenGL.raw.GL.VERSION import GL_1_1, GL_1_2
+
+            how = GL_1_2.GL_SEPARATE_SPECULAR_COLOR if self.glossy else GL_1_2.GL_SINGLE_COLOR
+            GL_1_1.glLightModeli(GL_1_2.GL_LIGHT_MODEL_COLOR_CONTROL, how)
+            _glossy[0] = self.glossy
         return contexts
 
     def with_context(self, job: Callable[[], T]) -> T:
@@ -245,13 +247,6 @@ def _plain_sky(context: mujoco.MjrContext) -> None:
             GL_1_0.glTexParameteri(GL_1_3.GL_TEXTURE_CUBE_MAP, GL_1_0.GL_TEXTURE_MIN_FILTER, GL_1_0.GL_LINEAR)
 
 
-def _add_highlights(over: bool) -> None:
-    from OpenGL.raw.GL.VERSION import GL_1_1, GL_1_2
-
-    GL_1_1.glLightModeli(GL_1_2.GL_LIGHT_MODEL_COLOR_CONTROL, GL_1_2.GL_SEPARATE_SPECULAR_COLOR if over else GL_1_2.GL_SINGLE_COLOR)
-    _glossy[0] = over
-
-
 def _sample_aslant(context: mujoco.MjrContext, model: mujoco.MjModel, samples: int) -> None:
     """Let flat textures that are not repeated be sampled several times along the longer side of what a pixel covers.
 
@@ -278,14 +273,5 @@ def _looks(model: mujoco.MjModel) -> tuple[object, ...]:
     # Planes are compiled to display lists by their size, hence the geoms beside the assets.
     names = [n for n in dir(model) if n.startswith(("tex_", "mat_", "mesh_", "hfield_", "skin_"))]
     arrays = [getattr(model, name) for name in (*names, "geom_type", "geom_size", "geom_dataid", "geom_matid")]
-    numbers = (
-        model.vis.map.shadowclip * model.stat.extent,
-        size.offwidth,
-        size.offheight,
-        quality.offsamples,
-        quality.shadowsize,
-        quality.numslices,
-        quality.numstacks,
-        quality.numquads,
-    )
-    return *numbers, hash(tuple(np.asarray(a).tobytes() for a in arrays))
+    buffers = model.vis.map.shadowclip * model.stat.extent, size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
+    return *buffers, quality.numslices, quality.numstacks, quality.numquads, hash(tuple(np.asarray(a).tobytes() for a in arrays))

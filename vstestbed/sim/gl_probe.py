@@ -99,19 +99,15 @@ def _lack_of(backend: str, requested: bool) -> tuple[str, str] | None:
     if backend not in LIBRARIES:
         return f"MUJOCO_GL={backend} is set, and there is no such backend", f"unset MUJOCO_GL, or set it to {', '.join(sorted(LIBRARIES))}"
     if missing := missing_libraries(backend):
-        return _missing_words(backend, missing, requested)
+        lack = f"{' and '.join(missing)} not found"
+        if not requested:
+            return lack, remedy()
+        return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
     if backend == "egl" and not _egl_starts():
         return "libEGL starts no display", remedy()
     if backend == "glfw" and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return "MUJOCO_GL=glfw needs a display, and there is none", UNSET_REMEDY
     return None
-
-
-def _missing_words(backend: str, missing: list[str], requested: bool) -> tuple[str, str]:
-    lack = f"{' and '.join(missing)} not found"
-    if not requested:
-        return lack, remedy()
-    return f"{lack}, which MUJOCO_GL={backend} needs", remedy() if backend == "egl" else UNSET_REMEDY
 
 
 def require() -> None:

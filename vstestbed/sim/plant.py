@@ -252,35 +252,6 @@ SETTLE_S = 1.0
 LONGEST_PUSH_S = 10.0
 
 
-class Push:
-    """A force on the body that carries the camera, or the target in the gripper, for a while."""
-
-    def __init__(self, stage: Scene):
-        self._force = stage.data.xfrc_applied[stage.flange_body]
-        self._until = 0
-        self.acts = False
-
-    def begin(self, force: Array, step: int, duration_s: float, step_s: float) -> None:
-        """Push with a force (3,) along world axes [N] from a physics step on; it replaces one that still acts.
-
-        Raises ParameterError: a force that is not three finite numbers, a duration that is not positive or more than 10 s.
-        """
-        given = np.asarray(force, dtype=float)
-        if given.shape != (3,) or not np.isfinite(given).all():
-            raise ParameterError("force", "must be three finite numbers [N]", force)
-        if not (math.isfinite(duration_s) and 0 < duration_s <= LONGEST_PUSH_S):
-            raise ParameterError("duration_s", f"must be more than 0 and at most {LONGEST_PUSH_S:g} s", duration_s)
-        self._force[:3] = given
-        self._until, self.acts = step + max(1, round(duration_s / step_s)), True
-
-    def ahead(self, step: int, steps: int) -> int:
-        """Of so many physics steps, those until it ends; it ends when its time is over."""
-        if step >= self._until:
-            self._force[:3], self.acts = 0.0, False
-            return steps
-        return min(steps, self._until - step)
-
-
 class MujocoPlant(Plant):
     """Steps a scene; setpoints go to the actuators, through the robot's onboard controller where it has one.
 
@@ -313,7 +284,8 @@ class MujocoPlant(Plant):
         self._forces = [actor.force for actor in self._actors if actor.force is not None]
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
-        self._velocity, self._push = np.zeros(6), Push(stage)
+        self._velocity = np.zeros(6)
+        self._pushes, self._push_ends = False, 0  # whether a push acts, and the physics step at which it ends
         self._onboard = robot.onboard
         self._memory: Any = self._onboard.begin() if self._onboard else None
         self._control_steps = max(1, round(self._onboard.control_period_s / self.step_s)) if self._onboard else 0  # 0: none
@@ -440,8 +412,12 @@ class MujocoPlant(Plant):
         end = self._steps + steps
         while self._steps < end:
             ahead = end - self._steps
-            if self._push.acts:
-                ahead = self._push.ahead(self._steps, ahead)
+            if self._pushes:
+                self._pushes = self._steps < self._push_ends
+                if self._pushes:
+                    ahead = min(ahead, self._push_ends - self._steps)
+                else:
+                    self._stage.data.xfrc_applied[self._stage.flange_body, :3] = 0.0
             for every, act, dt in self._loops:
                 late = self._steps % every
                 if not late:
@@ -478,8 +454,17 @@ class MujocoPlant(Plant):
         return float(model.body_subtreemass[root] * np.linalg.norm(model.opt.gravity))
 
     def push(self, force: Array, duration_s: float) -> None:
-        """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N]."""
-        self._push.begin(force, self._steps, duration_s, self.step_s)
+        """Push the body that carries the camera (eye to hand, the gripper) with a force (3,) along world axes [N], from now on.
+
+        It replaces one that still acts. Raises ParameterError: a force that is not three finite numbers, a duration not in (0, 10] s.
+        """
+        given = np.asarray(force, dtype=float)
+        if given.shape != (3,) or not np.isfinite(given).all():
+            raise ParameterError("force", "must be three finite numbers [N]", force)
+        if not 0 < duration_s <= LONGEST_PUSH_S:
+            raise ParameterError("duration_s", f"must be more than 0 and at most {LONGEST_PUSH_S:g} s", duration_s)
+        self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
+        self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
 
     def move_target(self, T_world_target: Array) -> None:
         """Put the target at a pose (4, 4); one that moves goes on from there."""

@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
-from vstestbed.sim.render.image_sensor import ImagedView, ImageSensor
+from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import SceneDescription
@@ -175,7 +175,15 @@ class Replay:
             lens = self._parts.camera
             stage = Scene(self._parts, samples=lens.multisampling)
             if (imaging := lens.imaging(None)) is not None:
-                self._own = stage, ImagedView(servo_renderer(stage, lens), imaging, stage.data).full_image
+                drawn_by = servo_renderer(stage, lens)
+
+                def imaged() -> Image:
+                    images = drawn_by.images(with_depth=imaging.needs_depth)
+                    (image,) = imaging.clean(float(stage.data.time), images, drawn_by.depth)
+                    assert image is not None
+                    return image
+
+                self._own = stage, imaged
                 return self._own
             drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
             sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows

@@ -23,6 +23,7 @@ from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.targets import Points
 from vstestbed.tasks.frame import Frame
+from vstestbed.testing.robots import must_refuse
 from vstestbed.timing.plan import Timing
 
 STEP = 1e-6  # motion of the camera for a difference quotient [m, rad], which then has 9 digits
@@ -131,8 +132,20 @@ def check_law(law: Law[Any], scenario: Scenario | None = None) -> None:
     words = f"{law.kind} must reach its goal in {loop.name}: {recording.outcome.name}, {recording.reason}"
     assert recording.outcome.success, words + (_unnamed_in_source(law) if recording.outcome is Outcome.law_failed else "")
     _check_commands(law, loop, frames.kept)
-    _check_lost(law, loop, frames.kept[0])
-    _check_refusals(law, loop)
+    # Without a marker in sight the law orders something finite, and says why if it orders rest.
+    first = frames.kept[0]
+    gone = {name: np.full_like(value, np.nan) for name, value in _arrays(first.observation).items() if name in ("uv", "xy", "depth", "ray")}
+    blind = replace(first.observation, **gone, T_camera_target=None, relative=None)
+    _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, _basis(loop))
+    assert np.isfinite(command.twist).all(), f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
+    assert command.twist.any() or command.rest_reason, f"{law.kind} without markers in sight: a rest must have a rest_reason"
+    # A task that it does not take and too few markers are refused before a run.
+    if other := next((word for word in QUICK if word not in law.tasks), None):
+        must_refuse(lambda: replace(quick(other), law=law), f"{law.kind} must be refused for a {other}, which it does not take")
+    needed = law.markers_needed(_basis(loop))
+    if needed > 1 and len(loop.target.places):
+        few = Points(at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())), pose=loop.target.pose, marker=loop.target.marker)
+        must_refuse(lambda: replace(loop, target=few), f"{law.kind} needs {needed} markers, and {needed - 1} must be refused")
 
 
 def _check_commands(law: Law[Any], loop: Scenario, frames: list[Frame]) -> None:
@@ -187,34 +200,6 @@ def _unnamed_in_source(law: Law[Any]) -> str:
         return ""
     unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *inputs_of(law))]
     return f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None then" if unnamed else ""
-
-
-def _check_lost(law: Law[Any], loop: Scenario, first: Frame) -> None:
-    """Without a marker in sight the law orders something finite, and says why if it orders rest."""
-    gone = {name: np.full_like(value, np.nan) for name, value in _arrays(first.observation).items() if name in ("uv", "xy", "depth", "ray")}
-    blind = replace(first.observation, **gone, T_camera_target=None, relative=None)
-    _, command = law.step(law.init(loop.goal_views[0]), blind, first.goal, _basis(loop))
-    assert np.isfinite(command.twist).all(), f"{law.kind} without markers in sight: the twist must be finite, got {command.twist}"
-    assert command.twist.any() or command.rest_reason, f"{law.kind} without markers in sight: a rest must have a rest_reason"
-
-
-def _check_refusals(law: Law[Any], loop: Scenario) -> None:
-    """A task that it does not take and too few markers are refused before a run, with a ParameterError."""
-    other = next((word for word in QUICK if word not in law.tasks), None)
-    if other is not None:
-        _must_refuse(lambda: replace(quick(other), law=law), f"{law.kind} must be refused for a {other}, which it does not take")
-    needed = law.markers_needed(_basis(loop))
-    if needed > 1 and len(loop.target.places):
-        few = Points(at=tuple(map(tuple, loop.target.places[: needed - 1].tolist())), pose=loop.target.pose, marker=loop.target.marker)
-        _must_refuse(lambda: replace(loop, target=few), f"{law.kind} needs {needed} markers, and {needed - 1} must be refused")
-
-
-def _must_refuse(build: Any, words: str) -> None:
-    try:
-        build()
-    except ParameterError:
-        return
-    raise AssertionError(words)
 
 
 def _basis(loop: Scenario) -> Array:

@@ -89,17 +89,13 @@ def check_metric(metric: MetricContract, scenario: Scenario | None = None) -> No
     """A metric's figures are numbers under names of their own, of a scenario's run and of its first frame alone."""
     assert METRICS.contract is not None
     METRICS.contract.check(type(metric))
-    _check_titles(metric)
+    for name, title in metric.titles.items():
+        two = isinstance(title, tuple) and len(title) == 2 and all(isinstance(word, str) for word in title)
+        assert two, f"{metric.kind}: titles[{name!r}] must be (title, unit), got {title!r}"
     check_metrics((metric,))
     recording = uninterrupted(run(replace(scenario or quick("view"), metrics=(metric,))))
     assert set(metric.titles) <= set(recording.summary())
     replace(recording, rows=Log(recording.columns, recording.table[:1])).summary()
-
-
-def _check_titles(metric: MetricContract) -> None:
-    for name, title in metric.titles.items():
-        two = isinstance(title, tuple) and len(title) == 2 and all(isinstance(word, str) for word in title)
-        assert two, f"{metric.kind}: titles[{name!r}] must be (title, unit), got {title!r}"
 
 
 def check_monitor(monitor: MonitorContract, ends: Scenario | None = None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
@@ -13,26 +15,29 @@ from vstestbed.robots.base import Reading
 
 STEP = 1e-6  # difference by which a configuration is moved [rad or m]: the quotient then has 9 digits
 HUGE = 1e4  # factor on a twist that no real robot can make
+# A mount with all coordinates, of a camera over the floor that looks along x.
+OVER_FLOOR = np.array([[0, 0, 1, 0.1], [-1, 0, 0, -0.05], [0, -1, 0, 0.4], [0, 0, 0, 1]])
+
+
+def must_refuse(build: Callable[[], object], words: str) -> None:
+    """Raise AssertionError with these words where a call raises no ParameterError."""
+    try:
+        build()
+    except ParameterError:
+        return
+    raise AssertionError(words)
 
 
 def check_robot(robot: Robot, T_flange_camera: Array | None = None, seed: int = 0) -> None:
     """A robot's motions agree with its kinematics, for any mount (4, 4); its allocation stays within limits, its start is where it says."""
     Contract(Robot, base=Robot).check(type(robot))
     rng = np.random.default_rng(seed)
-    mount = Mount.of(_general_mount() if T_flange_camera is None else T_flange_camera)
+    mount = Mount.of(OVER_FLOOR if T_flange_camera is None else T_flange_camera)
     _check_start(robot, rng)
     _check_motions(robot, mount)
     _check_allocation(robot, mount, rng)
     if len(robot.joints) == robot.configuration().size:
         _check_joints(robot, mount, rng)
-
-
-def _general_mount() -> Array:
-    """A mount with all coordinates, a camera over the floor."""
-    T = np.eye(4)
-    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]  # camera axes: it looks along x
-    T[:3, 3] = 0.1, -0.05, 0.4
-    return T
 
 
 def _check_start(robot: Robot, rng: np.random.Generator) -> None:
@@ -43,11 +48,7 @@ def _check_start(robot: Robot, rng: np.random.Generator) -> None:
     n, joints = len(robot.start_joints()), len(robot.joints)
     assert n == joints, f"{robot.kind}: start_joints() must have one angle for each of its {joints} joints, got {n}"
     if robot.start.random is None:
-        try:
-            robot.randomised(rng)
-        except ParameterError:
-            return
-        raise AssertionError(f"{robot.kind}: without a random block randomised() must raise ParameterError")
+        must_refuse(lambda: robot.randomised(rng), f"{robot.kind}: without a random block randomised() must raise ParameterError")
 
 
 def _check_motions(robot: Robot, mount: Mount) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 
 from vstestbed.camera import Perspective
-from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.outcome import Outcome
 from vstestbed.core.registry import Contract
-from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
@@ -22,6 +21,7 @@ from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target
 from vstestbed.targets.motion import MotionBase
 from vstestbed.tasks import Task
+from vstestbed.testing.robots import must_refuse
 
 
 def check_target(target: Target) -> None:
@@ -39,20 +39,12 @@ def check_target(target: Target) -> None:
     if len(places):
         error = np.abs(target.seen_from(T_target_camera) - transform(inverse(T_target_camera), points)).max()
         assert error < 1e-12, f"seen_from must be points in the camera's frame, it is {error:.2g} m off"
-    _check_scene(target)
-
-
-def _check_scene(target: Target) -> None:
-    """The compiled scene has a site for each marker that has a place, there."""
     robot = Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -2))))
-    floor_z = -50.0 if len(target.places) else 0.0  # out of the way of markers; lines lie on it
-    stage = Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))
-    try:
-        for i, place in enumerate(target.places):
+    floor_z = -50.0 if len(places) else 0.0  # out of the way of markers; lines lie on it
+    with closing(Scene(SceneDescription(robot, Perspective(), target, World(floor_z=floor_z), step=0.002))) as stage:
+        for i, place in enumerate(places):
             found = stage.model.site(f"target/marker_{i}").pos
             assert np.allclose(found, place, atol=1e-6), f"marker {i} stands at {found} in the scene and at {place} in the target"
-    finally:
-        stage.close()
 
 
 # What every motion of a target must do.
@@ -70,11 +62,18 @@ def check_motion(motion: MotionBase) -> None:
     start = motion.start(rest)
     assert start.shape == (4, 4) and np.isfinite(start).all(), f"{motion.kind}: start(pose) must be a pose (4, 4), got {start}"
     if motion.moves and not motion.by_itself:
-        _check_refusal(motion)
+        words = f"{motion.kind}: a target that is carried has no path; path must raise ParameterError"
+        must_refuse(lambda: motion.path(np.random.default_rng(0)), words)
         return
     times = np.arange(0.0, SPAN_S, STEP_S)
     D = _along(motion, times)
-    _check_rigid(motion.kind, D)
+    assert D.shape[1:] == (4, 4) and np.isfinite(D).all(), f"{motion.kind}: a displacement must be a finite matrix (4, 4)"
+    R = D[:, :3, :3]
+    off = float(np.abs(R @ R.mT - np.eye(3)).max())
+    assert off < 1e-9, f"{motion.kind}: the rotation of a displacement must be orthonormal, it is {off:.3g} off"
+    assert (np.linalg.det(R) > 0).all(), f"{motion.kind}: the rotation of a displacement must not mirror"
+    last = np.tile([0.0, 0, 0, 1], (len(D), 1))
+    assert np.array_equal(D[:, 3], last), f"{motion.kind}: the last row of a displacement must be 0 0 0 1"
     jump = float(np.abs(np.diff(D[:, :3, 3], axis=0)).max())
     when = times[np.abs(np.diff(D[:, :3, 3], axis=0)).max(axis=1).argmax()]
     assert jump <= FASTEST_MPS * STEP_S, f"{motion.kind}: the path jumps by {jump:.3g} m within {STEP_S:g} s at {when:.3f} s"
@@ -104,23 +103,6 @@ def _along(motion: MotionBase, times: Array, seed: int = 7) -> Array:
     return np.array([at(float(t)) for t in times])
 
 
-def _check_rigid(kind: str, D: Array) -> None:
-    assert D.shape[1:] == (4, 4) and np.isfinite(D).all(), f"{kind}: a displacement must be a finite matrix (4, 4)"
-    R = D[:, :3, :3]
-    off = float(np.abs(R @ R.mT - np.eye(3)).max())
-    assert off < 1e-9, f"{kind}: the rotation of a displacement must be orthonormal, it is {off:.3g} off"
-    assert (np.linalg.det(R) > 0).all(), f"{kind}: the rotation of a displacement must not mirror"
-    assert np.array_equal(D[:, 3], np.tile([0.0, 0, 0, 1], (len(D), 1))), f"{kind}: the last row of a displacement must be 0 0 0 1"
-
-
-def _check_refusal(motion: MotionBase) -> None:
-    try:
-        motion.path(np.random.default_rng(0))
-    except ParameterError:
-        return
-    raise AssertionError(f"{motion.kind}: a target that is carried has no path; path must raise ParameterError")
-
-
 # What every task must do.
 SHORT_FRAMES = 3  # A run of so many frames cannot end a task
 
@@ -133,26 +115,15 @@ def check_task(scenario: Scenario) -> None:
     assert len(poses) == len(views), f"{task.kind}: each of {len(views)} goal views needs its pose, there are {len(poses)}"
     numbers = [view.view for view in views]
     assert numbers == list(range(len(views))), f"{task.kind}: goal views must be numbered 0 to {len(views) - 1}, got {numbers}"
-    _check_ends(scenario)
-
-
-def _check_ends(scenario: Scenario) -> None:
-    task, period = scenario.goal, scenario.camera.period
-    short = uninterrupted(run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * period))))
+    short = uninterrupted(run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period))))
     assert short.outcome is Outcome.timed_out, f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
     whole = uninterrupted(run(scenario))
     expected = Outcome.landed if task.lands else Outcome.completed if task.continuing else Outcome.converged
     assert whole.outcome is expected, f"{task.kind}: must end {expected.name}, ended {whole.outcome.name}: {whole.reason}"
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
-    if task.continuing:
-        _check_error(task, whole)
-
-
-def _check_error(task: Task, whole: Recording) -> None:
-    """A continuing task logs its error, which was within the tolerance where the run counts as completed."""
-    assert "task_error_m" in whole.columns, f"{task.kind}: a continuing task must log its error as task_error_m [m]"
-    assert task.tolerance_m is not None, f"{task.kind}: a continuing task must have a tolerance_m"
-    settled = whole["t"] >= task.settle_s
-    worst = float(np.abs(whole["task_error_m"][settled]).max())
-    assert worst <= task.tolerance_m, f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"
+    if task.continuing:  # its logged error was within the tolerance, since the run counts as completed
+        assert "task_error_m" in whole.columns, f"{task.kind}: a continuing task must log its error as task_error_m [m]"
+        assert task.tolerance_m is not None, f"{task.kind}: a continuing task must have a tolerance_m"
+        worst = float(np.abs(whole["task_error_m"][whole["t"] >= task.settle_s]).max())
+        assert worst <= task.tolerance_m, f"{task.kind}: completed with an error of {worst:.3g} m, over its tolerance"

@@ -200,12 +200,8 @@ def _face(camera: Camera, index: int, name: str, turned: Array, f: float) -> Pin
     if len(camera.panels) == 1:
         return covering(turned[:, :2] / turned[:, 2:] * f, f, name)
     lens = camera.panels[index].lens
-    return Pinhole(lens.width, lens.height, _focal(lens), (float(lens.centre[0]), float(lens.centre[1])), name)
-
-
-def _focal(lens: Camera) -> float:
     middle = lens.project(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
-    return float(middle[1, 0] - middle[0, 0])
+    return Pinhole(lens.width, lens.height, float(middle[1, 0] - middle[0, 0]), (float(lens.centre[0]), float(lens.centre[1])), name)
 
 
 def _angle_to_next(rays: Array) -> Array:

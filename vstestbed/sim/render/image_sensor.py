@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera, DepthImage, DepthSensor, Panel, Perspective, Picture, Regions, Window
-from vstestbed.core.geometry import Array, Image, Images, pixel_grid
-from vstestbed.imaging.chain import Chain, Change, Imaging
+from vstestbed.camera import Camera, DepthImage, DepthSensor, Panel, Perspective, Picture, Regions
+from vstestbed.core.geometry import Array, Images, pixel_grid
+from vstestbed.imaging.chain import Chain, Change
 from vstestbed.imaging.shutter import Contribution, Rows, RowWeight
 from vstestbed.sim.base import Renderer
 from vstestbed.sim.scene.scene import Scene
@@ -67,10 +67,8 @@ class PixelRows:
         lenses = [panel.lens for panel in self._camera.panels]
         if regions is None:
             return tuple(((0, 0, lens.width, lens.height),) for lens in lenses)
-        return tuple(windows and windows + self._noise_rows(lens) for windows, lens in zip(regions, lenses, strict=True))
-
-    def _noise_rows(self, lens: Camera) -> tuple[Window, ...]:
-        return tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else ()
+        rows = [tuple((0, v, lens.width, v + 1) for v in noise_rows(lens.height)) if self._noisy else () for lens in lenses]
+        return tuple(windows and windows + noise for windows, noise in zip(regions, rows, strict=True))
 
 
 def band(weight: Array) -> Rows:
@@ -157,23 +155,6 @@ def lamps_at(model: mujoco.MjModel, brightness: float) -> Iterator[None]:
     finally:
         for light, own in zip(lights, before, strict=True):
             light[:] = own
-
-
-class ImagedView:
-    """The servo camera's images for films: through lens, exposure, sensor and stream at rest, without noise.
-
-    renderer: draws them in full size. imaging: changes them. data: the scene's state, with its time.
-    """
-
-    def __init__(self, renderer: Renderer, imaging: Imaging, data: mujoco.MjData):
-        self._renderer, self._imaging, self._data = renderer, imaging, data
-
-    def full_image(self) -> Image:
-        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
-        images = self._renderer.images(with_depth=self._imaging.needs_depth)
-        (image,) = self._imaging.clean(float(self._data.time), images, self._renderer.depth)
-        assert image is not None
-        return image
 
 
 INSTANT: Contribution = ((1.0, 1.0),)  # the only image of a picture of an instant

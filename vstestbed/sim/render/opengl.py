@@ -62,29 +62,25 @@ class PartCamera(dm.Camera):
         if self.window is None:
             self._drawn = slice(None), slice(None)
             super()._render_on_gl_thread(depth, overlays)
-            if self.reads_depth:
-                self._read_depth()
+            if not self.reads_depth:
+                return
+        contexts = self._physics.contexts
+        assert contexts is not None and contexts.mujoco is not None
+        context = contexts.mujoco.ptr
+        if self.window is None:
+            context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # floats are finest at 0, where the depths are coarsest
+            mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
             return
         left, top, right, bottom = self.window
         for camera in self._scene.ptr.camera:
             _narrow(camera, self.window, self._width, self._height)
-        contexts = self._physics.contexts
-        assert contexts is not None and contexts.mujoco is not None
-        rect, context = mujoco.MjrRect(0, 0, right - left, bottom - top), contexts.mujoco.ptr
+        rect = mujoco.MjrRect(0, 0, right - left, bottom - top)
         mujoco.mjr_render(rect, self._scene.ptr, context)
         part = np.empty((rect.height, rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(part, None, rect, context)
         self._rgb_buffer[self._drawn] = 0  # only what was drawn last: the rest is black already
         self._drawn = slice(self._height - bottom, self._height - top), slice(left, right)
         self._rgb_buffer[self._drawn] = part
-
-    def _read_depth(self) -> None:
-        contexts = self._physics.contexts
-        assert contexts is not None and contexts.mujoco is not None
-        context = contexts.mujoco.ptr
-        # Far is 0: floats are finest there, where the depths are coarsest.
-        context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
 
     def depth(self) -> DepthImage:
         """Depth Z (H, W) [m] along the optical axis of the last image drawn with `reads_depth`; inf where nothing was drawn.
@@ -269,8 +265,11 @@ class OpenGLRenderer:
             rows: of a camera without panels, the only ones that are drawn.
         """
         start = time.perf_counter()
-        if self._cube is not None:
-            images = self._panel_images(regions) if self._panels > 1 else self._composed(regions, rows)
+        if self._panels > 1:
+            self.whole = regions is None or all(regions)
+            images = tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
+        elif self._cube is not None:
+            images = self._composed(regions, rows)
         elif with_depth:
             images = self._pinhole(None, True)
         else:
@@ -286,7 +285,9 @@ class OpenGLRenderer:
             return (self._views[0].raw(window),)
         part = slice(window[1], window[3]), slice(window[0], window[2])
         at = [axis[part] for axis in self._maps]
-        drawn = _read_by(at, self._views[0].size)
+        low = [min(max(math.floor(axis.min()), 0), n - 1) for axis, n in zip(at, self._views[0].size, strict=True)]
+        high = [max(min(math.floor(axis.max()) + 2, n), begin + 1) for axis, n, begin in zip(at, self._views[0].size, low, strict=True)]
+        drawn = low[0], low[1], high[0], high[1]  # what the interpolation reads
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
         source = np.ascontiguousarray(self._views[0].raw(drawn)[drawn[1] : drawn[3], drawn[0] : drawn[2]])
         moved = [axis - np.float32(begin) for axis, begin in zip(at, drawn[:2], strict=True)]
@@ -306,10 +307,6 @@ class OpenGLRenderer:
         still = np.ascontiguousarray(image)
         return (np.asarray(cv2.remap(still, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8),)
 
-    def _panel_images(self, regions: Regions | None) -> tuple[Image | None, ...]:
-        self.whole = regions is None or all(regions)
-        return tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
-
     def _composed(self, regions: Regions | None, rows: Rows | None) -> tuple[Image]:
         """The image of a wide lens, composed of the cube's faces, or of their parts, that the windows or rows need."""
         assert self._cube is not None
@@ -321,13 +318,6 @@ class OpenGLRenderer:
         faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
-
-
-def _read_by(at: Sequence[NDArray[np.float32]], size: tuple[int, int]) -> Window:
-    """The part of an image (width, height) that is read where it is interpolated at places u (h, w) and v (h, w) [px]."""
-    low = [min(max(math.floor(axis.min()), 0), n - 1) for axis, n in zip(at, size, strict=True)]
-    high = [max(min(math.floor(axis.max()) + 2, n), begin + 1) for axis, n, begin in zip(at, size, low, strict=True)]
-    return low[0], low[1], high[0], high[1]
 
 
 def _resampled(depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> DepthImage:

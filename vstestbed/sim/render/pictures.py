@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from vstestbed.camera import Camera, Image, Window
+from vstestbed.camera import Camera
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
 from vstestbed.sim import gl_probe as gl
@@ -15,22 +15,12 @@ from vstestbed.sim.base import Renderer
 from vstestbed.sim.render.cube_map import drawn_for
 
 if TYPE_CHECKING:
+    from vstestbed.sim.render.opengl import SceneCamera
+    from vstestbed.sim.render.rays import RaySceneCamera
     from vstestbed.sim.scene.scene import Scene
 
 T = TypeVar("T")
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
-
-
-class OutsideView(Protocol):
-    """A camera of the scene that films the robot from outside."""
-
-    def full_image(self) -> Image:
-        """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
-        ...
-
-    def part(self, window: Window) -> Image | None:
-        """The image now, valid within a window until the next call; None where a part takes as long as the whole, or is not the same."""
-        ...
 
 
 def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
@@ -44,7 +34,7 @@ def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: flo
     return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
 
 
-def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> OutsideView:
+def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> SceneCamera | RaySceneCamera:
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows. Raises as `servo_renderer`."""
     return _chosen(
         camera,

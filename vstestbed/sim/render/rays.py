@@ -194,7 +194,10 @@ class Raster:
             start = end
 
     def _refine(self, drawn: Image, geoms: NDArray[np.int32], corner: tuple[int, int], caster: Caster, T: Array) -> None:
-        row, column = np.nonzero(_borders(geoms))
+        # pixels with a neighbour, of eight, that shows another geom
+        (height, width), wide = geoms.shape, np.pad(geoms, 1, mode="edge")
+        near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+        row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
             uv, n = at[:, None] + self._within, len(self._within)
@@ -209,14 +212,6 @@ def tiles_of(window: Window) -> Iterator[Window]:
     for v in range(top, bottom, TILE_PX):
         for u in range(left, right, TILE_PX):
             yield u, v, min(u + TILE_PX, right), min(v + TILE_PX, bottom)
-
-
-def _borders(geoms: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Which pixels (H, W) have a neighbour, of eight, that shows another geom."""
-    wide = np.pad(geoms, 1, mode="edge")
-    height, width = geoms.shape
-    near = [wide[i : i + height, j : j + width] for i in range(3) for j in range(3)]
-    return np.logical_or.reduce([other != geoms for other in near])
 
 
 class RayRenderer:

@@ -125,7 +125,10 @@ class Paint:
         rgb = own_colours(model)[:, :3]
         emission = np.where(painted, model.mat_emission[material] if model.nmat else 0.0, 0.0)
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
-        self._printed, self.averaged = _by_texture(model, texture)
+        flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
+        printed = flat & np.isin(model.geom_type, FLAT)
+        self._printed: list[int] = np.flatnonzero(printed).tolist()
+        self.averaged: list[int] = np.flatnonzero((texture >= 0) & ~printed).tolist()
         self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
         self._texture, self._repeated = texture, repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
@@ -147,7 +150,11 @@ class Paint:
         """
         light = self._light(normal)
         if self._local:
-            self._add_local(light, origin + rays * distance[:, None], normal)
+            model, points = self._model, origin + rays * distance[:, None]
+            for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
+                to, share = self._towards(int(i), points)
+                facing = np.maximum((to * normal).sum(axis=1), 0.0)
+                light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
         light += self._glow[geom]
         light *= self._rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
@@ -215,14 +222,6 @@ class Paint:
         first, second = (np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in two)
         return mipmap.aslant(place, (first, second), self._anisotropy)
 
-    def _add_local(self, light: NDArray[np.float32], points: Array, normal: Array) -> None:
-        """Add the lights that have a place, at points (N, 3) with outward normals (N, 3), to (3, N)."""
-        model = self._model
-        for i in np.flatnonzero(model.light_active & (model.light_type != DIRECTIONAL)):
-            to, share = self._towards(int(i), points)
-            facing = np.maximum((to * normal).sum(axis=1), 0.0)
-            light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
-
     def _towards(self, i: int, points: Array) -> tuple[Array, Array]:
         """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of its light gets there (N,)."""
         model, data = self._model, self._data
@@ -257,13 +256,6 @@ class Paint:
             )
             total += model.mat_specular[material] * model.light_specular[i][:, None] * lit
         return total.astype(np.float32)
-
-
-def _by_texture(model: mujoco.MjModel, texture: NDArray[np.int_]) -> tuple[list[int], list[int]]:
-    """Geoms on which their texture (ngeom,) lies as it is, and those that have its mean colour."""
-    flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
-    printed = flat & np.isin(model.geom_type, FLAT)
-    return np.flatnonzero(printed).tolist(), np.flatnonzero((texture >= 0) & ~printed).tolist()
 
 
 def _sky(model: mujoco.MjModel) -> tuple[Array, NDArray[np.float32]]:

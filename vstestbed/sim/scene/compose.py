@@ -28,9 +28,9 @@ from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY, World
-from vstestbed.targets import Pad, Target
+from vstestbed.targets import Target
 from vstestbed.targets.base import Body
-from vstestbed.targets.markers import HALF_THICKNESS_M, Marker, Solid
+from vstestbed.targets.markers import HALF_THICKNESS_M, Solid
 from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget
 from vstestbed.vision.tags import printed
@@ -271,8 +271,10 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
-    if target.pad:
-        _add_pad(body, target.pad)
+    if pad := target.pad:  # the only part of a target that collides
+        size, grey = [pad.side / 2, pad.side / 2, PAD_HALF_M], [0.62, 0.63, 0.62, 1]
+        geom = body.add_geom(name="target/pad", type=GEOMS["box"], size=size, pos=[0, 0, PAD_HALF_M], rgba=grey, group=TARGET_GROUP)
+        geom.mass, geom.friction = pad.weight, PAD_FRICTION
     elif target.board_half_m is not None:
         half, marker = target.board_half_m, target.marker
         front = (marker.height_m or 1.5 * HALF_THICKNESS_M) if target.draw_markers else 0.0
@@ -287,7 +289,11 @@ def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: i
     marker, normal = target.marker, target.normals[i]
     rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
-        paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = _marker_texture(scene, marker, i)
+        name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
+        scene.texturedir = ASSETS
+        scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": png}
+        scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
+        paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"target/{name}"
     shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
     inwards = 0.0 if marker.height_m else HALF_THICKNESS_M if target.body is None else -HALF_THICKNESS_M
@@ -303,34 +309,11 @@ def _facing(normal: Array) -> tuple[float, ...]:
     return tuple(turn / np.linalg.norm(turn))
 
 
-def _add_pad(body: mujoco.MjsBody, pad: Pad) -> None:
-    """The landing pad, the only part of a target that collides."""
-    body.add_geom(
-        name="target/pad",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[pad.side / 2, pad.side / 2, PAD_HALF_M],
-        pos=[0, 0, PAD_HALF_M],
-        rgba=[0.62, 0.63, 0.62, 1],
-        group=TARGET_GROUP,
-        mass=pad.weight,
-        friction=PAD_FRICTION,
-    )
-
-
 def _paint(scene: mujoco.MjSpec, name: str, rgb: Array, lit: bool) -> tuple[list[float], mujoco.MjsMaterial]:
     """A colour shaded by the scene's lights, or of constant brightness: rgba, and the material `target/<name>`."""
     rgba = [*(rgb if lit else rgb / GLOW), 1.0]
     emission = 0.0 if lit else GLOW
     return rgba, scene.add_material(name=f"target/{name}", rgba=rgba, specular=0, shininess=0, emission=emission)
-
-
-def _marker_texture(scene: mujoco.MjSpec, marker: Marker, i: int) -> str:
-    """Name of the texture printed on marker i, a PNG in memory; `scene_files` writes it beside model.xml."""
-    name, png = printed(marker, i)
-    scene.texturedir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": png}
-    scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
-    return f"target/{name}"
 
 
 def _visual(

@@ -36,7 +36,12 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
     ParameterError: `file`, `flange` or `joints`, with what would work.
     """
     model = compiled(file)
-    body, T_body_flange = _flange(model, flange)
+    if (at := flange_in(model, flange)) is None:
+        there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
+        kind, known = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
+        known = f"its {kind}: {known}" if known else f"its {kind} have no names" if there else "it has none"
+        raise ParameterError("flange", f"is no site and no body of the file; {known}", flange)
+    body, T_body_flange = at
     joints = _joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
     _check(model, flange, joints, found, names)
@@ -110,15 +115,6 @@ def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | No
     return (body, np.eye(4)) if body > 0 else None
 
 
-def _flange(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray]:
-    if found := flange_in(model, flange):
-        return found
-    there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
-    kind, names = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
-    known = f"its {kind}: {names}" if names else f"its {kind} have no names" if there else "it has none"
-    raise ParameterError("flange", f"is no site and no body of the file; {known}", flange)
-
-
 def _joints_to(model: mujoco.MjModel, body: int) -> list[int]:
     joints: list[int] = []
     while body > 0:
@@ -190,10 +186,3 @@ def _drive(model: mujoco.MjModel, joint: int) -> str:
     if kp == 0:
         return "velocity" if kv < 0 and not integrates else "motor"
     return "velocity" if integrates else "position"
-
-
-def own_gains(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Position and velocity gain (kp, kv) of the servo that a file has for a joint, the joint's damping not counted."""
-    (a,) = drivers(model, joint)
-    _, kp, kv = model.actuator_biasprm[a, :3]
-    return -float(kp), -float(kv)

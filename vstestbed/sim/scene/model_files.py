@@ -87,7 +87,8 @@ def cannot_compile(error: Exception, path: Path, works: str) -> ParameterError:
     element = next(filter(None, found.groups()), "") if (found := ELEMENT.search(text)) else ""
     words = (f"{element}: " if element else "") + ELEMENT.sub("", text).replace("attribute: '", "attribute '")
     if named := MISSING.search(text):
-        line = line or _line_with(path, named[1])
+        lines = enumerate(path.read_text(errors="replace").splitlines(), start=1)
+        line = line or next((number for number, text in lines if named[1] in text), 0)
         return _told(_place(path, line), f"it names the file {named[1]}, which is not there", "correct its name, or the folder it is in")
     return _told(_place(path, line), words, f"works: {works}" if words.startswith(FOREIGN) else "correct it there")
 
@@ -110,11 +111,6 @@ def _place(path: Path, line: int) -> str:
     if line and "<include" in path.read_text(errors="replace"):
         return f"{path}, line {line} there or in a file that it includes"
     return f"{path}:{line}" if line else str(path)
-
-
-def _line_with(path: Path, word: str) -> int:
-    lines = path.read_text(errors="replace").splitlines()
-    return next((number for number, text in enumerate(lines, start=1) if word in text), 0)
 
 
 ROOT = re.compile(r"\A\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b[^>]*>", re.DOTALL)
@@ -148,16 +144,11 @@ def read_model(path: Path) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_string(MESH.sub(lambda mesh: mesh[1] + _found(path, mesh[2], mesh[3]), text))
     spec.meshdir = str(path.parent.resolve() / spec.meshdir)
     for body in spec.bodies:
-        _hide_contacts(body)
+        touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
+        if not all(touch):  # shapes for contacts are left out of pictures where a link has others to be seen
+            for geom, touches in zip(body.geoms, touch, strict=True):
+                geom.group = CONTACT_GROUP if touches else geom.group
     return spec
-
-
-def _hide_contacts(body: mujoco.MjsBody) -> None:
-    """Leave a link's shapes for contacts out of pictures where it has others to be seen."""
-    touch = [bool(geom.contype or geom.conaffinity) for geom in body.geoms]
-    if not all(touch):
-        for geom, touches in zip(body.geoms, touch, strict=True):
-            geom.group = CONTACT_GROUP if touches else geom.group
 
 
 def speeds_in(path: Path) -> dict[str, float]:

@@ -18,7 +18,7 @@ from vstestbed.core.named_files import place_of_file
 from vstestbed.robots.arm import INNER, unit_scale
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
-from vstestbed.sim.scene.joint_chain import compiled, inertia_at, joint_chain, own_gains
+from vstestbed.sim.scene.joint_chain import compiled, drivers, inertia_at, joint_chain
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
@@ -90,7 +90,10 @@ def first_posture(file: str, flange: str, chain: JointChain) -> Posture:
 
     Reference: Klein & Blaho 1987, doi:10.1177/027836498700600206.
     """
-    ranked = _ranked(chain)[:TRIED]
+    drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
+    least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
+    best = drawn[np.argsort(least)[::-1][:TRIED]]
+    ranked = np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))  # as the scenario will have them
     apart = [q for q in ranked if not touching(file, chain, q)] or [ranked[0]]
     seen = (posture for posture in _views(file, flange, chain, apart) if _sees(file, chain, posture))
     return next(seen, _placed(file, flange, chain, apart[0], MOUNTS_M[0], DISTANCES_M[0]))
@@ -135,14 +138,6 @@ def _drawn(chain: JointChain) -> Array:
     limits = np.where(np.isfinite(chain.limits), chain.limits, endless)
     middle, half = limits.mean(axis=1), INNER / 2 * np.ptp(limits, axis=1)
     return middle + half * np.random.default_rng(0).uniform(-1, 1, (DRAWS, len(middle))) * (np.arange(len(middle)) > 0)
-
-
-def _ranked(chain: JointChain) -> Array:
-    """The drawn postures (DRAWS, n), that of the largest manipulability first, rounded as the scenario will have them."""
-    drawn, scale = _drawn(chain), unit_scale(chain.unit_m)[:, None]
-    least = [np.linalg.svd(scale * chain.kinematics(q)[1], compute_uv=False)[-1] for q in drawn]
-    best = drawn[np.argsort(least)[::-1]]
-    return np.where(chain.slides, best.round(3), np.radians(np.degrees(best).round(0)))
 
 
 def _placed(file: str, flange: str, chain: JointChain, q: Array, mount: float, distance: float) -> Posture:
@@ -294,7 +289,10 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
     The trunk are the joints before they branch. Where no end is at its end, the one with the most joints.
     """
     end = _trunk_end(model)
-    trunk = {model.joint(i).name for i in range(model.njnt) if _carries(model, int(model.jnt_bodyid[i]), end)}
+    carriers = {body := end}
+    while body > 0:
+        carriers.add(body := int(model.body_parentid[body]))
+    trunk = {model.joint(i).name for i in range(model.njnt) if int(model.jnt_bodyid[i]) in carriers}
     sites = {model.site(i).name: int(model.site_bodyid[i]) for i in range(model.nsite)}
 
     def rank(name: str) -> tuple[bool, int, bool, bool, int]:
@@ -304,17 +302,15 @@ def likely_flange(model: mujoco.MjModel, usable: dict[str, JointChain]) -> str:
     return max(usable, key=rank)
 
 
-def _carries(model: mujoco.MjModel, body: int, end: int) -> bool:
-    while end > body:
-        end = int(model.body_parentid[end])
-    return end == body
-
-
 def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
     """Ranges, torque limits and drives of the longest chain's joints, each with its line where something is missing."""
     for i, name in enumerate(chain.names):
-        missing = _missing(chain, i)
-        where = f", line {line}" if missing and (line := _line_of(name, lines)) else ""
+        missing, drive = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"], chain.drives[i]
+        if drive not in ("velocity", "position"):
+            missing.append(f"a {drive} actuator" if drive else "no actuator")
+        wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"')
+        line = next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)  # 0: in a file that it includes
+        where = f", line {line}" if missing and line else ""
         note = f" [{'; '.join(missing)}{where}]" if missing else ""
         yield "joint", True, f"{name}: {_span(chain, i)}{note}", ""
 
@@ -325,7 +321,8 @@ def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) ->
         friction, slides = float(chain.friction[i]), bool(chain.slides[i])
         yield "servo", True, f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)}, added by actuation: velocity", ""
         if chain.drives[i] in ("velocity", "position"):
-            kp, kv = own_gains(model, model.joint(name).id)
+            (servo,) = drivers(model, model.joint(name).id)
+            kp, kv = (-model.actuator_biasprm[servo, 1:3]).tolist()  # the joint's damping not counted
             yield "servo", True, f"{name}: {_gains(kp, kv, friction, slides)}, its own, used by actuation: file", ""
 
 
@@ -348,15 +345,3 @@ def _span(chain: JointChain, i: int) -> str:
     spans = f"{low:.4g} to {high:.4g} {'m' if slides else 'deg'}" if np.isfinite(low) else "without end" if slides else "turns without end"
     strength = f", at most {torque:.4g} {'N' if slides else 'Nm'}" if np.isfinite(torque) else ""
     return f"{'slide' if slides else 'hinge'}, {spans}{strength}"
-
-
-def _missing(chain: JointChain, i: int) -> list[str]:
-    drive = chain.drives[i]
-    missing = [] if np.isfinite(chain.torque[i]) else ["no torque limit (actuatorfrcrange)"]
-    return missing if drive in ("velocity", "position") else [*missing, f"a {drive} actuator" if drive else "no actuator"]
-
-
-def _line_of(joint: str, lines: list[str]) -> int:
-    """The line of a file that names a joint; 0 where another file that it includes does."""
-    wanted = re.compile(rf'<joint\b[^>]*\bname="{re.escape(joint)}"')
-    return next((number for number, line in enumerate(lines, start=1) if wanted.search(line)), 0)
