@@ -55,6 +55,7 @@ def build_plant(
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
+    from vstestbed.sim.ideal import IdealPlant
     from vstestbed.sim.scene.compose import SceneDescription
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
@@ -63,8 +64,6 @@ def build_plant(
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     may_hide = world.hides or (target.body is not None and not target.outlined)
     if ideal and not (needs_image or plate_m or may_hide):
-        from vstestbed.sim.ideal import IdealPlant
-
         return IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator), "none"
     from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
@@ -83,8 +82,6 @@ def build_plant(
         chain = Chain(camera.imaging(imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
         eye, renderer = ImageSensor(stage, drawn_by, chain, depth), drawn_by.name
     if ideal:
-        from vstestbed.sim.ideal import IdealPlant
-
         return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator), renderer
     from vstestbed.sim.plant import MujocoPlant
 

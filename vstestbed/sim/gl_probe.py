@@ -127,9 +127,7 @@ def require() -> None:
 def explain(error: ImportError) -> EnvironmentLackError | None:
     """The error to show for a failed import of MuJoCo's or dm_control's renderer; None where EGL is not the cause."""
     words = str(error).rstrip(".")
-    if "EGL" not in words:
-        return None
-    return EnvironmentLackError(f"no OpenGL: {words}", remedy())
+    return EnvironmentLackError(f"no OpenGL: {words}", remedy()) if "EGL" in words else None
 
 
 def renderer_string() -> str:

@@ -86,10 +86,6 @@ class SensorReader:
         self.read_at = -1
         self._reading: Any = None
 
-    def joints(self) -> tuple[Array, Array]:
-        """True joint positions and speeds (n,) each."""
-        return self._data.qpos[self._at.qpos], self._data.qvel[self._at.qvel]
-
     def read(self, step: int) -> Any:
         """What the sensors read at a physics step (`Robot.instruments`)."""
         # Cached: a second reading of the same instant must not draw other noise, which could be averaged out.
@@ -374,7 +370,7 @@ class MujocoPlant(Plant):
         if stage.parts.target.on_gripper:  # relative to the target in the gripper; the camera itself is at rest
             twist = -adjoint(inverse(T) @ T_target) @ self._twist(stage.held_site)
         hidden = stage.hidden(T, p_camera) if self._see_hidden else self._visible
-        q, qd, ctrl = *self._sensors.joints(), self._ctrl[stage.at.ctrl].copy()
+        q, qd, ctrl = stage.data.qpos[stage.at.qpos], stage.data.qvel[stage.at.qvel], self._ctrl[stage.at.ctrl].copy()
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))

@@ -35,12 +35,6 @@ class Pinhole:
         """Its orientation in the camera's frame, (3, 3)."""
         return CUBE[self.face]
 
-    @property
-    def mujoco_principal(self) -> tuple[float, float]:
-        """MuJoCo's principalpixel: cx = W/2 - 0.5 - principalpixel_x, and y alike."""
-        # MuJoCo counts from the image's middle, and pixel centres are at whole numbers here: hence the half pixel.
-        return self.width / 2 - 0.5 - self.centre[0], self.height / 2 - 0.5 - self.centre[1]
-
     def holds(self, p_camera: Array) -> bool:
         """Whether one of the points (N, 3) lies in the middle part of its face of the cube, |x|, |y| <= z in its axes."""
         p = p_camera @ self.R_camera_face

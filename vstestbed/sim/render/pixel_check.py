@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from typing import Literal
 
@@ -33,13 +34,10 @@ def pixel_convention(renderer: Literal["auto", "gl", "rays"] = "auto", camera: C
     target = Points(at=BALLS, pose=Pose(xyz=(0, 0, 1.2)), marker=Sphere(radius=0.035, lit=False))
     robot = Free(start=FreeStart(nominal=Pose()))
     parts = SceneDescription(robot, camera, target, World(floor_z=-20.0), step=0.002)
-    stage = Scene(parts, samples=camera.multisampling)
-    try:
+    with closing(Scene(parts, samples=camera.multisampling)) as stage:
         drawing = servo_renderer(stage, camera)
         stage.place(0.0, target.pose.T, np.zeros(0), np.eye(4))
         image = drawing.full_image()
         detector = Blobs()
         _, found = detector.detect(detector.init(), Picture(0.0, (image,)), None, camera, target, np.random.default_rng(0))
-    finally:
-        stage.close()
     return found.uv - camera.project(transform(target.pose.T, target.points)), drawing.name

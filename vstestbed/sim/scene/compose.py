@@ -226,7 +226,8 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
             resolution=[view.width, view.height],
             sensor_size=[view.width * PITCH_M, view.height * PITCH_M],
             focal_pixel=[view.f, view.f],
-            principal_pixel=list(view.mujoco_principal),
+            # cx = W/2 - 0.5 - principal_pixel_x: MuJoCo counts from the image's middle, and pixel centres are at whole numbers here
+            principal_pixel=[view.width / 2 - 0.5 - view.centre[0], view.height / 2 - 0.5 - view.centre[1]],
         )
     body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
     box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]

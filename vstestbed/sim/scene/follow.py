@@ -10,7 +10,7 @@ import numpy as np
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import turned
-from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, Tangents, extremes, eye_of, holds, slanting
+from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.scene import Scene
 
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
@@ -90,9 +90,9 @@ class FollowCamera:
         self._camera, self._light = model.camera("overview").id, model.light("key").id
         half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)
         self._width = 2 * half * aspect
-        tangents = Tangents(half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half)
+        tangents = np.array([half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half])
         self._moving = stage.parts.robot.base != "fixed"
-        self._tangents, self._edges = tangents.narrowed(ROOM if self._moving else ROOM_TO_MOVE), tangents.narrowed(SLACK)
+        self._tangents, self._edges = tangents / (ROOM if self._moving else ROOM_TO_MOVE), tangents / SLACK
         self._things = things
         self._view: Axes | None = None
         self._extremes, self._framed = np.full((2, 4), -np.inf), np.zeros(3)

@@ -93,12 +93,11 @@ def solids(model: mujoco.MjModel) -> list[Solid]:
             continue
         triangles = _triangles(model, i) @ turned(model.geom_quat[i]).T + model.geom_pos[i]
         found.setdefault((int(model.geom_bodyid[i]), _colour(model, i)), []).append(triangles)
-    return [_joined(body, rgb, parts) for (body, rgb), parts in found.items()]
-
-
-def _joined(body: int, rgb: tuple[float, float, float], parts: list[Array]) -> Solid:
-    vertices = np.concatenate(parts).reshape(-1, 3)  # corners are not shared: every face keeps its own normal
-    return Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb)
+    joined = []
+    for (body, rgb), parts in found.items():
+        vertices = np.concatenate(parts).reshape(-1, 3)  # corners are not shared: every face keeps its own normal
+        joined.append(Solid(body, vertices, np.arange(len(vertices)).reshape(-1, 3), rgb))
+    return joined
 
 
 def own_colours(model: mujoco.MjModel) -> Array:

@@ -207,7 +207,7 @@ def examine_model(file: str) -> Iterator[Line]:
     usable, refused = _flanges(file, model)
     against = _against_scenery(file)
     if against and not usable:
-        yield "as an arm", False, refused, _remedy(refused)
+        yield "as an arm", False, refused, MEND if ": file must" in refused else ARM
         yield "as scenery", False, *against
     elif usable:
         yield from _as_arm(file, model, usable, path.read_text(errors="replace").splitlines())
@@ -217,10 +217,6 @@ def examine_model(file: str) -> Iterator[Line]:
         for what, found in examine_scenery(file):
             yield what, True, found, ""
         yield "as scenery", True, f"world: {{scenery: {file}}}", ""
-
-
-def _remedy(refused: str) -> str:
-    return MEND if ": file must" in refused else ARM
 
 
 def _as_arm(file: str, model: mujoco.MjModel, usable: dict[str, JointChain], lines: list[str]) -> Iterator[Line]:

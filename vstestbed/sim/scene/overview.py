@@ -91,23 +91,10 @@ def _light(scene: mujoco.MjSpec, points: Array) -> None:
     scene.visual.map.shadowclip = max(float(reach), LEAST_REACH) / scene.stat.extent
 
 
-class Tangents(NamedTuple):
-    """Tangents of the angles from the optical axis to the edges between which a picture shows its contents."""
-
-    left: float
-    right: float
-    down: float
-    up: float
-
-    def narrowed(self, room: float) -> Tangents:
-        """With a margin: the picture is so many times as large as its contents."""
-        return Tangents(*(tangent / room for tangent in self))
-
-
 def eye_for(points: Array, right: Array, up: Array, half_height: float) -> Array:
     """The nearest place (3,) from which a picture of tangent `half_height`, WIDE_PICTURE wide, holds all points (N, 3)."""
     wide, high = half_height * WIDE_PICTURE / ROOM, half_height / HEADROOM
-    tangents = Tangents(wide, wide, high, high)
+    tangents = np.array([wide, wide, high, high])
     axes = Axes.of(right, up)
     return eye_of(extremes(points, axes, tangents), axes, tangents)
 
@@ -125,9 +112,10 @@ class Axes(NamedTuple):
         return cls(right, up, np.cross(up, right))
 
 
-def extremes(points: Array, axes: Axes, tangents: Tangents) -> Array:
+def extremes(points: Array, axes: Axes, tangents: Array) -> Array:
     """What points (N, 3) ask of the place of a view, (4,): the larger, the farther they are out of the picture to each side.
 
+    tangents (4,): of the angles from the optical axis to the edges (left, right, down, up) between which a picture shows its contents.
     With x to the right, z ahead, tangents l and r and D the eye's distance behind the origin, x - cx <= r (D + z) for every point is
     cx + r D >= max(x - r z), and x - cx >= -l (D + z) is l D - cx >= max(-x - l z). The same upwards.
     """
@@ -136,7 +124,7 @@ def extremes(points: Array, axes: Axes, tangents: Tangents) -> Array:
     return np.array([(-x - left * z).max(), (x - to_right * z).max(), (-y - down * z).max(), (y - to_up * z).max()])
 
 
-def eye_of(most: Array, axes: Axes, tangents: Tangents) -> Array:
+def eye_of(most: Array, axes: Axes, tangents: Array) -> Array:
     """The nearest place (3,) that satisfies these extremes (4,), with the contents in the middle of what room is left."""
     left, to_right, down, to_up = tangents
     distance = max((most[0] + most[1]) / (left + to_right), (most[2] + most[3]) / (down + to_up))
@@ -146,9 +134,9 @@ def eye_of(most: Array, axes: Axes, tangents: Tangents) -> Array:
     return across * axes.right + upwards * axes.up - distance * axes.ahead
 
 
-def holds(eye: Array, most: Array, axes: Axes, tangents: Tangents) -> bool:
+def holds(eye: Array, most: Array, axes: Axes, tangents: Array) -> bool:
     """Whether a place (3,) satisfies extremes (4,)."""
     across, upwards, distance = axes.right @ eye, axes.up @ eye, -(axes.ahead @ eye)
-    left, to_right, down, to_up = np.array(tangents) * distance
+    left, to_right, down, to_up = tangents * distance
     room = np.array([left - across, across + to_right, down - upwards, upwards + to_up])
     return bool((room >= most).all())

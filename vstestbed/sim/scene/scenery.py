@@ -223,7 +223,12 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
     yield "scenery", f"{model.ngeom} geoms, {solid} of which can be touched; {model.nmesh} meshes, {model.ntex} textures"
     if spec.lights:
         yield "lights", f"{len(spec.lights)}, in place of the scene's key light; the fill light stays"
-    if found := _left_out(spec):
+    found, plain = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))], mujoco.MjSpec()
+    options = [name for name in dir(plain.option) if not name.startswith("_")]
+    changed = [name for name in options if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))]
+    if changed:
+        found.append(f"<option> ({', '.join(changed)}), where the scene's own count")
+    if found:
         yield "left out", "; ".join(found)
     if words := _saturated(path, CHROMA, "detector blobs"):
         yield "colours", words
@@ -231,11 +236,3 @@ def examine_scenery(file: str) -> Iterator[tuple[str, str]]:
 
     if rays := [_name(model, g) for g in Paint(model, _placed(model)).averaged]:
         yield "rays", f"draw {', '.join(rays)} in the mean colour of the texture; OpenGL draws it whole"
-
-
-def _left_out(spec: mujoco.MjSpec) -> list[str]:
-    found = [f"{len(there)} {kind}" for kind in LEFT_OUT if (there := list(getattr(spec, kind)))]
-    plain = mujoco.MjSpec()
-    names = [name for name in dir(spec.option) if not name.startswith("_")]
-    changed = [name for name in names if not np.array_equal(getattr(spec.option, name), getattr(plain.option, name))]
-    return [*found, f"<option> ({', '.join(changed)}), where the scene's own count"] if changed else found

@@ -158,9 +158,9 @@ class Clutter:
         )
 
 
-def decoy_path(decoy: Decoy) -> Path:
-    """Pose (4, 4) of a decoy as a function of time [s]."""
-    rest, displacement = Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T, decoy.motion.path(np.random.default_rng(0))
+def path_from(rest: Array, motion: MotionBase) -> Path:
+    """Pose (4, 4) as a function of time [s] of what moves from its pose at rest (4, 4)."""
+    displacement = motion.path(np.random.default_rng(0))
     return lambda t: rest @ displacement(t)
 
 
@@ -208,8 +208,7 @@ class Light:
 
     def path(self) -> Path:
         """Pose (4, 4) of the lamp as a function of time [s], at rest along the world's axes; of one without a place about the origin."""
-        rest, displacement = Pose(xyz=self.xyz or (0.0, 0.0, 0.0)).T, self.motion.path(np.random.default_rng(0))
-        return lambda t: rest @ displacement(t)
+        return path_from(Pose(xyz=self.xyz or (0.0, 0.0, 0.0)).T, self.motion)
 
 
 @spec
@@ -347,7 +346,8 @@ class World:
     def movers(self) -> dict[str, Path]:
         """Poses (4, 4) as functions of time [s] of what may have another place at another time, by the names of their bodies."""
         found = {f"plate_{i}": plate_path(plate) for i, plate in enumerate(self.plates)}
-        found |= {f"decoy_{i}": decoy_path(decoy) for i, decoy in enumerate(self.distractors)}
+        for i, decoy in enumerate(self.distractors):
+            found[f"decoy_{i}"] = path_from(Pose(xyz=decoy.xyz, rpy_deg=decoy.rpy_deg).T, decoy.motion)
         return found | ({LAMP: self.light.path()} if self.light is not None and self.light.motion.moves else {})
 
     @property
@@ -373,8 +373,7 @@ AWAY = np.array([0.0, 0.0, -50.0])
 
 def plate_path(plate: Plate) -> Path:
     """Pose (4, 4) of a plate as a function of time [s]."""
-    rest, displacement = plate.pose.T, plate.motion.path(np.random.default_rng(0))
-    # 1e-9: times are sums of steps, and a plate must come in the very frame of from_s.
-    away = rest.copy()
+    there, away = path_from(plate.pose.T, plate.motion), plate.pose.T.copy()
     away[:3, 3] = AWAY
-    return lambda t: rest @ displacement(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away
+    # 1e-9: times are sums of steps, and a plate must come in the very frame of from_s.
+    return lambda t: there(t) if plate.from_s - 1e-9 <= t < plate.until_s - 1e-9 else away
