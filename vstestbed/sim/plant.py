@@ -274,7 +274,7 @@ class MujocoPlant(Plant):
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
-        made = [(effect, effect.actor(stage.body, rng.spawn(1)[0])) for effect in (*world.acting, *robot.acting)]
+        made = [(effect, effect.actor(stage.body, rng.spawn(1)[0])) for effect in (world.wind, *robot.acting)]
         self._actors = [actor for _, actor in made if actor is not None]
         self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
         self._forces = [actor.force for actor in self._actors if actor.force is not None]

@@ -191,11 +191,7 @@ class ImageSensor:
         return self._renderer.spent_s + self._imaged_s
 
     def capture(self, t: float, regions: Regions | None = None) -> Picture:
-        """A picture of an instant, with time stamp t [s]; valid until the next one.
-
-        regions: regions of interest; None for everything. A copy of a picture of which only they were drawn can be completed until
-        the next such picture is taken.
-        """
+        """A picture of an instant, with time stamp t [s]; see `Plant.capture`."""
         regions = None if self._always_whole else regions
         images = self._render(regions, with_depth=True)
         self._keep_state(0, regions)
@@ -262,10 +258,6 @@ class ImageSensor:
 
     def _picture(self, t: float, clean: Images, whole: bool, exposed: list[Contribution]) -> Picture:
         drawn = self._latest = self._chain.next()
-
-        def draw_whole() -> Picture:
-            return self._developed(t, self._drawn_again(exposed), drawn)
-
         begun = time.perf_counter()
         made = self._developed(t, clean, drawn)
         if self._chain.imaging:
@@ -273,7 +265,7 @@ class ImageSensor:
             self._imaged_s += time.perf_counter() - begun
         if self._depth is not None:
             made = replace(made, depth=self._depth.measured(self._true_depth))
-        return made if whole else Picture(t, made.images, whole, draw_whole)
+        return made if whole else Picture(t, made.images, whole, lambda: self._developed(t, self._drawn_again(exposed), drawn))
 
     def _developed(self, t: float, images: Images, changes: Sequence[Change]) -> Picture:
         for change in changes:

@@ -217,10 +217,6 @@ class OpenGLRenderer:
         stage: the scene. camera: the lens.
         noisy: noise will be added to the images. Its level is estimated from whole images, which are then always drawn.
         share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose images are composed.
-
-    Attributes:
-        name: the OpenGL renderer's name. spent_s: wall time spent on images so far [s].
-        whole: the last images are complete; no part was left blank. depth: see `Renderer`.
     """
 
     def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0):
@@ -255,14 +251,10 @@ class OpenGLRenderer:
         return np.ascontiguousarray(self.images()[0])
 
     def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
-        """The images now, one for each panel; they may share the renderer's buffer and are valid until the next call.
+        """See `Renderer.images`. What is not drawn is black, or None for a whole panel.
 
-        Args:
-            regions: regions of interest, None for everything. Of a pinhole camera the rectangle around all windows is drawn; of a
-                camera with panels every panel with a window; of any other lens the cube's faces that reach into the windows.
-                What is not drawn is black, or None for a whole panel.
-            with_depth: of a perspective camera, draw everything, and set `depth`.
-            rows: of a camera without panels, the only ones that are drawn.
+        Of a pinhole camera the rectangle around all windows is drawn; of a camera with panels every panel with a window; of any other lens
+        the cube's faces that reach into the windows.
         """
         start = time.perf_counter()
         if self._panels > 1:

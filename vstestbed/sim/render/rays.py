@@ -240,11 +240,7 @@ class RayRenderer:
         return self._draw(Panel(self._camera, np.eye(3)), -1 if self._camera.panels[0].lens is not self._camera else 0, None)
 
     def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
-        """The images now, one for each panel, as copies.
-
-        regions: regions of interest, None for everything; a panel without a window is None, others are blank outside of theirs.
-        with_depth: of a perspective camera, draw everything, and set `depth`. rows: the only ones that are cast.
-        """
+        """See `Renderer.images`; copies. A panel without a window is None, others are blank outside of theirs."""
         start, images, (regions, rows) = time.perf_counter(), [], (None, None) if with_depth else (regions, rows)
         for i, panel in enumerate(self._camera.panels):
             windows = None if regions is None else regions[i]
@@ -296,8 +292,7 @@ class RaySceneCamera:
         lens = Perspective(width=width, height=height, fovy_deg=float(stage.model.camera(camera).fovy[0]))
         self._raster = Raster(lens, np.eye(3), samples)
         self._tiles = [(tile, cone_of(self._raster.rays(tile).reshape(-1, 3))) for tile in tiles_of((0, 0, width, height))]
-        self._pixel = 2 / lens.f if samples else 0.0
-        """Angle by which antialiasing looks beyond a tile [rad]."""
+        self._pixel = 2 / lens.f if samples else 0.0  # angle by which antialiasing looks beyond a tile [rad]
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
         self._lamp = Lamp(stage.model, stage.data)

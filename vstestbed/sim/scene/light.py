@@ -76,7 +76,7 @@ def _add_window(scene: mujoco.MjSpec, pane: WindowPane, i: int, sharpness: float
         ambient=[0, 0, 0],
         diffuse=[pane.brightness] * 3,
         specular=[pane.brightness * (sharpness / 4 + 1) / 2] * 3,
-        attenuation=[1, 0, np.pi / pane.area],
+        attenuation=[1, 0, np.pi / (pane.width * pane.height)],
         cutoff=90,
         exponent=1,
         castshadow=False,

@@ -6,6 +6,7 @@ import colorsys
 import math
 import pathlib
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -16,7 +17,6 @@ from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
 from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Time, check_range
 from vstestbed.core.spec import Shorthand, spec
-from vstestbed.effects.base import Effect
 from vstestbed.effects.wind import Wind
 from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.targets.motion import PLATE_MOTIONS, MotionBase, Path, Still
@@ -138,24 +138,20 @@ class Clutter:
 
     def draw(self, rng: np.random.Generator, hues_deg: Sequence[float]) -> tuple[Decoy, ...]:
         """The objects of a run. rng: of the run. hues_deg: of the markers [deg]."""
-        return tuple(self._one(own, hues_deg) for own in rng.spawn(self.count))
-
-    def _one(self, rng: np.random.Generator, hues_deg: Sequence[float]) -> Decoy:
-        place, shape, size, hue, turn = rng.uniform(-0.5, 0.5, 3), *rng.random(4).tolist()
-        z = math.tau * turn
-        own = np.eye(4)
-        own[:3, :3] = [[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]]
-        own[:3, 3] = place * self.size_m
-        pose = Pose.of(self.pose.T @ own)
-        return Decoy(
-            xyz=pose.xyz,
-            rpy_deg=pose.rpy_deg,
-            shape=self.shapes[int(shape * len(self.shapes))],
-            radius=self.radius_m[0] + size * (self.radius_m[1] - self.radius_m[0]),
-            hue_deg=hues_deg[int(hue * len(hues_deg))] if self.hues == "markers" and hues_deg else 360 * hue,
-            saturation=self.saturation,
-            albedo=self.albedo,
-        )
+        decoys = []
+        for own in rng.spawn(self.count):
+            place, shape, size, hue, turn = own.uniform(-0.5, 0.5, 3), *own.random(4).tolist()
+            z = math.tau * turn
+            T = np.eye(4)
+            T[:3, :3] = [[math.cos(z), -math.sin(z), 0], [math.sin(z), math.cos(z), 0], [0, 0, 1]]
+            T[:3, 3] = place * self.size_m
+            pose = Pose.of(self.pose.T @ T)
+            kind = self.shapes[int(shape * len(self.shapes))]
+            radius = self.radius_m[0] + size * (self.radius_m[1] - self.radius_m[0])
+            hue_deg = hues_deg[int(hue * len(hues_deg))] if self.hues == "markers" and hues_deg else 360 * hue
+            decoy = Decoy(xyz=pose.xyz, rpy_deg=pose.rpy_deg, shape=kind, radius=radius, hue_deg=hue_deg)
+            decoys.append(replace(decoy, saturation=self.saturation, albedo=self.albedo))
+        return tuple(decoys)
 
 
 def path_from(rest: Array, motion: MotionBase) -> Path:
@@ -235,11 +231,6 @@ class WindowPane:
     width: PositiveLength = 1.2
     height: PositiveLength = 1.0
     brightness: Annotated[float, Gt(0), Le(100)] = 1.0
-
-    @property
-    def area(self) -> float:
-        """Of the pane [m^2]."""
-        return self.width * self.height
 
 
 @spec
@@ -321,11 +312,6 @@ class World:
                 check_scenery(self.scenery.file, self.scenery.pose.T, self.floor_z)
             except ParameterError as error:
                 raise ParameterError("scenery", error.problem, error.found) from None
-
-    @property
-    def acting(self) -> tuple[Effect, ...]:
-        """What of the world acts on a robot."""
-        return (self.wind,)
 
     @property
     def hides(self) -> bool:
