@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
@@ -20,7 +19,7 @@ from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
 from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.follow import FollowCamera, Things
-from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids
+from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids, texels_of
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
@@ -199,22 +198,15 @@ class Replay:
 
 def _repaint(model: mujoco.MjModel) -> None:
     """Colours and lights of films, which must not be those of the servo camera: they show robots, and to that camera markers."""
-    floor = _texels(model, "floor")
-    floor[:] = np.where((floor == floor[0]).all(axis=1, keepdims=True), *np.array(FLOOR, np.uint8))
+    floor = texels_of(model, model.texture("floor").id)
+    floor[:] = np.where((floor == floor[0, 0]).all(axis=-1, keepdims=True), *np.array(FLOOR, np.uint8))
     if any(model.texture(i).name == "sky" for i in range(model.ntex)):  # scenery may have brought its own
-        sky = _texels(model, "sky")
+        sky = texels_of(model, model.texture("sky").id)
         sky[:] = np.rint(sky * np.array(SKY)).astype(np.uint8)
     model.geom("floor").size[:2] = FLOOR_M
     key, fill = model.light("key"), model.light("fill")
     key.diffuse[:], fill.diffuse[:], fill.ambient[:] = KEY, FILL, AMBIENT
     model.vis.map.shadowclip = LEAST_REACH / model.stat.extent
-
-
-def _texels(model: mujoco.MjModel, name: str) -> NDArray[np.uint8]:
-    """The pixels (N, 3) of a texture, to be written to."""
-    i = model.texture(name).id
-    count = model.tex_height[i] * model.tex_width[i] * 3
-    return model.tex_data[model.tex_adr[i] : model.tex_adr[i] + count].reshape(-1, 3)
 
 
 class Retake:

@@ -173,14 +173,13 @@ class ImageSensor:
     """
 
     def __init__(self, stage: Scene, renderer: Renderer, chain: Chain | None = None, depth: DepthCamera | None = None):
-        self._model, self._data = stage.model, stage.data
+        self._stage, self._model, self._data = stage, stage.model, stage.data
         self._renderer, self._chain, self._depth = renderer, chain or Chain(), depth
         self._reads_depth = depth is not None or self._chain.needs_depth
         self._always_whole = self._reads_depth or self._chain.whole
         self._true_depth: DepthImage | None = None
         self._imaged_s = 0.0
         self._states: list[mujoco.MjData] = []
-        self._present: mujoco.MjData | None = None
         self._rows = PixelRows(stage.parts.camera, self._chain.noisy)
         self._exposed: list[Contribution] = []
         self._blur, self._latest = MotionBlur(), list[Change]()
@@ -274,15 +273,11 @@ class ImageSensor:
 
     def _drawn_again(self, exposed: list[Contribution]) -> Images:
         """The whole images of the exposure whose states are kept. The scene's own state is put back as it was, bit by bit."""
-        model, data, blur = self._model, self._data, MotionBlur()
-        self._present = self._present or mujoco.MjData(model)
-        mujoco.mj_copyData(self._present, model, data)
-        try:
+        blur = MotionBlur()
+        with self._stage.kept():
             for contribution, state in zip(exposed, self._states, strict=False):
-                mujoco.mj_copyData(data, model, state)
+                mujoco.mj_copyData(self._data, self._model, state)
                 if contribution is INSTANT:
                     return self._renderer.images()
                 self._add(blur, contribution, None, with_depth=False)
-        finally:
-            mujoco.mj_copyData(data, model, self._present)
         return blur.mean()

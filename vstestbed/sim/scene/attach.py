@@ -131,12 +131,10 @@ def _share_options(scene: mujoco.MjSpec, model: mujoco.MjSpec, friction: float |
     # `attach` leaves the child's options behind: what its contacts and air were tuned with must be copied. Of two robots the larger
     # value serves both.
     model.option.timestep = scene.option.timestep
-    scene.option.cone = max(scene.option.cone, model.option.cone)
-    scene.option.impratio = max(scene.option.impratio, model.option.impratio)
+    for name in ("cone", "impratio", "density", "viscosity"):
+        setattr(scene.option, name, max(getattr(scene.option, name), getattr(model.option, name)))
     if model.option.jacobian != AUTO:
         scene.option.jacobian = model.option.jacobian
-    scene.option.density = max(scene.option.density, model.option.density)
-    scene.option.viscosity = max(scene.option.viscosity, model.option.viscosity)
     # Both geoms of a contact: MuJoCo takes the larger friction of the two, or that of the geom with priority (a car's wheel), so
     # a slippery floor alone would change nothing.
     if friction is not None:

@@ -65,11 +65,11 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
 
 
 def texels_of(model: mujoco.MjModel, texture: int) -> NDArray[np.uint8]:
-    """A texture's pixels (H, W, 3)."""
+    """A texture's pixels (H, W, 3), which may be written to where it has colours."""
     height, width, channels = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
     start = model.tex_adr[texture]
     pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
-    return np.broadcast_to(pixels[..., :3], (height, width, 3))
+    return pixels[..., :3] if channels >= 3 else np.broadcast_to(pixels, (height, width, 3))
 
 
 def _shows_print(model: mujoco.MjModel, i: int) -> bool:
