@@ -10,17 +10,17 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
+from vstestbed.effects.battery import Battery
+from vstestbed.effects.strain_wave import CURVES
+from vstestbed.effects.tyres import Tyres
+from vstestbed.effects.vibration import Vibration
 
 from vstestbed.core import fields as tree
 from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
 from vstestbed.core.named_files import model_path
-from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
-from vstestbed.effects.battery import Battery
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.rotors import MotorSpread, RotorInertia
-from vstestbed.effects.strain_wave import CURVES
-from vstestbed.effects.tyres import Tyres
-from vstestbed.effects.vibration import Vibration
 from vstestbed.effects.wheels import WheelSpread
 from vstestbed.robots.attitude import Imu
 from vstestbed.robots.car import Car, CarLimits, CarParameters, Compass
