@@ -87,7 +87,7 @@ def shutter_that(monkeypatch: pytest.MonkeyPatch, change: Callable[[Planned], Pl
 def bound(scenario: vs.Scenario, speed: float, blind_s: float, blind_m: float = np.inf) -> tuple[float, float]:
     """Stated bounds on time [s] and way [m] to rest at a speed [m/s], when the stop is ordered after `blind_s` or `blind_m`."""
     robot = scenario.robot
-    stop_s = {"car": speed / 1.5 + 0.1, "quadrotor": 2.0}.get(robot.kind, getattr(robot, "stop_s", 0.0))
+    stop_s = {"free": 0.0, "puma560": STOP_S, "car": speed / 1.5 + 0.1, "quadrotor": 2.0}.get(robot.kind) or getattr(robot, "stop_s", 0.0)
     order_s = min(blind_s, blind_m / max(speed, 1e-9)) + scenario.camera.period + LATENCY_S
     lag_s = 0.15  # of servos and springs
     return order_s + stop_s + lag_s, speed * (order_s + stop_s / 2 + lag_s)
@@ -175,7 +175,7 @@ def test_the_arm_stops_within_its_limits_and_not_at_once(monkeypatch: pytest.Mon
 def test_a_dead_camera_stops_the_robot_and_ends_the_run(name: str, monkeypatch: pytest.MonkeyPatch, way: Way):
     scenario = vs.load(name, TIMING | {"stop.lost_after_s": 1.0})
     never = 10**9
-    shutter_that(monkeypatch, lambda p: p if p.frame < BLACK_FRAME else replace(p, opens=(never,), middle=never, arrives=never))
+    shutter_that(monkeypatch, lambda p: p if p.frame < BLACK_FRAME else p._replace(opens=(never,), middle=never, arrives=never))
     r = vs.run(scenario)
     assert len(r.table) == BLACK_FRAME
     assert (r.outcome, r.reason) == (vs.Outcome.target_lost, "no picture arrived for 1 s; the robot stands")
@@ -186,7 +186,7 @@ def test_a_dead_camera_stops_the_robot_and_ends_the_run(name: str, monkeypatch: 
 
 
 def test_a_camera_that_never_delivers_ends_the_run_too(monkeypatch: pytest.MonkeyPatch):
-    shutter_that(monkeypatch, lambda p: replace(p, arrives=10**9))
+    shutter_that(monkeypatch, lambda p: p._replace(arrives=10**9))
     r = vs.run(vs.load("car_pbvs", TIMING | {"stop.duration_s": 20}))
     assert len(r.table) == 0
     assert (r.outcome, r.reason) == (vs.Outcome.target_lost, "no picture arrived for 5 s, from the start on; the robot stands")
@@ -197,7 +197,7 @@ def test_a_camera_that_never_delivers_ends_the_run_too(monkeypatch: pytest.Monke
 @pytest.mark.study
 def test_a_craft_whose_camera_is_dead_sets_down(monkeypatch: pytest.MonkeyPatch):
     never = 10**9
-    shutter_that(monkeypatch, lambda p: p if p.frame < BLACK_FRAME else replace(p, opens=(never,), middle=never, arrives=never))
+    shutter_that(monkeypatch, lambda p: p if p.frame < BLACK_FRAME else p._replace(opens=(never,), middle=never, arrives=never))
     start = {"robot.start.nominal": {"xyz": [0.2, 0, 1.2]}, "stop.lost_after_s": 0.5}
     r = vs.run(vs.load("quadrotor_hover", TIMING | start))
     assert r.outcome is vs.Outcome.target_lost
@@ -206,7 +206,7 @@ def test_a_craft_whose_camera_is_dead_sets_down(monkeypatch: pytest.MonkeyPatch)
 
 def test_pictures_that_come_ever_later_are_none(monkeypatch: pytest.MonkeyPatch, way: Way):
     # From frame 30 on, each picture is 60 ms later than the one before: the law's pictures get old, but still arrive.
-    shutter_that(monkeypatch, lambda p: replace(p, arrives=p.arrives + 30 * max(0, p.frame - BLACK_FRAME)))
+    shutter_that(monkeypatch, lambda p: p._replace(arrives=p.arrives + 30 * max(0, p.frame - BLACK_FRAME)))
     r = vs.run(vs.load("arm_ibvs", TIMING))
     assert r.outcome is vs.Outcome.target_lost and "pictures arrived" in r.reason and "s late" in r.reason
     late = (r["t_cmd"] - r["t"]) > LATENCY_S + TIMEOUT_S + 1e-9

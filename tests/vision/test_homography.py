@@ -134,5 +134,5 @@ def test_planes_aslant_and_far_off_the_axis():
         if found is None:  # seen edge-on
             continue
         backwards += normal[2] < 0
-        assert rotation_angle(found.R_camera_goal @ goal[:3, :3] @ now[:3, :3].T) < 1e-6
+        assert rotation_angle(found[1] @ goal[:3, :3] @ now[:3, :3].T) < 1e-6
     assert backwards > 10
