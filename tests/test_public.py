@@ -63,7 +63,7 @@ def test_loading_a_scenario_builds_few_validators_and_reads_no_docstring(vstestb
     """Of some 220 spec classes those alone that the scenario holds; docstrings are for `describe` and messages."""
     code = """if True:
         import sys, vstestbed as vs
-        from vstestbed.core.docstrings import class_text
+        from vstestbed.core.fields import class_text
         from vstestbed.core.registry import validator_of
         vs.load("arm_ibvs")
         print(class_text.cache_info().currsize, validator_of.cache_info().currsize)"""

@@ -17,7 +17,7 @@ from vstestbed.effects.tyres import Tyres
 from vstestbed.effects.vibration import Vibration
 
 from vstestbed.core import fields as tree
-from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
+from vstestbed.core.fields import DIMENSIONLESS, class_text, without_unit
 from vstestbed.core.named_files import model_path
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.rotors import MotorSpread, RotorInertia

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.describe import describe_entry, describe_field
-from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.fields import class_text
 from vstestbed.scenario.catalogue import Entry, FieldPlace, catalogue, looked_up
 from vstestbed.scenario.plugins import registries
 from vstestbed.scenario.scenario import Scenario

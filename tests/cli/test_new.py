@@ -15,7 +15,7 @@ import pytest
 import vstestbed as vs
 from tests.shortcuts import one_quick
 from vstestbed.cli.tools import REGISTRY_OF, NewKind, commands_of, settings_of, text_of
-from vstestbed.core.docstrings import class_text
+from vstestbed.core.fields import class_text
 from vstestbed.scenario.plugins import registries
 
 KINDS = list(get_args(NewKind))

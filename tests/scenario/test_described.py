@@ -10,7 +10,7 @@ import pytest
 
 from tests.scenario.schemas import whole_schema
 from tests.scenario.test_load import conforms
-from vstestbed.core.docstrings import class_text, unit_in
+from vstestbed.core.fields import class_text, unit_in
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios, folder
 from vstestbed.core.spec import spec
 from vstestbed.laws.error_law import ErrorLaw

@@ -13,8 +13,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from vstestbed.core.docstrings import DIMENSIONLESS, class_text, without_unit
-from vstestbed.core.fields import SchemaField, fields
+from vstestbed.core.fields import DIMENSIONLESS, SchemaField, class_text, fields, without_unit
 from vstestbed.core.registry import Registry
 from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text

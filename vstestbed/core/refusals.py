@@ -9,9 +9,8 @@ from typing import Any, Union
 
 import pydantic
 
-from vstestbed.core.docstrings import class_text
 from vstestbed.core.errors import ParameterError, nearest, short
-from vstestbed.core.fields import Node, SchemaField, fields, needed
+from vstestbed.core.fields import Node, SchemaField, class_text, fields, needed
 from vstestbed.core.registry import Registry, registries_of, to_mapping
 
 Key = tuple[str | int, ...]

@@ -29,7 +29,7 @@ from vstestbed.core.refusals import refusal, refuse_conversions
 from vstestbed.core.registry import SPECS, validator_of
 
 T = TypeVar("T")
-# Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.validation` refuses other conversions.
+# Not strict: YAML has lists where a spec has tuples, and integers where it has floats. `scenario.yaml_marks` refuses other conversions.
 _CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True, strict=False)
 
 

@@ -11,9 +11,8 @@ from typing import Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import DataclassSchema
 
-from vstestbed.core.docstrings import DIMENSIONLESS, class_text
 from vstestbed.core.errors import ParameterError, nearest
-from vstestbed.core.fields import Node, fields, needed
+from vstestbed.core.fields import DIMENSIONLESS, Node, class_text, fields, needed
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.core.registry import Registry, kind_of, whole_adapter
 from vstestbed.scenario.dump import flow_text

@@ -13,8 +13,7 @@ from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.refusals import UNKNOWN
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import build, put_over
-from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, place_of, plain_mapping, respelled, text_of
+from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, build, place_of, plain_mapping, put_over, respelled, text_of
 
 GIVEN, RESOLVED = "scenario.yaml", "resolved.yaml"
 """In a run's folder: the scenario as it was given, and as it ran, with every default, preset and draw written out."""

@@ -18,7 +18,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError, ScenarioError, short
 from vstestbed.core.registry import brief_mapping, to_mapping
 from vstestbed.scenario.distributions import Distribution
-from vstestbed.scenario.validation import build, put_over
+from vstestbed.scenario.yaml_marks import build, put_over
 
 if TYPE_CHECKING:
     from vstestbed.scenario.scenario import Scenario

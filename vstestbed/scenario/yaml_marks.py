@@ -1,4 +1,6 @@
-"""YAML text as plain mappings, lists and scalars with the position (`FILE:LINE:COL`) of each; overrides by dotted path."""
+"""YAML text as plain mappings, lists and scalars with the position (`FILE:LINE:COL`) of each; overrides by dotted path; the specs that are
+built from them, with every mistake as a sentence at its position.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
+import pydantic
 import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
-from vstestbed.core.registry import REGISTRIES
+from vstestbed.core.refusals import converted, findings
+from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
+
+T = TypeVar("T")
 
 Key = tuple[str | int, ...]
 Marks = dict[Key, str]  # the position of each key, `FILE:LINE:COL`, or the option or argument that it comes from
@@ -308,3 +314,32 @@ def marks_under(key: Key, marks: Mapping[Key, str]) -> Marks:
     """The positions of a value and of the keys in it, relative to it; `--set` where no file has it."""
     inner = {k[len(key) :]: place for k, place in marks.items() if k[: len(key)] == key}
     return {(): place_of(key, marks, "", FROM_OPTION[()])} | inner
+
+
+def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
+    """An object of the spec class `cls` from the YAML as plain values, with the positions of its keys and the file's name for messages.
+    Raises ScenarioError: all mistakes at once, each with its position in the file.
+    """
+    try:
+        made = validator_of(cls).validate_python(plain)
+        found = list(converted(plain, to_mapping(made), ()))
+        if not found:
+            return made
+    except pydantic.ValidationError as error:
+        found = findings(error, plain, cls)
+    mistakes = [Mistake(place_of(key, marks, file), ".".join(map(str, key)), words) for key, words in dict.fromkeys(found)]
+    raise ScenarioError(sorted(mistakes, key=_reading_order))
+
+
+def _reading_order(mistake: Mistake) -> tuple[int, ...]:
+    """Sort key (line, column) of a mistake; those of --set, which have no position, come last."""
+    place = mistake.where.rsplit(":", 2)[1:]
+    return tuple(int(n) for n in place) if len(place) == 2 else (1 << 31,)
+
+
+def put_over(plain: dict[str, Any], values: Mapping[str, object], marks: Marks, places: Mapping[str, Marks]) -> None:
+    """Put values over a scenario's mapping, in place and in their order, by dotted path. marks: positions of its keys, also
+    changed. places: of the values, and of the keys in them. Raises ScenarioError: see `override`.
+    """
+    for path, value in values.items():
+        override(plain, path, value, marks, places.get(path, FROM_PYTHON))

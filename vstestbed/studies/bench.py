@@ -29,8 +29,7 @@ from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import build
-from vstestbed.scenario.yaml_marks import plain_mapping, text_of
+from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.speed_baseline import measure_baseline
 from vstestbed.studies.batch import simulate_batch

@@ -25,8 +25,7 @@ from vstestbed.scenario.dump import dump, flow_text
 from vstestbed.scenario.load import load
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import build
-from vstestbed.scenario.yaml_marks import plain_mapping, text_of
+from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison.folder import summary_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
 from vstestbed.studies.comparison.runs import Runner

@@ -24,8 +24,7 @@ from vstestbed.core.spec import spec
 from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.scenario.validation import build
-from vstestbed.scenario.yaml_marks import Key, Marks, marks_under, place_of, plain_mapping, text_of
+from vstestbed.scenario.yaml_marks import Key, Marks, build, marks_under, place_of, plain_mapping, text_of
 from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES, comparable, own_metrics
 
 
