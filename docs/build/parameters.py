@@ -10,18 +10,15 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from vstestbed.effects.aerodynamics import Downwash, GroundEffect, RotorDrag
-from vstestbed.effects.battery import Battery
-from vstestbed.effects.strain_wave import CURVES
-from vstestbed.effects.tyres import Tyres
-from vstestbed.effects.vibration import Vibration
 
 from vstestbed.core import fields as tree
 from vstestbed.core.fields import DIMENSIONLESS, class_text, without_unit
 from vstestbed.core.named_files import model_path
+from vstestbed.effects.airframe import Downwash, GroundEffect, RotorDrag
 from vstestbed.effects.floor import UnevenFloor
-from vstestbed.effects.rotors import MotorSpread, RotorInertia
-from vstestbed.effects.wheels import WheelSpread
+from vstestbed.effects.joints import CURVES
+from vstestbed.effects.rotors import Battery, MotorSpread, RotorInertia, Vibration
+from vstestbed.effects.wheels import Tyres, WheelSpread
 from vstestbed.robots.attitude import Imu
 from vstestbed.robots.car import Car, CarLimits, CarParameters, Compass
 from vstestbed.robots.flight import Gains

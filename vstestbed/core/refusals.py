@@ -99,13 +99,13 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
         key = (*place.key, part) if named else place.key
         if isinstance(part, str) and (node is None or node.type is not dict):
             block, registry = (node and node.block_of(here)) or (place.block, place.registry)
-            field = fields(block).get(part)
-            place = _Place(key, block, registry, part, field, field and field.node)
+            of_part = fields(block).get(part)
+            place = _Place(key, block, registry, part, of_part, of_part and of_part.node)
         else:
             place = replace(place, key=key, node=node.parts[0] if node and node.type in (tuple, dict) else node)
         if named:
             try:
-                here = here[part]
+                here = here[part]  # type: ignore[index] - named: it is a mapping or a list
             except LookupError:  # a missing field
                 here = None
     return place

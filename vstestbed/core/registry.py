@@ -231,7 +231,8 @@ def brief_mapping(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         preset = getattr(value, "preset_values", {})
         block = {name: _brief_part(getattr(value, name), preset.get(name)) for name in _kept_fields(value, preset)}
-        return _with_kind(value.kind, block, registries_of(type(value))) if hasattr(value, "kind") else block
+        kind = getattr(value, "kind", None)
+        return block if kind is None else _with_kind(kind, block, registries_of(type(value)))
     if isinstance(value, tuple | list):
         return [brief_mapping(v) for v in value]
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e6:

@@ -112,8 +112,8 @@ class FlightLog(RobotLog):
         super().__init__(supervisor)
         estimate = (f"est_{name}" for name in ("roll", "pitch", "vx", "vy", "vz", "wx", "wy", "wz"))
         reference = (f"ref_{name}" for name in ("roll", "pitch", "wx", "wy", "wz"))
-        truth = ("wind_x", "wind_y", "wind_z", *(f"speed_rotor_{name}" for name in ROTORS))
-        self.columns = (*estimate, *reference, *truth, "supervisor", *(("battery_v",) if battery else ()))
+        added = ("wind_x", "wind_y", "wind_z", *(f"speed_rotor_{name}" for name in ROTORS))
+        self.columns = (*estimate, *reference, *added, "supervisor", *(("battery_v",) if battery else ()))
 
     def row(self, state: RobotState) -> Array:
         """Values at one exposure."""
