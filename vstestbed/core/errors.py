@@ -19,6 +19,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 
 class VstestbedError(Exception):
@@ -40,6 +41,62 @@ class ParameterError(VstestbedError, ValueError):
         self.field, self.problem, self.found = str(field), problem, found
         got = "" if found is None else f", got {found!r}"
         super().__init__(f"{field} {problem}{got}".rstrip())
+
+    # The sentences that many rooms need, each once. works: what would be accepted instead.
+
+    @classmethod
+    def missing(cls, field: object, needed_by: str, works: str = "") -> Self:
+        """A value is not there, and something needs it."""
+        return cls(field, f"is missing: {needed_by} needs it{_works(works)}")
+
+    @classmethod
+    def only_for(cls, field: object, what: str, found: object = None, works: str = "") -> Self:
+        """A value is given where nothing can use it."""
+        return cls(field, f"is only for {what}{_works(works)}", found)
+
+    @classmethod
+    def conflict(cls, field: object, other: str, found: object = None) -> Self:
+        """Two values are given that exclude each other, or say the same."""
+        return cls(field, f"and {other} exclude each other; leave one of them out", found)
+
+    @classmethod
+    def choice(cls, field: object, valid: Iterable[object], found: object = None, why: str = "") -> Self:
+        """A value is none of those that are valid here."""
+        return cls(field, f"must be one of {', '.join(map(str, valid))}{_why(why)}", found)
+
+    @classmethod
+    def bound(cls, field: object, relation: str, limit: object, found: object = None, why: str = "", works: str = "") -> Self:
+        """A number is beyond a limit. relation: how the value must stand to it, such as "at most" or ">". limit: with its unit."""
+        limit = f"{limit:.4g}" if isinstance(limit, float) else limit
+        return cls(field, f"must be {relation} {limit}{_why(why)}{_works(works)}", found)
+
+    @classmethod
+    def count(cls, field: object, wanted: object, what: str, found: object = None, works: str = "") -> Self:
+        """A list has the wrong number of items, or an array the wrong shape."""
+        return cls(field, f"must be {wanted} {what}{_works(works)}", found)
+
+    @classmethod
+    def infinite(cls, field: object, found: object = None) -> Self:
+        """A number is infinite or not a number."""
+        return cls(field, "must be finite", found)
+
+    @classmethod
+    def twice(cls, field: object, name: object, found: object = None) -> Self:
+        """A list names something twice."""
+        return cls(field, f"has {name} twice; name each once", found)
+
+    @classmethod
+    def unreadable(cls, field: object, why: object, works: str, found: object = None) -> Self:
+        """A file cannot be read, or is not what it should be. works: what the file should be."""
+        return cls(field, f"cannot be read ({why}){_works(works)}", found)
+
+
+def _works(works: str) -> str:
+    return works and f"; works: {works}"
+
+
+def _why(why: str) -> str:
+    return why and f" ({why})"
 
 
 class UnreachableError(ParameterError):
