@@ -55,7 +55,7 @@ def _go_on(asked: argparse.Namespace) -> None:
         out = asked.out or Path(empty) / "runs"
         resume = (out / PLAN).is_file()
         vary = {} if resume else vary_of(asked.vary)
-        with prepared([] if resume else [asked.name], vary, None, out, resume, {}, (), False) as (whole, _):
+        with prepared([] if resume else [asked.name], vary, out, resume, {}, (), False) as (whole, _):
             kept = {_key(row): row for row in _kept(command) if not set(asked.again) & {str(row[name]) for name in _named(row)}}
             wanted = _wanted(asked.only, whole.jobs)
             first = [(job, i) for job, i in _in_order(whole.jobs) if _values(job).items() >= wanted.items()]

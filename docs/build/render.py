@@ -205,7 +205,7 @@ def tasks(rows: Sequence[Row]) -> str:
     """Laws by tasks, as in a comparison's `tasks.md`."""
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
-    return markdown(cells(pl.DataFrame(rows, infer_schema_length=None), axes)).rstrip("\n")
+    return markdown(cells(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes)))).rstrip("\n")
 
 
 def effects(rows: Sequence[Row]) -> str:

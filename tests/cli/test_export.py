@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     vs.run_into(run, vs.load("arm_ibvs", SMALL), "none", report=False)
     compared = place / "comparison"
     compared.mkdir()
-    plan = chosen(["arm_ibvs"], SMALL, {}, 2, [])
+    plan = chosen(["arm_ibvs"], SMALL, {}, seeds=2)
     write_plan(compared / PLAN, plan, "base")
     for job in Jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
         files = RunRequest(job.folder, given_text(job.scenario()), filmed=False).perform()

@@ -198,7 +198,7 @@ class TestWhereItIs:
         mine = written(tmp_path, Path(EXAMPLE).read_text(encoding="utf-8"))
         place = written(tmp_path, SCENARIO.replace("POLICY", "mine.py:act"), "mine.yaml")
         monkeypatch.chdir(tmp_path)
-        plan = chosen([place], {}, {"law.file": ("mine.py:act", "mine.py:Smooth")}, 2)
+        plan = chosen([place], {}, {"law.file": ("mine.py:act", "mine.py:Smooth")}, seeds=2)
         (tmp_path / "out").mkdir()
         write_plan(tmp_path / "out" / PLAN, plan, "base")
         monkeypatch.chdir("/")

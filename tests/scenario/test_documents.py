@@ -214,7 +214,7 @@ def test_levels_as_an_axis_of_a_comparison_over_a_run(tmp_path: Path) -> None:
     file.write_text(
         given_text(vs.load("arm_ibvs", {"detector": "oracle", "robot.realism": "lab", "robot.encoders": None})), encoding="utf-8"
     )
-    whole = chosen([str(file)], {}, {"robot.realism": ("none", "lab", "field")}, None)
+    whole = chosen([str(file)], {}, {"robot.realism": ("none", "lab", "field")})
     robots: list[Any] = [variant.scenario.robot for variant in controllers(whole)]
     assert [robot.encoders for robot in robots] == [None, None, None]
     assert [robot.drives and robot.drives.bandwidth_hz for robot in robots] == [None, 500.0, 200.0]

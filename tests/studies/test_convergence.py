@@ -21,7 +21,7 @@ AXES = {"calibration.depth_factor": (0.5, 1.0), "law.gain": (1.0, 2.0)}
 
 def test_the_bundled_maps_are_maps():
     for name, cells in (("depth_error", 42), ("calibration_error", 45)):
-        study = Study(chosen([name], {}, {}, None))
+        study = Study(chosen([name], {}, {}))
         x, y = study.comparison.axes.values()
         assert len(x) * len(y) == cells
         laws = study.comparison.cases["law"]
@@ -69,7 +69,7 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
         ("pbvs_book", "2", "local_minimum"),
         ("pbvs_book", "2", "local_minimum"),
     ]
-    names = {"convergence.csv", "convergence.parquet", "convergence.png", "convergence.pdf", "report.html"}
+    names = {"convergence.csv", "convergence.parquet", "convergence.png", "convergence.svg", "convergence.pdf", "report.html"}
     assert {p.name for p in out.iterdir()} == names
     assert len(pl.read_parquet(out / "convergence.parquet")) == 8
     page = (out / "report.html").read_text()

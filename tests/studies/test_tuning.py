@@ -52,7 +52,7 @@ def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path
     assert {p.name for p in (tmp_path / "t").iterdir()} == {
         *("tuning.yaml", "scenarios", "trials.json", "trials.parquet", "trials.csv", "best.yaml", "report.html", "figures", "runs")
     }
-    assert len(list((tmp_path / "t/figures").iterdir())) == 4
+    assert len(list((tmp_path / "t/figures").iterdir())) == 6
     table = pl.read_parquet(tmp_path / "t/trials.parquet")
     assert table.columns == ["trial", "law.gain", "runs", "reached", "mean_time_to_converge_s", "outcomes", "best"]
     assert table.filter(pl.col("best"))["law.gain"].to_list() == [found.settings["law.gain"]]

@@ -38,7 +38,11 @@ def compare(
     tolerance: Annotated[
         float | None, typer.Option(min=0, metavar="SHARE", help="By how much a mean may be worse. [default: 0.02]")
     ] = None,
-    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="The page's figures for a paper, too: PDF and PNG.")] = True,
+    figures: Annotated[bool, typer.Option("--figures/--no-figures", help="The page's figures for a paper, too: PDF, SVG, PNG.")] = True,
+    primary: Annotated[
+        str | None, typer.Option(metavar="METRIC", help="What decides after success. [default: time to the goal, failures at their limit]")
+    ] = None,
+    reference: Annotated[str | None, typer.Option(metavar="NAME", help="Compare each with this one. [default: all pairs]")] = None,
     as_json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
@@ -52,7 +56,8 @@ def compare(
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
-    ready = prepared(scenarios or [], vary_of(vary), seeds, out, resume, settings, plugin or [], film, force, before, limit)
+    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference}
+    ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields)
     with ready as (runner, plan):
         show_notes(not quiet)
         total = len(runner.jobs)

@@ -98,7 +98,7 @@ def basin(
         if name.strip() in rest:
             raise ParameterError("--at", "must give each coordinate once", name.strip())
         rest[name.strip()] = number
-    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), None, plugin or [])
+    comparison = chosen(scenarios, settings_of(set_), vary_of(vary), plugin or [])
     must_be_few_starts(comparison, n, force)
     show_notes(not quiet)
     found = laws(comparison, field_of_view, force)
@@ -152,7 +152,7 @@ def sweep(
     from vstestbed.studies.comparison import chosen
     from vstestbed.studies.convergence import Study, summaries, write
 
-    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), seeds, plugin or []), force)
+    study = Study(chosen(scenarios, settings_of(set_), vary_of(vary), plugin or [], seeds=seeds), force)
     found: dict[int, tuple[Job, RunEnding]] = {}
 
     def ended() -> Ended:

@@ -116,9 +116,10 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
 
 
 def save_paper(figure: Figure, place: Path, key: str, dpi: int = DPI) -> None:
-    """Write the figure as PDF with embedded fonts and as PNG."""
+    """Write the figure as PDF with embedded fonts, as SVG and as PNG."""
     save(figure, place / f"{key}.pdf")
     figure.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
+    save(figure, place / f"{key}.svg")
     save(figure, place / f"{key}.png", dpi)
 
 

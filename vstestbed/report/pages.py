@@ -26,6 +26,11 @@ def write_page(folder: Path, template: str, heading: str, **content: Any) -> Pat
     return write_whole(folder / "report.html", page(template, heading, **content))
 
 
+def text_of(template: str, **content: Any) -> str:
+    """A text from a template that is no page: Markdown, LaTeX."""
+    return _environment().get_template(template).render(**content)
+
+
 def page(template: str, heading: str, title: str = "", **content: Any) -> str:
     """A whole page; all text in its content is escaped. `title`: of the browser's window, as a rule the heading."""
     return _environment().get_template(template).render(heading=heading, title=title or heading, **content)
@@ -49,7 +54,12 @@ def data_url(kind: str, content: bytes) -> str:
 
 @cache
 def _environment() -> Environment:
-    from jinja2 import Environment, PackageLoader, StrictUndefined  # here: a command that writes no page starts without it
+    from jinja2 import (  # here: a command that writes no page starts without it
+        Environment,
+        PackageLoader,
+        StrictUndefined,
+        select_autoescape,
+    )
     from markupsafe import Markup
 
     def powers(words: str) -> Markup:
@@ -61,7 +71,23 @@ def _environment() -> Environment:
         return "" if key is None else str(key) if isinstance(key, str | int) else f"{key:.9g}"
 
     found = Environment(
-        loader=PackageLoader("vstestbed.report"), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+        loader=PackageLoader("vstestbed.report"),
+        autoescape=select_autoescape(["html"]),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
-    found.filters |= {"number": number, "powers": powers, "sort_key": sort_key, "counted": counted}
+    found.filters |= {"number": number, "powers": powers, "sort_key": sort_key, "counted": counted, "tex": _tex}
     return found
+
+
+def _tex(words: str) -> str:
+    """Words for LaTeX: its special characters escaped, signs that its fonts lack as mathematics."""
+    return str(words).translate(_TEX)
+
+
+_TEX: Final = str.maketrans(
+    {c: f"\\{c}" for c in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--"}
+    | {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "×": r"$\times$", "°": r"$^\circ$", "²": "$^2$", "·": r"$\cdot$"}
+)

@@ -105,7 +105,7 @@ class Tuning:
     def comparison(self) -> Comparison:
         """The scenario with its settings; `axes` has the ends of the ranges and the choices."""
         axes = {p.path: p.ends for p in self.parameters}
-        found = chosen([self.scenario], self.set, axes, self.seeds, self.plugins)
+        found = chosen([self.scenario], self.set, axes, self.plugins, seeds=self.seeds)
         if len(found.base) != 1 or found.cases or found.tasks or set(found.axes) != set(axes):
             raise ParameterError("SCENARIO", "must be one scenario, and no comparison", self.scenario)
         return found

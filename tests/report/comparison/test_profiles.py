@@ -37,21 +37,21 @@ def test_of_many_runs_a_profile_has_few_steps() -> None:
 
 def test_the_tables_and_the_terminal_have_the_statistics(tmp_path: Path) -> None:
     frame = build(tmp_path, {"slow": 0.8, "fast": 1.6}, 12, {("slow", k): "timed_out" for k in range(5)})
-    comparison = ComparisonResults(frame)
+    comparison = ComparisonResults(frame, (), ("time_to_converge_s", "path_ratio"))
     assert statistics_text(tmp_path) == ""  # no report yet
     means, found = interquartiles(comparison), pairs(comparison)
     write_records(tmp_path, comparison, means, found)
     of, against = (pl.read_parquet(tmp_path / f"{name}.parquet") for name in ("controllers", "pairs"))
-    assert pl.read_csv(tmp_path / "pairs.csv").shape == against.shape == (11, len(against.columns))
+    assert pl.read_csv(tmp_path / "pairs.csv").shape == against.shape == (4, len(against.columns))
     slow, fast = of.filter(pl.col("metric") == "time_to_converge_s").rows(named=True)
     assert (slow["succeeded"], slow["runs"], slow["iqm"]) == (7, 12, math.inf) and fast["iqm"] == means[1]["time_to_converge_s"].mean
-    row = against.filter(pl.col("metric") == "time_to_converge_s").row(0, named=True)
-    (pair,) = found
+    (pair,), rows = found, {row["metric"]: row for row in against.rows(named=True)}
+    row = rows["time_to_converge_s"]
     assert (row["difference"], row["pairs"]) == (pair.differences["time_to_converge_s"].mean, 7)
     assert row["improvement"] == 1.0 and row["improvement_p"] == pytest.approx(2 / 2**12)
     assert row["p_holm"] == pair.adjusted["time_to_converge_s", "difference"] >= row["p"]
-    success = against.filter(pl.col("metric") == "success").row(0, named=True)
-    assert success["difference"] == pytest.approx(5 / 12) and success["p"] == pytest.approx(2 / 2**5)
+    assert rows["success"]["difference"] == pytest.approx(5 / 12) and rows["success"]["p"] == pytest.approx(2 / 2**5)
+    assert rows["time_to_goal_s"]["pairs"] == 12 and {row["better_one"] for row in rows.values()} == {"fast"}
     text = statistics_text(tmp_path).splitlines()
-    assert "against slow" in text[0] and "time to converge [s], IQM" in text[0] and len(text) <= 4
-    assert "7 of 12   fails [" in text[1] and text[2].split()[:4] == ["fast", "12", "of", "12"] and "-3" in text[2]
+    assert "at its limit [s], against slow" in text[0] and text[0].endswith("verdict") and len(text) == 3
+    assert "7 of 12" in text[1] and text[2].split()[:4] == ["fast", "12", "of", "12"] and text[2].endswith("better") and "-" in text[2]

@@ -41,7 +41,7 @@ def test_a_known_effect_is_recovered() -> None:
     start = rng.exponential(5.0, SEEDS)
     slow, fast = (10.0 + start + rng.normal(0, 0.5, SEEDS) for _ in range(2))
     found = paired_difference(slow, fast - 2.0)
-    assert found.real and found.low < 2.0 < found.high
+    assert found.p <= 0.001 and found.low < 2.0 < found.high
     assert found.high - found.low < 1.2  # 4 standard errors of 0.5 sqrt(2 / 20): the starts have fallen out
     assert (found.n, found.mean) == (SEEDS, pytest.approx(np.mean(slow - fast) + 2.0))
 
@@ -59,62 +59,53 @@ def equal_controllers(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, 
     return start + draw(), start + draw()
 
 
-def test_p_values_belong_to_their_intervals_and_go_on_where_no_resample_reaches() -> None:
-    rng = np.random.default_rng(8)
-    for n in (5, 20, 30):
-        for x in rng.exponential(1, (8, n)) - 0.6:
-            found = paired_difference(x, np.zeros(n))
-            assert found.real == (found.p <= 0.05)
-            assert paired_difference(-x, np.zeros(n)).p == pytest.approx(found.p, rel=1e-9)
-    few = rng.normal(1, 1, (2, 4))
-    assert paired_difference(*few).p == pytest.approx(stats.ttest_rel(*few).pvalue, rel=1e-9)
-    x = rng.normal(0, 1, 40)
-    x -= x.mean()
-    values = [paired_difference(x + shift, np.zeros(40)).p for shift in np.linspace(0.2, 2.0, 12)]
-    assert (np.diff(values) <= 0).all() and 0 < values[-1] < 1e-5  # no p of 1 / 10,000 however large the effect
-    many = rng.normal(0.1, 1, 3000)
-    assert paired_difference(many, np.zeros(3000)).p == pytest.approx(stats.ttest_1samp(many, 0).pvalue, rel=1e-9)
+NULLS = {  # differences of mean zero: symmetric and skewed ones, heavy tails, ties
+    "normal": lambda rng, n: rng.normal(0, 1, n),
+    "uniform": lambda rng, n: rng.uniform(-1, 1, n),
+    "student_2": lambda rng, n: rng.standard_t(2, n),
+    "one_in_ten_wild": lambda rng, n: rng.normal(0, 1, n) * np.where(rng.random(n) < 0.1, 10, 1),
+    "half_ties": lambda rng, n: np.where(rng.random(n) < 0.5, 0.0, rng.normal(0, 1, n)),
+    "two_humps": lambda rng, n: rng.choice([-1.0, 1.0], n) + rng.normal(0, 0.2, n),
+    "exponential": lambda rng, n: rng.exponential(1, n) - 1,
+    "lognormal": lambda rng, n: rng.lognormal(0, 1, n) - math.exp(0.5),
+}
+SKEWED = {"exponential": (0.10, 0.08, 0.06), "lognormal": (0.16, 0.12, 0.08)}  # most false alarms at n = 10, 20, 50; 5 % of all others
+
+
+def real(d: np.ndarray) -> bool:
+    found = paired_difference(d, np.zeros(len(d)))
+    return found.p <= 0.05 and found.excludes_zero
 
 
 @pytest.mark.study
-def test_small_p_values_are_hardly_smaller_than_of_a_hundred_times_as_many_resamples() -> None:
-    rng = np.random.default_rng(6)
-    for x in (rng.standard_normal(20), rng.standard_exponential(50)):
-        d = x - x.mean() + 5.5 * x.std() / math.sqrt(len(x))  # so many standard errors
-        few, many = (paired_difference(d, np.zeros(len(x)), resamples=r).p for r in (9999, 999_999))
-        assert few > 0.45 * many and many < 0.005
-
-
-@pytest.mark.study
-@pytest.mark.parametrize(
-    ("kind", "most"),
-    [("normal", 0.05), ("exponential", 0.05), ("lognormal", 0.08), ("student_2", 0.05), ("one_in_ten_wild", 0.05)],
-)
-def test_false_alarms_of_a_mean_of_zero(kind: str, most: float) -> None:
-    """The figures of the docstring: a mean of zero, but of skewed differences."""
+@pytest.mark.parametrize("kind", NULLS)
+def test_false_alarms_power_and_coverage_are_those_of_the_page(kind: str) -> None:
+    """docs/results/conclusions.md; 3 standard errors of 1000 comparisons of a 5 % test are 2.1 %."""
     rng = np.random.default_rng(77)
-    draw = {
-        "normal": lambda: rng.normal(0, 1, SEEDS),
-        "exponential": lambda: rng.exponential(1, SEEDS) - 1,
-        "lognormal": lambda: rng.lognormal(0, 1, SEEDS) - math.exp(0.5),
-        "student_2": lambda: rng.standard_t(2, SEEDS),
-        "one_in_ten_wild": lambda: rng.normal(0, 1, SEEDS) * np.where(rng.random(SEEDS) < 0.1, 10, 1),
-    }[kind]
-    assert np.mean([paired_difference(draw(), np.zeros(SEEDS), resamples=1999).real for _ in range(4000)]) < most
+    for n, most in zip((10, 20, 50), SKEWED.get(kind, (0.05,) * 3), strict=True):
+        draws = [NULLS[kind](rng, n) for _ in range(1000)]
+        sigma = float(np.std(np.concatenate(draws)))
+        covered = np.mean([(e := paired_difference(d, np.zeros(n))).low <= 0 <= e.high for d in draws])
+        alarms, power = (np.mean([real(d + shift) for d in draws]) for shift in (0.0, sigma))
+        print(f"{kind} | {n} | {100 * alarms:.1f} | {100 * power:.0f} | {100 * covered:.0f}")
+        assert alarms <= most + 0.021
+        assert kind == "student_2" or power > {10: 0.5, 20: 0.85, 50: 0.99}[n]
 
 
 @pytest.mark.parametrize("kind", ["normal", "exponential", "lognormal", "student_2", "one_in_ten_wild"])
 def test_two_equal_controllers_come_out_as_no_difference(kind: str) -> None:
     """At most 17 false alarms of a 5 % test in 200 comparisons: 10 are expected, 17 is the 99 % point of that."""
     rng = np.random.default_rng(11)
-    assert sum(paired_difference(*equal_controllers(kind, rng), resamples=1999).real for _ in range(200)) <= 17
+    assert sum(real(np.subtract(*equal_controllers(kind, rng))) for _ in range(200)) <= 17
 
 
-def test_the_interval_holds_the_true_mean_of_skewed_differences() -> None:
-    """Exponential differences of mean 1: the truth lies in about 94 % of the intervals; 3 sigma of 400 is 3.6 %."""
-    rng = np.random.default_rng(5)
-    found = [paired_difference(rng.exponential(1, SEEDS), np.zeros(SEEDS), resamples=999) for _ in range(400)]
-    assert np.mean([f.low < 1.0 < f.high for f in found]) > 0.90
+def test_the_test_is_that_of_all_signs_and_the_interval_scipys() -> None:
+    d = np.random.default_rng(8).normal(0.4, 1, 10)
+    signs = np.array(list(itertools.product((-1, 1), repeat=10)))
+    found = paired_difference(d, np.zeros(10))
+    assert found.p == pytest.approx(np.mean(np.abs(signs @ d) >= abs(d.sum()) - 1e-12))
+    of = stats.bootstrap((d,), np.mean, n_resamples=9999, method="BCa", rng=np.random.default_rng(1)).confidence_interval
+    assert (found.low, found.high) == pytest.approx((of.low, of.high), abs=0.05)
 
 
 def test_only_pairs_with_two_values_count() -> None:
@@ -131,7 +122,8 @@ def test_order_does_not_matter_and_the_sign_turns() -> None:
     found, order = paired_difference(a, b), rng.permutation(SEEDS)
     assert paired_difference(a[order], b[order]) == found == paired_difference(a, b)  # and again the same
     turned = paired_difference(b, a)
-    assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low), rel=1e-12)
+    assert (turned.mean, turned.low, turned.high) == pytest.approx((-found.mean, -found.high, -found.low), rel=0.1)
+    assert found.turned().turned() == found and found.turned().high == -found.low
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1, -3.0])
@@ -139,50 +131,34 @@ def test_equal_differences_have_an_interval_of_one_point(shift: float) -> None:
     b = np.random.default_rng(0).uniform(1, 100, SEEDS)
     found = paired_difference(b + shift, b)  # 0.1 comes back with another rounding error from every pair
     assert found.low == found.mean == found.high == pytest.approx(shift, abs=1e-12)
-    assert found.real == (shift != 0)
+    assert found.p == (shift == 0)
 
 
 def test_rounding_is_no_difference() -> None:
     b = np.random.default_rng(0).uniform(1, 100, SEEDS)
     for same in (np.nextafter(b, np.inf), b * (1 + np.linspace(-1e-12, 2e-12, SEEDS))):  # also as a closed loop has amplified it
         found = paired_difference(same, b)
-        assert (found.mean, found.low, found.high, found.real) == (0, 0, 0, False)
+        assert (found.mean, found.low, found.high, found.p) == (0, 0, 0, 1)
     assert paired_difference(1e-14 * b, np.zeros(SEEDS)).mean == 0
 
 
 def test_few_pairs() -> None:
     nothing, one = paired_difference([], []), paired_difference([3.0], [1.0])
-    assert (nothing.n, nothing.real, one.n, one.mean, one.real) == (0, False, 1, 2.0, False)
-    assert math.isnan(nothing.mean) and math.isnan(one.low) and math.isnan(one.high)
-    two = paired_difference([1.0, 3.0], [0.0, 0.0])
-    assert two.high - two.mean == pytest.approx(12.706, abs=1e-3)  # Student's t with 1 degree of freedom, standard error 1
-    assert all(math.isfinite(paired_difference(np.arange(n), np.zeros(n)).high) for n in range(2, 9))
+    assert (nothing.n, one.n, one.mean) == (0, 1, 2.0)
+    assert all(math.isnan(v) for v in (nothing.mean, one.low, one.high, one.p))
+    for n in range(2, 9):
+        found = paired_difference(np.arange(1.0, n + 1), np.zeros(n))
+        assert found.p == 2 / 2**n and math.isfinite(found.high) == (n >= 5)
 
 
 def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
-    """36 % of the resamples miss that pair and have no spread: Student's t, not an infinite interval."""
     found = paired_difference([1.0] + [0.0] * 19, np.zeros(20))
-    assert found.mean == 0.05 and not found.real
-    assert found.high == pytest.approx(0.05 + 2.093 * 0.05, abs=1e-4)
-    times = np.array([12.8, 12.5, 13.0, 12.9, 12.2])  # four of the differences are 0.2 but for rounding, which is no spread either
-    found = paired_difference(times, times + [0.2, 0.2 + 1e-11, 0.45, 0.2 - 2e-11, 0.2 + 3e-11])
-    assert found.high == pytest.approx(-0.25 + 2.776 * 0.05, abs=1e-4)
+    assert found.mean == 0.05 and found.p == 1.0 and found.low <= 0
 
 
-def test_differences_of_few_values_have_the_p_of_their_interval() -> None:
-    """Times are whole frames: 9 changes of -0.08 s and one of -0.12 s, of which a third of the resamples have no spread."""
-    for values in ([-0.08] * 9 + [-0.12], [-0.08] * 4 + [-0.12] * 6, [-0.04] * 2 + [-0.08] * 8):
-        found = paired_difference(values, np.zeros(10))
-        student = stats.ttest_1samp(values, 0).pvalue
-        assert found.real and student * (1 - 1e-9) <= found.p < 1e-3
-    # one pair of 20 that differs: Student's t, whatever the resamples without spread
-    assert paired_difference([1.0] + [0.0] * 19, np.zeros(20)).p >= stats.ttest_1samp([1.0] + [0.0] * 19, 0).pvalue * (1 - 1e-9)
-
-
-def test_many_pairs_are_resampled_in_parts() -> None:
-    rng = np.random.default_rng(3)
-    found = paired_difference(rng.normal(0.2, 1, 3000), np.zeros(3000), resamples=999)
-    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(3000), rel=0.1) and found.real
+def test_many_pairs_are_resampled_less_often() -> None:
+    found = paired_difference(np.random.default_rng(3).normal(0.2, 1, 30_000), np.zeros(30_000))
+    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(30_000), rel=0.2) and found.p < 0.02
 
 
 def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
@@ -203,8 +179,8 @@ def test_the_exact_test_of_success_never_alarms_too_often() -> None:
 
 def test_wilson_intervals_are_scipys() -> None:
     n, k = np.repeat([1, 7, 20, 400], 3), np.array([0, 1, 1, 0, 3, 7, 0, 19, 20, 0, 37, 400])
-    low, high = wilson(k / n, n, 0.9)
-    scipys = [stats.binomtest(int(a), int(b)).proportion_ci(0.9, "wilson") for a, b in zip(k, n, strict=True)]
+    low, high = wilson(k / n, n)
+    scipys = [stats.binomtest(int(a), int(b)).proportion_ci(0.95, "wilson") for a, b in zip(k, n, strict=True)]
     np.testing.assert_allclose(low, [i.low for i in scipys], atol=1e-12)
     np.testing.assert_allclose(high, [i.high for i in scipys], atol=1e-12)
 

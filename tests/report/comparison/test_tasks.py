@@ -10,6 +10,7 @@ import pytest
 from tests.report.html import checked
 from vstestbed.report.canvas import style
 from vstestbed.report.comparison import tasks
+from vstestbed.report.comparison.results import ComparisonResults
 
 LAWS = [f"law_{i}" for i in range(11)]
 
@@ -37,7 +38,7 @@ def table() -> pl.DataFrame:
 
 def test_eleven_laws_have_eleven_marks_and_each_point_its_value() -> None:
     with style(paper=True):
-        figure = tasks.draw(tasks.cells(table(), ("law", "task")), (), 8.2)
+        figure = tasks.draw(tasks.cells(tasks.over_all_tasks(ComparisonResults(table(), ("law", "task")))), (), 8.2)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == LAWS
     for axes in figure.axes:
         curves = [line for line in axes.get_lines() if line.get_label() in LAWS]
@@ -50,7 +51,9 @@ def test_each_table_says_which_runs_its_numbers_are_of(tmp_path: Path, monkeypat
     """Errors at the end are those of all runs, also where none arrived; lengths of paths those of the runs that did."""
     metrics = ("final_position_error_m", "path_ratio")
     none = table().filter(pl.col("law").is_in(LAWS[:2])).with_columns(success=False, final_position_error_m=1.037, path_ratio=1.5)
-    page = checked(tasks.write_task_report(tmp_path, none, ("law", "task"), metrics, "", "").read_text(encoding="utf-8")).text
+    page = checked(
+        tasks.write_task_report(tmp_path, ComparisonResults(none, ("law", "task"), metrics), "").read_text(encoding="utf-8")
+    ).text
     for text in (page, (tmp_path / "tasks.md").read_text()):
         assert "True position error [mm]: median and largest of all runs" in text and "1037, 1037" in text
         assert "Path over straight line [×]: median and largest of the runs that reached the goal" in text and "1.5, 1.5" not in text

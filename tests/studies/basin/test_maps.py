@@ -56,24 +56,24 @@ def test_points_retreat_to_infinity_only_near_the_half_turn():
 
 
 def test_a_comparison_names_its_laws():
-    found = laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None))
+    found = laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}))
     assert [label for label, _ in found][:3] == ["points", "points_desired", "points_mean"]
     assert len(found) == 15 and all(s.camera.rate_hz == 5 for _, s in found)
-    found = laws(chosen(["ibvs_book"], {}, {"law.interaction": ("current", "mean")}, None), "unlimited")
+    found = laws(chosen(["ibvs_book"], {}, {"law.interaction": ("current", "mean")}), "unlimited")
     assert [label for label, _ in found] == ["interaction=current", "interaction=mean"]
 
 
 def test_maps_that_would_be_the_same_are_refused():
     varied = {"robot.actuation": ("ideal", "industrial")}
     with pytest.raises(ParameterError, match="`actuation=industrial` would make the same map as `actuation=ideal`: its cameras are ideal"):
-        laws(chosen(["arm_ibvs"], {}, varied, None))
+        laws(chosen(["arm_ibvs"], {}, varied))
     with pytest.raises(ParameterError, match="`friction, points` would make the same map as `dynamics, points`"):
-        laws(chosen(["realism"], {}, {}, None))
+        laws(chosen(["realism"], {}, {}))
 
 
 def told_of(caplog: pytest.LogCaptureFixture, name: str, **more: Any) -> str:
     caplog.clear()
-    laws(chosen([name], {path.replace("__", "."): value for path, value in more.items()}, {}, None))
+    laws(chosen([name], {path.replace("__", "."): value for path, value in more.items()}, {}))
     assert len(caplog.records) <= 1
     return caplog.text.partition("leave out ")[2].partition(";")[0]
 
@@ -94,13 +94,13 @@ def test_points_of_a_detectors_own_are_told_and_refused_where_the_corners_do_not
         with pytest.raises(
             ParameterError, match=r"^detector\.kind keypoints finds points of its own in pictures.*sweep and compare --vary"
         ):
-            laws(chosen([name], {}, {}, None))
+            laws(chosen([name], {}, {}))
 
 
 def test_a_target_that_moves_has_no_map():
     for name, kind in (("arm_track_circle", "circle"), ("arm_eye_to_hand", "held")):
         with pytest.raises(ParameterError, match=f"target.motion must be still in a batch, got '{kind}'"):
-            laws(chosen([name], {}, {}, None))
+            laws(chosen([name], {}, {}))
 
 
 def run(*words: object) -> int:
@@ -185,7 +185,7 @@ def test_frontal_centred_starts_end_as_in_the_time_loop(law: dict[str, str], mon
 def test_a_hundred_thousand_starts_of_every_law(view: str):
     """Under 20 s of one core a law at gain x step = .1, and 98 % of 200 spots end as in the time loop."""
     x, y, at = Axis("x", -2, 2, 316), Axis("yaw", -180, 180, 316), {"z": -1.0, "y": 0.0}
-    for label, s in laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}, None), view):
+    for label, s in laws(chosen(["canonical"], {"camera.rate_hz": 5}, {}), view):
         made = basin.basin(label, s, x, y, at, check=200)
         print(view, json.dumps(made.summary()))
         assert made.summary()["gain_step"] == pytest.approx(0.1)

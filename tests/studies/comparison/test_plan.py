@@ -82,7 +82,7 @@ def test_what_is_refused():
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
         ("axes.law replaces the whole block, so that law.gain of", {"axes": {"law": ("ibvs", "pbvs")}, "set": {"law.gain": 1}}),
         ("axes.law.gain is also in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
-        ("metrics must be figures of summary.json: .*got 'speed'", {"metrics": ("speed",)}),
+        ("metrics must be one of sim_time_s, .*got 'speed'", {"metrics": ("speed",)}),
     ):
         with pytest.raises(ParameterError, match=words):
             Comparison(**({"base": ("arm_ibvs",)} | changes))
@@ -101,7 +101,7 @@ class TestFile:
         path.write_text("base: [quick.yaml]\nset: {law.gain: 2}\naxes: {camera.latency_s: [0, 0.1]}\nseeds: 4\nmetrics: [path_ratio]\n")
         read = read_comparison(path)
         assert (read.base, read.seeds, read.axes["camera.latency_s"]) == ((str(quick),), 4, (0, 0.1))
-        asked = chosen([str(path)], {"law.gain": 3}, {}, 2)
+        asked = chosen([str(path)], {"law.gain": 3}, {}, seeds=2)
         assert (asked.set["law.gain"], asked.seeds, asked.metrics) == (3, 2, ("path_ratio",))
 
     def test_its_mistakes_have_their_place(self, tmp_path: Path):
@@ -116,7 +116,7 @@ class TestFile:
 
     @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.study] if n in LONG else []) for n in bundled_comparisons()])
     def test_bundled_ones_can_be_run(self, name: str):
-        comparison = chosen([name], {}, {}, None)
+        comparison = chosen([name], {}, {})
         assert controllers(comparison)
 
 

@@ -24,7 +24,7 @@ ORACLE = {"detector": {"kind": "oracle"}}
 
 def of(comparison: str, law: str, task: str, amount: str, **cases: str) -> Scenario:
     """One run's scenario of a comparison."""
-    whole = chosen([comparison], ORACLE if comparison == "canonical_arm" else {}, {}, None)
+    whole = chosen([comparison], ORACLE if comparison == "canonical_arm" else {}, {})
     kept = {name: {chosen_: whole.cases[name][chosen_]} for name, chosen_ in {"law": law, **cases}.items()}
     (found,) = controllers(replace(whole, cases=kept, tasks={task: whole.tasks[task]}))
     assert found.starts is not None
@@ -58,7 +58,7 @@ def test_the_arm_at_full_stretch_stops_the_advance_that_takes_an_ideal_camera_th
 
 
 def test_the_partitioned_law_turns_joint_4_into_its_stop():
-    whole = chosen(["realism"], {}, {}, None)
+    whole = chosen(["realism"], {}, {})
     cases = {"world": {"dynamics": whole.cases["world"]["dynamics"]}, "law": {"partitioned": whole.cases["law"]["partitioned"]}}
     made = Jobs(controllers(replace(whole, cases=cases)), 8)
     r = vs.run(made[7].scenario())
@@ -68,7 +68,7 @@ def test_the_partitioned_law_turns_joint_4_into_its_stop():
 
 @pytest.mark.parametrize(("seed", "end"), [(7, LIMITS[3, 0] + MARGIN), (15, LIMITS[3, 1] - MARGIN)])
 def test_the_partitioned_law_turns_joint_4_into_its_stop_from_two_random_starts(seed: int, end: float):
-    whole = chosen(["canonical_arm"], ORACLE, {}, None)
+    whole = chosen(["canonical_arm"], ORACLE, {})
     kept = {"law": {"partitioned": whole.cases["law"]["partitioned"]}}
     r = vs.run(Jobs(controllers(replace(whole, cases=kept, tasks={"random": whole.tasks["random"]})), None)[seed].scenario())
     assert r.outcome is vs.Outcome.joint_limit
@@ -95,7 +95,7 @@ def test_latency_makes_a_slow_loop_quicker_as_theory_says():
 
 def reached(world: str, **more: object) -> Array:
     """When `points_mean` reaches its goal in a world of `realism` [s], seeds 0 to 3."""
-    whole = chosen(["realism"], {}, {}, None)
+    whole = chosen(["realism"], {}, {})
     cases = {"world": {world: whole.cases["world"][world] | more}, "law": {"points_mean": whole.cases["law"]["points_mean"]}}
     runs = [vs.run(job.scenario()) for job in Jobs(controllers(replace(whole, cases=cases)), 4)]
     return np.array([r.summary()["time_to_converge_s"] for r in runs], dtype=float)
@@ -127,7 +127,7 @@ def test_noise_alone_makes_the_goal_later_but_ends_no_run():
 
 
 def test_noise_takes_the_mean_matrix_off_its_minimum_at_a_half_turn_and_limits_make_that_harmless():
-    whole = chosen(["canonical"], {"noise.pixel_sigma_px": 0.1, "stop.converged.error_px": 0.5}, {}, None)
+    whole = chosen(["canonical"], {"noise.pixel_sigma_px": 0.1, "stop.converged.error_px": 0.5}, {})
     kept = {"law": {"points_mean": whole.cases["law"]["points_mean"]}}
     task = {"about the axis": whole.tasks["about the axis"]}
     ends = {}
@@ -145,7 +145,7 @@ def test_noise_takes_the_mean_matrix_off_its_minimum_at_a_half_turn_and_limits_m
 @pytest.mark.study
 @pytest.mark.parametrize(("law", "outcome"), [("pose", "joint_limit"), ("hybrid", "converged")])
 def test_a_half_turn_has_two_ways_and_joint_6_room_for_one(law: str, outcome: str):
-    whole = chosen(["canonical_arm"], {}, {}, None)
+    whole = chosen(["canonical_arm"], {}, {})
     (found,) = controllers(
         replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks={"about the axis": whole.tasks["about the axis"]})
     )

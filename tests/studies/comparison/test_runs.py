@@ -87,7 +87,7 @@ def test_a_mistake_in_the_file_has_its_place(quick: Path, tmp_path: Path):
         path = tmp_path / "mine.yaml"
         path.write_text(text, encoding="utf-8")
         with pytest.raises(ScenarioError) as found:
-            controllers(chosen([str(path)], {}, {}, None))
+            controllers(chosen([str(path)], {}, {}))
         assert str(found.value).startswith(f"{path}:{where}")
 
 
@@ -95,9 +95,9 @@ def test_a_contradiction_is_told_at_the_value_that_brings_it(quick: Path, tmp_pa
     path = tmp_path / "mine.yaml"
     path.write_text("base: [quick.yaml]\nset: {law.depth: oracle}\ncases:\n  d: {a: {detector: oracle}, b: {detector: blobs}}\n")
     with pytest.raises(ScenarioError, match=r"mine.yaml:2:7: law.depth: may be oracle only with detector"):
-        controllers(chosen([str(path)], {}, {}, None))
+        controllers(chosen([str(path)], {}, {}))
     with pytest.raises(ScenarioError, match=r"^--vary: camera.rate_hz: must be > 0"):
-        controllers(chosen([str(quick)], {}, {"camera.rate_hz": (-1,)}, None))
+        controllers(chosen([str(quick)], {}, {"camera.rate_hz": (-1,)}))
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_a_contradiction_is_told_at_the_value_that_brings_it(quick: Path, tmp_pa
 )
 def test_a_setting_that_the_file_writes_over_is_refused(name: str, field: str, where: str):
     with pytest.raises(ScenarioError, match=rf"^--set: {field}: has no effect: .*--vary {field}=VALUE is applied last") as found:
-        chosen([name], {field: "nope"}, {}, None)
+        chosen([name], {field: "nope"}, {})
     assert where in str(found.value)
 
 

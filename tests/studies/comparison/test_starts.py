@@ -59,7 +59,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 class TestPlan:
     def test_every_case_in_every_task(self):
-        whole = chosen(["canonical"], {}, {}, None)
+        whole = chosen(["canonical"], {}, {})
         found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law] for law in ("points", "pose")}}))
         assert len(found) == 2 * 5
         assert found[1].values == {"law": "points", "task": "along the axis"} and found[1].amounts[0] == "-0.5 m"
@@ -113,7 +113,7 @@ class TestFile:
     def written(folder: Path, lists: str) -> Comparison:
         (folder / "mine.json").write_text(lists)
         (folder / "mine.yaml").write_text("base: [ibvs_book]\ntasks: {starts: {file: mine.json}}\n")
-        return chosen([str(folder / "mine.yaml")], {}, {}, None, limit=None)
+        return chosen([str(folder / "mine.yaml")], {}, {})
 
     def test_pairs_of_goal_and_start(self, tmp_path: Path):
         goals = '{"goal.T_camera_target": [{"xyz": [0, 0, 1]}, {"xyz": [0, 0, 1.5]}]}'
@@ -155,12 +155,12 @@ class TestFile:
         away = np.array([rigid_error(p.T, np.eye(4)) for p in table.displacements])
         assert table.runs == 500 and away.mean(axis=0) == pytest.approx([0.464, np.radians(74.1)], rel=1e-3)
         assert table.numbers(None) == table.numbers(900) == tuple(range(500)) and table.numbers(4) == (62, 187, 312, 437)
-        some = Jobs(controllers(chosen(["canonical"], {}, {}, None, limit=2)), None)
+        some = Jobs(controllers(chosen(["canonical"], {}, {}, limit=2)), None)
         first = [job for job in some if job.controller.values["law"] == "points"]
         assert [job.seed for job in first if job.controller.values["task"] == "about the axis"] == [2, 7]
         assert [job.seed for job in first if job.controller.values["task"] == "random"] == [0, 1]
         with pytest.raises(ParameterError, match="limit is for a comparison with `tasks`"):
-            chosen(["arm_ibvs"], {}, {}, None, limit=2)
+            chosen(["arm_ibvs"], {}, {}, limit=2)
 
 
 class TestFolder:
@@ -202,7 +202,7 @@ class TestFolder:
         assert float(median) == pytest.approx(112.5, abs=1) and float(largest) == pytest.approx(180, abs=1)
 
     def test_its_plan_makes_the_same_again(self, folder: Path):
-        again = controllers(chosen([str(folder / "comparison.yaml")], {}, {}, None))
+        again = controllers(chosen([str(folder / "comparison.yaml")], {}, {}))
         assert [(c.folder, c.runs) for c in again] == [
             (f"runs/ibvs_book/law={law},task={task}", 2) for law in ("points", "pose") for task in ("turn", "random")
         ]
@@ -222,7 +222,7 @@ GOLDEN_STARTS = {("about the axis", "90 deg"): "rotz90", ("about the axis", "180
 
 def tasks_of(comparison: str, law: str, *names: str, base: tuple[str, ...] = (), **settings: object) -> dict[str, Variant]:
     """One law's controllers of a comparison, by task; base: scenarios in place of its own."""
-    whole = chosen([comparison, *base], settings, {}, None)
+    whole = chosen([comparison, *base], settings, {})
     wanted = {name: task for name, task in whole.tasks.items() if name in names}
     found = controllers(replace(whole, cases={"law": {law: whole.cases["law"][law]}}, tasks=wanted))
     return {str(c.values["task"]): c for c in found}
@@ -327,7 +327,7 @@ def test_a_start_out_of_reach_is_told_in_the_table(tmp_path: Path):
 
 
 def test_the_ideal_camera_of_realism_starts_where_the_arm_does():
-    whole = chosen(["realism"], {}, {}, None)
+    whole = chosen(["realism"], {}, {})
     worlds = {world: whole.cases["world"][world] for world in ("ideal", "noise")}
     found = controllers(replace(whole, cases=whole.cases | {"law": {"points": whole.cases["law"]["points"]}, "world": worlds}))
     free, arm = (Jobs([c for c in found if c.values["world"] == world], 3) for world in ("ideal", "noise"))

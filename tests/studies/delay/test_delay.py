@@ -160,7 +160,15 @@ def test_command_leaves_its_folder(tmp_path: Path, capsys: pytest.CaptureFixture
     rows = json.loads(capsys.readouterr().out)
     assert [row["delay_frames"] for row in rows] == [1]
     assert [row["gain_limit"] for row in rows] == pytest.approx([20], rel=0.005)  # 1 over .05 s
-    assert {p.name for p in out.iterdir()} == {"delay.csv", "delay.parquet", "delay.json", "delay.png", "delay.pdf", "report.html"}
+    assert {p.name for p in out.iterdir()} == {
+        "delay.csv",
+        "delay.parquet",
+        "delay.json",
+        "delay.png",
+        "delay.svg",
+        "delay.pdf",
+        "report.html",
+    }
     assert pl.read_parquet(out / "delay.parquet")["measured_to_theory"].to_list() == pytest.approx([1], rel=0.005)
     page = (out / "report.html").read_text()
     assert "gain limit [1/s]" in page and "data:image/png" in page

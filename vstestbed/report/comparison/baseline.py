@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, TypeAdapter, ValidationError
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.report.comparison.results import ControllerResults
-from vstestbed.report.comparison.statistics import paired_difference, paired_success
+from vstestbed.report.comparison.statistics import paired_difference, paired_success, sign_test
 from vstestbed.report.marks import number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
@@ -115,8 +115,7 @@ def change_of(label: str, before: pl.DataFrame, now: pl.DataFrame, metrics: Sequ
     """The changes of one controller, of which both tables have the same runs in every row."""
     old, new = ControllerResults(label, before), ControllerResults(label, now)
     both = paired_success(old.success, new.success)
-    n = both.only_a + both.only_b  # P(K >= lost), K ~ Binomial(n, 1/2): the exact sign test on the runs whose success differs
-    chance = sum(math.comb(n, k) for k in range(both.only_a, n + 1)) / 2**n
+    chance = sign_test(both.only_a, both.only_b, "greater")
     lost, gained = (_runs(new, old.success & ~new.success), _runs(old, ~old.success & new.success))
     return ControllerChange(
         label,
@@ -136,7 +135,7 @@ def _metric_change(old: ControllerResults, new: ControllerResults, metric: Metri
     used = ((old.success & new.success) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
     d = paired_difference(y[used], x[used])
     before, now = (float(v[used].mean()) if used.any() else math.nan for v in (x, y))
-    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.real, metric.better)
+    return MetricChange(metric.name, metric.title, metric.unit, before, now, d.mean, d.low, d.high, d.n, d.excludes_zero, metric.better)
 
 
 def _runs(ended: ControllerResults, chosen: np.ndarray) -> tuple[str, ...]:

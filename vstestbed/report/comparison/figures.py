@@ -16,8 +16,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.canvas import new_figure, panels, plain, wrapped
 from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, Pair
-from vstestbed.report.comparison.statistics import LEAST, wilson
-from vstestbed.report.marks import FAILED, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look
+from vstestbed.report.comparison.statistics import LEAST, NOTHING, wilson
+from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look, signed
 from vstestbed.report.marks import TIME as TIME_LABEL
 from vstestbed.report.run.tracks import MeasuredError
 from vstestbed.tasks.metrics import Metric
@@ -119,8 +119,8 @@ def medians(data: Data, width_in: float) -> Figure:
         _error_axes([axes], data.t[-1], error, [*quartiles, *(data.errors[i] for i in those)])
         axes.set_ylabel(wrapped(error.label, 16))
         if error.threshold and axes.get_yscale() == "log":
-            words, at = f"{error.threshold:g} {error.unit}", (1, error.threshold)
-            axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="right")
+            words, at = f"{error.threshold:g} {error.unit}", (0.01, error.threshold)  # on the left, where no curve is at its goal yet
+            axes.annotate(words, at, xycoords=axes.get_yaxis_transform(), va="bottom", ha="left")
     grid[-1].set_xlabel(TIME_LABEL)
     legend(figure, data)
     return figure
@@ -202,7 +202,7 @@ def differences(data: Data, width_in: float) -> Figure | None:
     """Forest plot: mean paired difference of each metric with its interval, significant ones in colour; None without any interval."""
     # all pairs of up to four controllers; of more, each controller against the first
     rows = data.pairs if len(data.labels) <= BANDS else [p for p in data.pairs if p.a == 0]
-    if not any(np.isfinite(p.differences[m.name].low) for p in rows for m in data.comparison.shown):
+    if not any(np.isfinite(d.low) for p in rows for d in p.differences.values()):
         return None  # a single controller, or no two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
@@ -211,15 +211,42 @@ def differences(data: Data, width_in: float) -> Figure | None:
         axes.axvline(0, color=INK, linewidth=0.8)
         largest = 0.0
         for row, pair in enumerate(rows):
-            d, real = pair.differences[metric.name], pair.is_real(metric.name)
+            d = pair.differences.get(metric.name, NOTHING)
+            real = metric.name in pair.differences and pair.is_real(metric.name)
             # filled if the difference is real, in colour also if only the improvement is
-            color = LINE_COLORS[1] if real or pair.is_real(metric.name, "improvement") else LINE_COLORS[7]
+            more_often = metric.name in pair.improvements and pair.is_real(metric.name, "improvement")
+            color = LINE_COLORS[1] if real or more_often else LINE_COLORS[7]
             if np.isfinite(d.low):
                 axes.plot([d.low, d.high], [row, row], color=color, linewidth=1.8)
             axes.plot(d.mean, row, "o" if real else "D", color=color, markersize=4, markerfacecolor=color if real else "none")
             largest = max(largest, float(np.abs(np.nan_to_num([d.mean, d.low, d.high])).max()))
         if largest <= 1e-9:  # rounding errors, in any display unit, would fill the width
             axes.set_xlim(-1, 1)
+    return figure
+
+
+def matrix(data: Data, width_in: float) -> Figure | None:
+    """Who is better than whom, a row against a column, with the difference of the primary metric; None of fewer than three controllers."""
+    n = len(data.labels)
+    if n < 3 or len(data.pairs) < n * (n - 1) / 2:
+        return None
+    figure = new_figure(0.3 * n + 1.2, width_in)
+    axes = figure.add_subplot()
+    metric = data.pairs[0].primary
+    for pair in data.pairs:
+        for p in (pair, pair.turned()):  # a is the column, b the row
+            color = RULE if p.better is None else GOAL if p.better == p.b else LOST
+            axes.fill_between([p.a - 0.46, p.a + 0.46], p.b - 0.44, p.b + 0.44, color=color, alpha=0.45, linewidth=0)
+            d = p.differences[metric.name].mean
+            axes.text(p.a, p.b, signed(d) if np.isfinite(d) else "\N{EN DASH}", ha="center", va="center", fontsize=min(7.0, 50 / n))
+    names = [wrapped(name, 22) for name in data.labels]
+    axes.set_xticks(range(n), names, rotation=45, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(n), names)
+    axes.set_ylim(n - 0.5, -0.5)
+    axes.set_xlim(-0.5, n - 0.5)
+    axes.set_title(wrapped(f"{metric.label}, row minus column", 44), fontsize=8)
+    axes.grid(visible=False)
+    axes.tick_params(length=0)
     return figure
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from vstestbed.report.canvas import new_figure, wrapped
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.results import CHANCE, TIME, ComparisonResults, ControllerResults, value_text
-from vstestbed.report.comparison.statistics import FEWEST_PAIRS, IntervalEstimate, holm, paired_difference
+from vstestbed.report.comparison.statistics import FEWEST, IntervalEstimate, holm, paired_difference
 from vstestbed.report.marks import GOAL, LINE_COLORS, LOST
 from vstestbed.tasks.metrics import Metric
 
@@ -70,7 +70,7 @@ def real(changes: Mapping[Place, IntervalEstimate]) -> set[Place]:
 
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
     """
-    adjusted = holm([d.p if d.n >= FEWEST_PAIRS else np.nan for d in changes.values()])
+    adjusted = holm([d.p if d.n >= FEWEST else np.nan for d in changes.values()])
     return {at for at, p in zip(changes, adjusted, strict=True) if p <= CHANCE}
 
 

@@ -12,10 +12,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-import polars as pl
-
 from vstestbed.core.errors import VstestbedError
-from vstestbed.core.files import make_folder
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.canvas import save_paper, style, to_svg
@@ -23,18 +21,16 @@ from vstestbed.report.comparison import baseline, figures, tables
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.figures import PANELS, Data, read_series
 from vstestbed.report.comparison.results import (
-    DEFAULT_METRICS,
     ComparisonResults,
     Means,
     Pair,
     interquartiles,
     pairs,
-    shown_by_default,
     value_text,
     write_records,
 )
 from vstestbed.report.marks import WIDTH_IN, counted
-from vstestbed.report.pages import cell, data_url, film_of, page, write_page
+from vstestbed.report.pages import cell, data_url, film_of, page, text_of, write_page
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.load import GIVEN, RESOLVED
@@ -120,6 +116,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("distributions", "All runs in numbers", 2, figures.distributions),
     ("grid", "Effects and controllers", 2, effects.grid),
     ("profiles", "Performance profiles", 2, figures.profiles),
+    ("matrix", "Who is better", 1, figures.matrix),
     ("differences", "Paired differences", 2, figures.differences),
 )
 GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
@@ -127,27 +124,24 @@ GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 def write_comparison_report(
     folder: Path,
-    table: pl.DataFrame,
-    axes: tuple[str, ...],
-    metrics: tuple[str, ...] = DEFAULT_METRICS,
-    description: str = "",
+    comparison: ComparisonResults,
     command: str = "",
     film: Path | Future[Path | None] | None = None,
     plugins: Sequence[str] = (),
     call: Call = at_once,
     paper: bool = False,
 ) -> Path:
-    """Write `report.html` and the tables `controllers` and `pairs` into a comparison's folder; returns the page's path.
+    """Write `report.html`, the records `controllers` and `pairs`, and `tables.md` and `tables.tex`; returns the page's path.
 
     Args:
-        folder, table: of the comparison; one row per run, as in `comparison.parquet`. axes: the varied fields, each a column.
-        metrics: keys of `summary.json` to show; one that no run has shows as dashes. description: what is compared, in a few words.
-        command: the command line that repeats it. film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
+        folder, comparison: its results. command: the command line that repeats it.
+        film: in the folder, perhaps still in the making; embedded up to 8 MB, else linked.
         plugins: as in `scenario.load.load`. call: draws the figures. paper: whether to draw them for a paper, too (`figures/`).
     """
-    comparison = ComparisonResults(table, axes, metrics, description)
-    all_pairs, means = pairs(comparison), interquartiles(comparison)
+    table, all_pairs, means = comparison.table, pairs(comparison), interquartiles(comparison)
     write_records(folder, comparison, means, all_pairs)
+    found = _found(folder, comparison, means, all_pairs)
+    write_tables(folder, found["verdict"], found["sections"])
     place = make_folder(folder / "figures") if paper else None
     drawn = _figures(folder, comparison, all_pairs, plugins, call, place)
     filmed, embedded = result_of(film) if isinstance(film, Future) else film, None
@@ -162,9 +156,9 @@ def write_comparison_report(
         "comparison.html",
         heading,
         title=f"{heading}: comparison",
-        description=description,
+        description=comparison.description,
         plan=f"{', '.join(counted(*each) for each in counts)}; the same seed gives each the same start and noise.",
-        **_found(folder, comparison, means, all_pairs),
+        **found,
         baseline=baseline.section(folder),
         figures=drawn,
         film=embedded,
@@ -174,12 +168,17 @@ def write_comparison_report(
     )
 
 
-def comparison_cell(folder: Path, table: pl.DataFrame, axes: tuple[str, ...], metrics: tuple[str, ...]) -> str:
+def comparison_cell(folder: Path, comparison: ComparisonResults) -> str:
     """The result of a comparison as a notebook shows it: who is better, the controllers' numbers, their differences; no figures."""
-    comparison = ComparisonResults(table, axes, metrics or shown_by_default(table))
-    paired, where = pairs(comparison), f"Figures and films: {folder / 'report.html'}"
-    found = _found(folder, comparison, interquartiles(comparison), paired)
+    where = f"Figures and films: {folder / 'report.html'}"
+    found = _found(folder, comparison, interquartiles(comparison), pairs(comparison))
     return cell(page("comparison.html", "Comparison", description="", plan=where, baseline=None, **found), NOTEBOOK_PX)
+
+
+def write_tables(folder: Path, verdict: str, sections: Sequence[tables.Section]) -> None:
+    """The page's tables for a paper: `tables.md`, and `tables.tex` in the form of the LaTeX package booktabs."""
+    for name in ("tables.md", "tables.tex"):
+        write_whole(folder / name, text_of(name, verdict=verdict, sections=sections))
 
 
 def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: list[Pair]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,12 +16,14 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_table
 from vstestbed.core.geometry import Array
 from vstestbed.report.comparison import statistics as stats
 from vstestbed.tasks.metrics import EVERY_RUN, SOME_FIGURES, Metric, own_metrics
 
 TASK: Final = "task"  # Column of the task of each run, which only a comparison with tasks has
+_TIMES: Final = ("time_to_converge_s", "sim_time_s")
 DEFAULT_METRICS: Final = tuple(metric.name for metric in EVERY_RUN if metric.compared)
 
 
@@ -67,9 +70,27 @@ class ControllerResults:
             stored = self.runs[metric.name] if metric.name in self.runs.columns else pl.Series([None] * len(self.runs))
             # not strict: a crashed run has null, and a number may be stored as text
             column = stored.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+            if metric == RESTRICTED:
+                column = self._times_to_goal(column)
             self._known[metric] = np.where(np.isfinite(column), column, np.nan) * metric.scale
             self._known[metric].setflags(write=False)
         return self._known[metric]
+
+    def _times_to_goal(self, stored: Array) -> Array:
+        """The column of times, filled where it has none: of a run that reached its goal with the time that it took, of a crashed one
+        with the limit of the others. The tables of earlier versions do not have it: their limit is the longest run.
+        """
+        known = {name: self.runs[name].cast(pl.Float64, strict=False).to_numpy() for name in _TIMES if name in self.runs.columns}
+        for name in _TIMES if self.success.any() else ():
+            stored = np.where(self.success & np.isnan(stored), known.get(name, np.nan), stored)
+        limits = stored[~self.success & np.isfinite(stored)]
+        limit = limits.max() if len(limits) else np.nanmax(np.append(known.get("sim_time_s", np.nan), -math.inf))
+        return np.where(~self.success & np.isnan(stored), limit, stored)
+
+    @property
+    def censored(self) -> float:
+        """The share of the runs that did not reach the goal, whose times are counted at their limit."""
+        return 1 - float(self.success.mean()) if len(self.success) else 0.0
 
     def counted(self, metric: Metric) -> Array:
         """As `values`, but NaN for the runs that are excluded from the metric's median (see `Metric.every_run`)."""
@@ -102,7 +123,8 @@ class ComparisonResults:
     axes: tuple[str, ...] = ()  # paths of the varied fields, each a column of the table
     metrics: tuple[str, ...] = DEFAULT_METRICS  # keys of the numbers that are shown
     description: str = ""  # what is compared, in a few words
-    bare: bool = False  # label the controllers of one scenario and one axis by the value alone: `points`, not `law=points`
+    primary: str = ""  # the metric that decides after success; "": the time to the goal, a failure counted at its limit
+    reference: str = ""  # label of the controller with which each other one is compared; "": all pairs
 
     @cached_property
     def shown(self) -> tuple[Metric, ...]:
@@ -117,17 +139,34 @@ class ComparisonResults:
         for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
         several = len({key[0] for key in rows}) > 1  # the scenario is part of a label only where there are several
-        names = short_names(self.axes)
-        if self.bare and len(names) == 1 and not several:
-            names = [""]
+        names = [
+            "" if all(_word(key[k]) for key in rows) else name for k, name in enumerate(short_names(self.axes), 1)
+        ]  # a word says by itself what is varied, a number does not
         labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
-        if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`
-            labels = [_label(tuple(map(str, key)), names, several) for key in rows]
+        if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
+            labels = [_label(tuple(map(str, key)), short_names(self.axes), several) for key in rows]
         return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
+
+    @cached_property
+    def primary_metric(self) -> Metric:
+        """The metric that decides a pair whose success does not."""
+        return Metric.named(self.primary) if self.primary else RESTRICTED
+
+    @property
+    def reference_index(self) -> int:
+        """The controller with which each other one is compared where not all pairs are: the first without a `reference`."""
+        labels = [c.label for c in self.controllers]
+        if self.reference and self.reference not in labels:
+            raise ParameterError.choice("reference", labels, self.reference)
+        return labels.index(self.reference) if self.reference else 0
 
     def first(self, n: int) -> ComparisonResults:
         """The first n controllers alone."""
         return replace(self, table=pl.concat([c.runs for c in self.controllers[:n]]))
+
+
+def _word(value: object) -> bool:
+    return isinstance(value, str) and not re.fullmatch(r"[-+.\d].*|true|false|null", value)
 
 
 def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
@@ -149,78 +188,107 @@ def value_text(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-# Pairs of controllers on their common seeds: differences of the metrics, and successes (paired design).
+# Pairs of controllers on their common seeds (paired design). One verdict for each pair, from the primary metric that the comparison
+# declares; everything else is exploratory.
 
-MOST_CONTROLLERS = 6  # Up to this many controllers every pair is compared (15 pairs); with more, each controller with the first
-CHANCE = 0.05  # Significance level of all tests together
-SUCCESS = "success"  # Key of the test on successes among those of a pair
-Of = Literal["difference", "improvement"]
-Test = tuple[str, Of]  # A test of a pair: of which metric (or of success), and of what
+MOST_CONTROLLERS = 6  # Up to this many controllers every metric of every pair is compared; with more, those of each with the reference
+MOST_PAIRED = 24  # Up to this many controllers every pair has a verdict; with more, each controller with the reference
+CHANCE = 0.05  # Significance level of all verdicts together, and of all exploratory tests together
+CENSORED = 0.1  # Share of the runs counted at their limit above which a page warns
+SUCCESS: Final = Metric("success", "Reached the goal", better=1)
 TIME = Metric.named("time_to_converge_s")
+RESTRICTED = Metric.named("time_to_goal_s")
+Of = Literal["difference", "improvement"]
+Test = tuple[str, Of]  # An exploratory test of a pair: of which metric, and of what
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Controller b against controller a (indices into the comparison's controllers)."""
+    """Controller b against controller a (indices into the comparison's controllers).
+
+    The verdict: b is better where it succeeds on more of the common seeds beyond chance (McNemar); or, if the test of success tells
+    nothing, where its primary metric is better beyond chance and it succeeds on as many seeds or more. So a controller that fails more
+    often never wins by time: the margin of non-inferiority is no seed at all.
+    """
 
     a: int
     b: int
-    success: stats.SuccessDifference  # on how many seeds only a, only b, both, neither reached the goal
-    # b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`)
+    primary: Metric  # the metric that decides where success does not
+    success: stats.PairedSuccess  # on how many seeds only a, only b, both, neither reached the goal
+    # b minus a by metric, in its display unit, over the seeds on which both reached the goal (all seeds for `every_pair`); of the primary
+    # metric always, of the others, which are exploratory, where the pair is explored
     differences: dict[str, stats.IntervalEstimate]
     means: dict[str, float]  # mean of a by metric over the same seeds, the reference of relative differences
-    # probability by metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`)
+    # probability by exploratory metric that b is better than a on the same seed, over all common seeds (`ControllerResults.ranked`)
     improvements: dict[str, stats.IntervalEstimate]
-    adjusted: dict[Test, float] = field(default_factory=dict)  # `tests` after Holm's correction over all tests of all pairs
+    adjusted: dict[Test, float] = field(default_factory=dict)  # p-values by Holm: of verdicts over all pairs, of all exploratory tests
 
     @property
-    def tests(self) -> dict[Test, float]:
-        """P-values, each by itself: of the differences of success and of each metric, and of improvements; NaN where there is no test."""
-        found: dict[Test, float] = {(SUCCESS, "difference"): self.success.p if self.seeds else math.nan}
-        for name, difference in self.differences.items():
-            found[name, "difference"] = difference.p
-            found[name, "improvement"] = self.improvements[name].p
-        return found
+    def deciding(self) -> dict[Test, float]:
+        """P-values of the two tests of the verdict, each by itself; NaN where there is no test."""
+        success = self.success.p if self.seeds else math.nan
+        return {(SUCCESS.name, "difference"): success, (self.primary.name, "difference"): self.differences[self.primary.name].p}
+
+    @property
+    def exploratory(self) -> dict[Test, float]:
+        """P-values of the exploratory tests, each by itself; NaN where there is no test."""
+        found: dict[Test, float] = {(name, "difference"): d.p for name, d in self.differences.items() if name != self.primary.name}
+        return found | {(name, "improvement"): i.p for name, i in self.improvements.items()}
 
     def is_real(self, name: str, of: Of = "difference") -> bool:
-        """Whether the difference of a metric or of success, or the improvement of a metric, is significant after Holm's correction."""
-        return self.adjusted[name, of] <= CHANCE
+        """Whether a difference or an improvement is beyond chance by its adjusted p; the interval of a difference must agree."""
+        agrees = of == "improvement" or name == SUCCESS.name or self.differences[name].excludes_zero
+        return agrees and self.adjusted[name, of] <= CHANCE
 
     @property
     def seeds(self) -> int:
         """Number of common seeds."""
-        s = self.success
-        return s.only_a + s.only_b + s.both + s.neither
+        return sum(self.success[:4])
 
     @property
     def better(self) -> int | None:
-        """The controller that is significantly better in success or in time to converge and not worse in the other; None without one."""
-        votes = set()  # one vote each of success and time
-        if self.is_real(SUCCESS):
-            votes.add(self.b if self.success.only_b > self.success.only_a else self.a)
-        time = self.differences[TIME.name]
-        if self.is_real(TIME.name):
-            votes.add(self.b if time.mean < 0 else self.a)
-        return votes.pop() if len(votes) == 1 else None
+        """The controller that the verdict calls better; None where the runs do not tell."""
+        more = self.success.only_b - self.success.only_a
+        if self.is_real(SUCCESS.name):
+            return self.b if more > 0 else self.a
+        return None if self.sooner is None or (more < 0 if self.sooner == self.b else more > 0) else self.sooner
+
+    @property
+    def sooner(self) -> int | None:
+        """The controller whose primary metric is better beyond chance, however often it succeeds; None without one."""
+        if not self.is_real(self.primary.name):
+            return None
+        return self.b if (self.differences[self.primary.name].mean > 0) == (self.primary.better > 0) else self.a
 
     def turned(self) -> Pair:
         """The same pair with a and b exchanged."""
-        s = self.success
-        success = replace(s, only_a=s.only_b, only_b=s.only_a)
-        differences = {k: d.turned() for k, d in self.differences.items()}
-        # the mean of b over the common seeds is the mean of a plus the mean difference
-        means = {k: m + self.differences[k].mean for k, m in self.means.items()}
-        improvements = {k: i.turned(1.0) for k, i in self.improvements.items()}
-        return Pair(self.b, self.a, success, differences, means, improvements, self.adjusted)
+        return replace(
+            self,
+            a=self.b,
+            b=self.a,
+            success=self.success._replace(only_a=self.success.only_b, only_b=self.success.only_a),
+            differences={k: d.turned() for k, d in self.differences.items()},
+            # the mean of b over the same seeds is the mean of a plus the mean difference
+            means={k: m + self.differences[k].mean for k, m in self.means.items()},
+            improvements={k: i.turned(1.0) for k, i in self.improvements.items()},
+        )
 
 
 def pairs(comparison: ComparisonResults) -> list[Pair]:
-    """Every pair of controllers, the later against the earlier; of more than six each against the first. Holm corrects all p-values."""
-    n = len(comparison.controllers)
-    chosen = combinations(range(n), 2) if n <= MOST_CONTROLLERS else ((0, b) for b in range(1, n))
-    found = [_pair(comparison, a, b) for a, b in chosen]
-    adjusted = iter(stats.holm([p for pair in found for p in pair.tests.values()]))
-    return [replace(pair, adjusted={test: next(adjusted) for test in pair.tests}) for pair in found]
+    """Every pair of controllers, the later against the earlier; with a reference, or of many controllers, each against the reference.
+
+    Two families of tests, each adjusted by Holm: both tests of the verdicts of all pairs, and all exploratory ones.
+    """
+    n, reference = len(comparison.controllers), comparison.reference_index
+    every = n <= MOST_PAIRED and not comparison.reference
+    chosen = list(combinations(range(n), 2)) if every else [(reference, b) for b in range(n) if b != reference]
+    found = [_pair(comparison, a, b, n <= MOST_CONTROLLERS or reference in (a, b)) for a, b in chosen]
+    deciding = iter(stats.holm([p for pair in found for p in pair.deciding.values()]))
+    exploratory = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
+    return [
+        replace(pair, adjusted=dict(zip(pair.deciding, deciding, strict=False)) | dict(zip(pair.exploratory, exploratory, strict=False)))
+        for pair in found
+    ]
 
 
 def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
@@ -228,22 +296,28 @@ def against(all_pairs: list[Pair], reference: int) -> list[Pair]:
     return [p if p.a == reference else p.turned() for p in all_pairs if reference in (p.a, p.b)]
 
 
-def _pair(comparison: ComparisonResults, a: int, b: int) -> Pair:
+def _pair(comparison: ComparisonResults, a: int, b: int, explore: bool) -> Pair:
     first, second = comparison.controllers[a], comparison.controllers[b]
     where = {start: k for k, start in enumerate(second.starts)}
     shared = [(i, where[start]) for i, start in enumerate(first.starts) if start in where]
     rows_a, rows_b = [i for i, _ in shared], [k for _, k in shared]  # of the common starts
-    both = first.success[rows_a] & second.success[rows_b]
-    differences, means, improvements = {}, {}, {}
-    # time to converge decides which controller is better, so that it is needed even where the page does not show it
-    for metric in {m.name: m for m in (*comparison.shown, TIME)}.values():
+    succeeded = first.success[rows_a], second.success[rows_b]
+
+    def difference(metric: Metric) -> tuple[stats.IntervalEstimate, float]:
         x, y = first.values(metric)[rows_a], second.values(metric)[rows_b]
+        if metric == RESTRICTED:  # both up to the earlier of the two limits
+            limit = min((*x[~succeeded[0]], *y[~succeeded[1]]), default=math.inf)
+            x, y = np.minimum(x, limit), np.minimum(y, limit)
         # the same seeds for both, or the difference would not be paired
-        used = (both | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
-        differences[metric.name] = stats.paired_difference(y[used], x[used])
-        means[metric.name] = float(x[used].mean()) if used.any() else np.nan
-        improvements[metric.name] = stats.improvement(first.ranked(metric)[rows_a], second.ranked(metric)[rows_b])
-    return Pair(a, b, stats.paired_success(first.success[rows_a], second.success[rows_b]), differences, means, improvements)
+        used = ((succeeded[0] & succeeded[1]) | metric.every_pair) & np.isfinite(x) & np.isfinite(y)
+        return stats.paired_difference(y[used], x[used]), float(x[used].mean()) if used.any() else math.nan
+
+    primary = comparison.primary_metric
+    shown = [metric for metric in comparison.shown if explore and metric != primary]
+    found = {metric.name: difference(metric) for metric in (primary, *shown)}
+    improvements = {m.name: stats.improvement(first.ranked(m)[rows_a], second.ranked(m)[rows_b]) for m in shown}
+    differences, means = ({name: each[k] for name, each in found.items()} for k in (0, 1))
+    return Pair(a, b, primary, stats.paired_success(*succeeded), differences, means, improvements)
 
 
 Means = list[dict[str, stats.IntervalEstimate]]  # of each controller, by metric
@@ -274,12 +348,12 @@ _OF_CONTROLLER: Final = (
     *("median", "q1", "q3", "median_runs", "iqm", "iqm_low", "iqm_high", "iqm_runs"),
 )
 _OF_PAIR: Final = (
-    *("controller", "against", "metric", "title", "unit", "better", "difference", "low", "high", "pairs", "skewness"),
+    *("controller", "against", "better_one", "role", "metric", "title", "unit", "better", "difference", "low", "high", "pairs"),
     *("p", "p_holm", "significant", "improvement", "improvement_low", "improvement_high", "improvement_pairs"),
     *("improvement_p", "improvement_p_holm", "improvement_significant"),
 )
 _COUNTS: Final = ("runs", "succeeded", "median_runs", "iqm_runs", "pairs", "improvement_pairs")
-_WORDS: Final = ("controller", "against", "metric", "title", "unit", "better")
+_WORDS: Final = ("controller", "against", "better_one", "role", "metric", "title", "unit", "better")
 
 
 def write_records(folder: Path, comparison: ComparisonResults, means: Means, all_pairs: Sequence[Pair]) -> None:
@@ -305,32 +379,34 @@ def controller_records(comparison: ComparisonResults, means: Means) -> pl.DataFr
 
 
 def pair_records(comparison: ComparisonResults, all_pairs: Sequence[Pair]) -> pl.DataFrame:
-    """A row for each pair and metric, success first: the difference `controller` minus `against` with its interval and p-values.
+    """A row for each pair and metric: the difference `controller` minus `against` with its interval and p-values.
 
-    `improvement`: probability that `controller` is better. The difference of success rates over the common seeds has no interval.
+    role: `primary` of success (which has no interval) and of the primary metric, which make the verdict `better_one` (null: the runs do
+    not tell); `exploratory` of the others. `improvement`: probability that `controller` is better.
     """
     labels = [c.label for c in comparison.controllers]
     rows: list[dict[str, Any]] = []
     for pair in all_pairs:
-        s, n = pair.success, pair.seeds
-        of_success = stats.NOTHING, stats.NOTHING
-        if n:
-            more, better = (s.only_b - s.only_a) / n, (s.only_b + (s.both + s.neither) / 2) / n
-            of_success = stats.IntervalEstimate(more, n=n), stats.share_of(better, n)
-        for metric in (_SUCCESS, *comparison.shown):
-            d, i = of_success if metric is _SUCCESS else (pair.differences[metric.name], pair.improvements[metric.name])
+        s, n, better = pair.success, pair.seeds, pair.better
+        d = stats.IntervalEstimate((s.only_b - s.only_a) / n, n=n, p=s.p) if n else stats.NOTHING
+        i = stats.share_of((s.only_b + (s.both + s.neither) / 2) / n, n) if n else stats.NOTHING
+        found = {SUCCESS: (d, i)} | {m: (pair.differences[m.name], pair.improvements.get(m.name, stats.NOTHING)) for m in _ordered(pair)}
+        for metric, (d, i) in found.items():
             rows.append(
-                {"controller": labels[pair.b], "against": labels[pair.a], **_named(metric)}
-                | _estimate(d, "difference", "low", "high", "pairs")
-                | {"skewness": d.skewness if metric is not _SUCCESS else None}
-                | _tested(pair, metric.name, "difference")
+                {"controller": labels[pair.b], "against": labels[pair.a], "better_one": None if better is None else labels[better]}
+                | {"role": "primary" if metric in (SUCCESS, pair.primary) else "exploratory"}
+                | _named(metric)
+                | {"difference": d.mean, "low": d.low, "high": d.high, "pairs": d.n, "p": d.p}
+                | {"p_holm": pair.adjusted[metric.name, "difference"], "significant": pair.is_real(metric.name)}
                 | _estimate(i, "improvement", "improvement_low", "improvement_high", "improvement_pairs")
-                | _tested(pair, metric.name, "improvement", "improvement_")
+                | {"improvement_p": i.p, "improvement_p_holm": pair.adjusted.get((metric.name, "improvement"))}
+                | {"improvement_significant": metric.name in pair.improvements and pair.is_real(metric.name, "improvement")}
             )
     return _records(rows, _OF_PAIR)
 
 
-_SUCCESS: Final = Metric(SUCCESS, "Reached the goal", better=1)
+def _ordered(pair: Pair) -> list[Metric]:
+    return [Metric.named(name) for name in pair.differences]
 
 
 def _named(metric: Metric) -> dict[str, Any]:
@@ -339,11 +415,6 @@ def _named(metric: Metric) -> dict[str, Any]:
 
 def _estimate(found: stats.IntervalEstimate, *names: str) -> dict[str, Any]:
     return dict(zip(names, (found.mean, found.low, found.high, found.n), strict=True))
-
-
-def _tested(pair: Pair, name: str, of: Of, prefix: str = "") -> dict[str, Any]:
-    p, adjusted = (tests.get((name, of)) for tests in (pair.tests, pair.adjusted))
-    return {f"{prefix}p": p, f"{prefix}p_holm": adjusted, f"{prefix}significant": None if adjusted is None else adjusted <= CHANCE}
 
 
 def _records(rows: list[dict[str, Any]], names: Sequence[str]) -> pl.DataFrame:

@@ -10,11 +10,13 @@ from typing import Any, Final
 import polars as pl
 
 from vstestbed.report.comparison.results import (
+    CENSORED,
     CONTROLLERS,
     MOST_CONTROLLERS,
+    MOST_PAIRED,
     PAIRS,
+    RESTRICTED,
     SUCCESS,
-    TIME,
     ComparisonResults,
     ControllerResults,
     Means,
@@ -30,9 +32,9 @@ from vstestbed.tasks.metrics import Metric
 Section = tuple[str, list[tuple[str, list[str], list[list[Cell]]]]]
 """Of the page: title; tables, each with the name of the controller that it is against ("": none), heads and lines."""
 
-# The result in sentences: which controller is better, by how much, and whether the difference is significant.
+# The result in sentences: the verdict on each pair, and what it rests on.
 
-MOST_OTHERS = 4  # Other metrics with a significant difference that a sentence names; the table has all of them
+MOST_OTHERS = 4  # Exploratory differences that a sentence names; the table has all of them
 
 
 def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = "") -> tuple[str, str, list[str], list[str]]:
@@ -40,131 +42,81 @@ def headline(comparison: ComparisonResults, all_pairs: list[Pair], gains: str = 
 
     `gains`: those in which controllers differ and in nothing else.
     """
-    if len(comparison.controllers) == 1:
-        (one,) = comparison.controllers
-        rate = one.rate
-        interval = f"{100 * rate.mean:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
-        return f"{one.label} reached the goal in {int(one.success.sum())} of {counted(rate.n, 'run')} ({interval}).", "open", [], []
     labels = [c.label for c in comparison.controllers]
-    verdict, decided = _overall(labels, all_pairs)
-    caution = []
+    if len(labels) == 1:
+        rate = comparison.controllers[0].rate
+        interval = f"{100 * rate.mean:.0f} %, 95 % interval {100 * rate.low:.0f} to {100 * rate.high:.0f} %"
+        reached = f"{int(comparison.controllers[0].success.sum())} of {counted(rate.n, 'run')}"
+        return f"{labels[0]} reached the goal in {reached} ({interval}).", "open", [], []
+    beaten = {i: [p.a + p.b - i for p in all_pairs if p.better == i] for i in range(len(labels))}  # a + b - i: the other one of the pair
+    best = max(beaten, key=lambda i: len(beaten[i]))
+    decided = len(beaten[best]) == len(labels) - 1
+    verdict, cautions = _overall(labels, all_pairs, beaten), censoring(comparison)
     if gains:  # no controller is better than another for its gain
         verdict, decided = f"Only {gains} {'differ' if ' and ' in gains else 'differs'}. {verdict}", False
-        caution = ["This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it."]
+        cautions.append("This compares settings of one law: a larger gain converges sooner by itself, until delay or limits stop it.")
     # all pairs of up to three controllers; of more controllers the pairs of the one that wins most often
-    wins = _wins(labels, all_pairs)
-    best = wins.index(max(wins))
     shown = all_pairs if len(all_pairs) <= 3 else [p for p in all_pairs if best in (p.a, p.b)][:MOST_CONTROLLERS]
-    sentences = [*caution, *(pair_text(p, labels) for p in shown)]
+    sentences = [*cautions, *(pair_text(p, labels) for p in shown)]
     return verdict, "good" if decided else "open", sentences, [pair_text(p, labels) for p in all_pairs if p not in shown]
 
 
-def _overall(labels: list[str], all_pairs: list[Pair]) -> tuple[str, bool]:
-    """The sentence on all controllers, and whether one is better than every other."""
-    if len(labels) == 2:
-        return _of_two(labels, all_pairs[0])
-    if len(labels) > MOST_CONTROLLERS:
-        return _against_first(labels, all_pairs), False
-    wins, others = _wins(labels, all_pairs), len(labels) - 1
-    first = wins.index(max(wins))
-    if wins[first] == others:  # by how much is said of the runner-up, the other with the most wins
-        closest = max(against(all_pairs, first), key=lambda p: wins[p.b])
-        n = {2: "two", 3: "three", 4: "four", 5: "five"}[others]
-        words = f"{labels[first]} is better than each of the other {n}: than {labels[closest.b]}, it"
-        return f"{words} {_advantages(closest.turned())}.", True
-    if wins[first]:
-        return _leading_group(labels, all_pairs, wins), False
-    if any(p.is_real(SUCCESS) or p.is_real(TIME.name) for p in all_pairs):
-        return "None of them is better: who reaches the goal more often does so later.", False
-    what = "of success or of time" if any(map(_others, all_pairs)) else "between them"
-    return f"No difference {what} that {counted(max(p.seeds for p in all_pairs), 'run')} each could show.", False
+def _overall(labels: list[str], all_pairs: list[Pair], beaten: dict[int, list[int]]) -> str:
+    """The verdicts on all pairs in one sentence, those with the most wins first."""
+    runs = counted(max((p.seeds for p in all_pairs), default=0), "run")
+    winners = sorted((i for i in beaten if beaten[i]), key=lambda i: -len(beaten[i]))
+    if not winners:
+        return f"No verdict: {runs} each show none of them better." if len(labels) > 2 else f"No verdict: {runs} each show neither better."
+    words = [
+        f"{labels[i]} is better than {'all others' if len(beaten[i]) == len(labels) - 1 > 1 else listed([labels[k] for k in beaten[i]])}"
+        for i in winners[:MOST_CONTROLLERS]
+    ]
+    more = f"; {len(winners) - MOST_CONTROLLERS} more are better than some" if len(winners) > MOST_CONTROLLERS else ""
+    open_pairs = sum(p.better is None for p in all_pairs)
+    rest = f" Of {counted(open_pairs, 'other pair')} {runs} each do not tell." if open_pairs else ""
+    return f"{'; '.join(words)}{more}.{rest}"
 
 
-def _wins(labels: list[str], all_pairs: list[Pair]) -> list[int]:
-    """How many other controllers each controller is better than."""
-    return [sum(p.better == i for p in all_pairs) for i in range(len(labels))]
-
-
-def _leading_group(labels: list[str], all_pairs: list[Pair], wins: list[int]) -> str:
-    """The undefeated controllers, if each of them beats all the defeated ones."""
-    defeated = {p.a + p.b - p.better for p in all_pairs if p.better is not None}  # a + b - better: the other one of the pair
-    ahead = [i for i in range(len(labels)) if i not in defeated]
-    if not ahead or any(wins[i] != len(labels) - len(ahead) for i in ahead):
-        return "None of them is better than all the others."
-    which = "neither" if len(ahead) == 2 else "none"
-    seeds = max(p.seeds for p in all_pairs)
-    return f"{listed([labels[i] for i in ahead])} are better than the rest; {counted(seeds, 'run')} each show {which} of them ahead."
-
-
-def _of_two(labels: list[str], pair: Pair) -> tuple[str, bool]:
-    if pair.better is None:
-        if pair.is_real(SUCCESS) or pair.is_real(TIME.name):
-            often = pair.b if pair.success.only_b > pair.success.only_a else pair.a
-            other = pair.a + pair.b - often
-            return f"{labels[often]} reaches the goal more often, {labels[other]} sooner.", False
-        if others := [m.title.lower() for m in _others(pair)][:MOST_OTHERS]:
-            words = f"Neither reaches the goal more often or sooner, as far as {counted(pair.seeds, 'run')} each could show"
-            return f"{words}; they differ in {listed(others)}.", False
-        return f"No difference between {labels[pair.a]} and {labels[pair.b]} that {counted(pair.seeds, 'run')} each could show.", False
-    pair = pair if pair.better == pair.b else pair.turned()
-    return f"{labels[pair.b]} is better than {labels[pair.a]}: it {_advantages(pair)}.", True
-
-
-def _advantages(pair: Pair) -> str:
-    """In what b is significantly better than a, and by how much."""
-    time, advantages = pair.differences[TIME.name], []
-    if pair.is_real(SUCCESS):
-        advantages.append(f"reaches the goal on {pair.success.only_b - pair.success.only_a} more of {pair.seeds} seeds")
-    if pair.is_real(TIME.name):
-        advantages.append(f"converges {number(-time.mean)} s{_share(pair)} sooner")
-    return " and ".join(advantages)
-
-
-def _against_first(labels: list[str], all_pairs: list[Pair]) -> str:
-    """Of very many controllers only the first is the reference: how many are better than it, how many worse."""
-    better = [labels[p.b] for p in all_pairs if p.better == p.b]
-    worse = sum(p.better == p.a for p in all_pairs)
-    seeds = max(p.seeds for p in all_pairs)
-    named = f" ({listed(better)})" if 0 < len(better) <= 4 else ""
-    rest = len(all_pairs) - len(better) - worse
-    counts = f"{len(better)} of {len(all_pairs)} are better{named}, {worse} worse"
-    return f"Against {labels[0]}: {counts}; for {rest}, {counted(seeds, 'run')} each do not tell."
+def censoring(comparison: ComparisonResults) -> list[str]:
+    """A warning for each controller whose mean time depends on the limit, because more than CENSORED of its runs failed."""
+    if comparison.primary_metric != RESTRICTED:
+        return []
+    return [
+        f"Caution: {int((~c.success).sum())} of {counted(len(c.success), 'run')} of {c.label} failed and count with their limit of time: "
+        "its mean time depends on this limit."
+        for c in comparison.controllers
+        if c.censored > CENSORED
+    ]
 
 
 def pair_text(pair: Pair, labels: list[str]) -> str:
-    """One pair in a few sentences: successes, times to converge on the seeds where both did, other significant differences."""
+    """One pair in a few sentences: the verdict, successes, the primary metric, exploratory differences that are beyond chance."""
     s, n, a, b = pair.success, pair.seeds, labels[pair.a], labels[pair.b]
-    of_a, of_b = s.both + s.only_a, s.both + s.only_b
     if n == 0:
         return f"{b} and {a} share no seed: they cannot be compared."
-    if s.only_a == s.only_b == 0:
-        every = "on the only seed" if n == 1 else f"on all {n} seeds"
-        where = {0: "on no seed", n: every}.get(s.both, f"on the same {s.both} of {n} seeds")
-        goal = f"{b} and {a} reached the goal {where}."
-    else:
-        p = p_text(pair.adjusted[SUCCESS, "difference"])
-        proof = f"a real difference ({p})" if pair.is_real(SUCCESS) else f"no difference that {counted(n, 'run')} could show ({p})"
-        goal = f"{b} reached the goal on {of_b} of {n} seeds, {a} on {of_a}: {proof}."
+    better = pair.better
+    verdict = f"{labels[better]} is better than {labels[pair.a + pair.b - better]}" if better is not None else f"{b} and {a}: no verdict"
+    of_a, of_b = s.both + s.only_a, s.both + s.only_b
+    test = f", {p_text(pair.adjusted[SUCCESS.name, 'difference'])}" if s.only_a + s.only_b else ""
+    goal = f"{b} reached the goal on {of_b} of {counted(n, 'seed')}, {a} on {of_a}{test}"
+    fewer = pair.sooner is not None and better is None
+    words = [f"{verdict}: {goal}; {_primary_text(pair, b)}."]
+    if fewer:
+        words.append(f"{labels[pair.sooner or 0]} reached the goal on fewer seeds, so that it is not called better.")
     named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
     more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
-    others = f"They really differ in {', '.join(named[:MOST_OTHERS])}{more}." if named else ""
-    return " ".join(filter(None, (goal, _time_text(pair, a, b), others)))
+    return " ".join([*words, *([f"Exploratory: they also differ in {', '.join(named[:MOST_OTHERS])}{more}."] if named else [])])
 
 
-def _time_text(pair: Pair, a: str, b: str) -> str:
-    time = pair.differences[TIME.name]
-    if time.n == 0:
-        return "Never on the same seed, so that times cannot be compared." if pair.success.only_a and pair.success.only_b else ""
-    if not math.isfinite(time.low):
-        return f"{b} took {signed(time.mean)} s against {a} on the only seed that both did: one pair shows nothing."
-    interval = (
-        f"95 % interval {signed(time.low)} to {signed(time.high)} s, {time.n} seeds, {p_text(pair.adjusted[TIME.name, 'difference'])}"
-    )
-    if pair.is_real(TIME.name):
-        way = "sooner" if time.mean < 0 else "later"
-        return f"{b} converged {number(abs(time.mean))} s{_share(pair)} {way} than {a}, a real difference ({interval})."
-    alone = " after correction for all tests" if time.real else ""
-    return f"Their times to converge show no difference that {time.n} seeds could show (mean {signed(time.mean)} s, {interval}{alone})."
+def _primary_text(pair: Pair, b: str) -> str:
+    """`time to the goal, a failure at its limit: pbvs -1.2 s (12 %), 95 % interval -2 to -0.4 s, p = 0.003`."""
+    metric, d, mean = pair.primary, pair.differences[pair.primary.name], pair.means[pair.primary.name]
+    title, unit = metric.title[0].lower() + metric.title[1:], f" {metric.unit}".rstrip()
+    if d.n == 0:
+        return f"{title}: no seed on which both have it"
+    share = f" ({number(abs(100 * d.mean / mean))} %)" if mean > 0 else ""
+    interval = f", 95 % interval {signed(d.low)} to {signed(d.high)}{unit}" if math.isfinite(d.low) else ""
+    return f"{title}: {b} {signed(d.mean)}{unit}{share}{interval}, {p_text(pair.adjusted[metric.name, 'difference'])}"
 
 
 def _by_how_much(pair: Pair, metric: Metric) -> str:
@@ -176,21 +128,13 @@ def _by_how_much(pair: Pair, metric: Metric) -> str:
 
 
 def _others(pair: Pair) -> list[Metric]:
-    """The metrics other than time whose difference or improvement is significant."""
-    return [
-        Metric.named(name) for name in pair.differences if name != TIME.name and (pair.is_real(name) or pair.is_real(name, "improvement"))
-    ]
-
-
-def _share(pair: Pair) -> str:
-    """The difference of times relative to the mean of a: ` (12 %)`."""
-    mean, time = pair.means[TIME.name], pair.differences[TIME.name].mean
-    return f" ({number(abs(100 * time / mean))} %)" if mean > 0 else ""
+    """The exploratory metrics whose difference or improvement is significant."""
+    return [Metric.named(name) for name in pair.improvements if pair.is_real(name) or pair.is_real(name, "improvement")]
 
 
 def p_text(p: float) -> str:
     """`p = 0.012`."""
-    return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
+    return "no test" if math.isnan(p) else "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
 
 
 def listed(words: list[str]) -> str:
@@ -208,33 +152,66 @@ NEVER: Final = "fails"  # stands for an infinite mean or end of an interval: so 
 def sections(comparison: ComparisonResults, means: Means, all_pairs: list[Pair], every: bool = True) -> dict[str, Any]:
     """The tables of the page, with what their notes need to know; with `every` also the controllers' medians. means: `interquartiles`."""
     shown, controllers = comparison.shown, comparison.controllers
-    medians = [[_name(c.label), rate_cell(c), *(_spread(c, m) for m in shown)] for c in controllers]
     middle = [[_name(c.label), *(_iqm(f[m.name], len(c.runs)) for m in shown)] for c, f in zip(controllers, means, strict=True)]
     labels, arrows = [m.label for m in shown], [f"{m.label} {'↑' if m.better > 0 else '↓'}" for m in shown]
-    found: list[Section] = [("Controllers", [("", ["Controller", "Reached the goal", *labels], medians)])] if every else []
+    found: list[Section] = []
+    if len(controllers) > 1:
+        found.append(("Verdicts", _verdicts(comparison, all_pairs)))
+    if every:
+        medians = [[_name(c.label), rate_cell(c), *(_spread(c, m) for m in shown)] for c in controllers]
+        found.append(("Controllers", [("", ["Controller", "Reached the goal", *labels], medians)]))
     found.append(("Interquartile means", [("", ["Controller", *arrows], middle)]))
     if len(controllers) > 1:
-        differences = _against_each(comparison, all_pairs, lambda p: [_goals(p), *(_difference(p, m) for m in shown)])
-        improvements = _against_each(comparison, all_pairs, lambda p: [_improvement(p, m) for m in shown])
-        heads = ["Reached the goal", *labels]
-        found.append(("Paired differences", [(name, [f"Against {name}", *heads], lines) for name, lines in differences]))
-        found.append(("Probability of improvement", [(name, [f"Better than {name}", *arrows], lines) for name, lines in improvements]))
+        found += _exploratory(comparison, all_pairs)
     return {
         "sections": found,
+        "primary": comparison.primary_metric.title.lower(),
         "strata": any(any(c.tasks) for c in controllers),
         "of_any_run": ", ".join(m.title for m in shown if m.every_pair),  # metrics for which a failed run counts with its own number
-        "tests": sum(not math.isnan(p) for pair in all_pairs for p in pair.tests.values()),  # over which the p-values are corrected
-        "skewed": any(p.differences[m.name].skewed for p in all_pairs for m in shown),
+        # over how many tests the p-values of verdicts and the exploratory ones are adjusted
+        "deciding": sum(not math.isnan(p) for pair in all_pairs for p in pair.deciding.values()),
+        "tests": sum(not math.isnan(p) for pair in all_pairs for p in pair.exploratory.values()),
     }
+
+
+def _verdicts(comparison: ComparisonResults, all_pairs: list[Pair]) -> list[tuple[str, list[str], list[list[Cell]]]]:
+    """The table of pairs with both tests of each verdict, and, of three controllers or more, who is better than whom as a matrix."""
+    labels = [c.label for c in comparison.controllers]
+    heads = ["Pair", "Better", "Reached the goal", comparison.primary_metric.label]
+    lines = []
+    for p in all_pairs:
+        better = ("", "–", False, []) if p.better is None else (labels[p.better], labels[p.better], True, [])
+        lines.append([_name(f"{labels[p.b]} − {labels[p.a]}"), better, _goals(p), _difference(p, p.primary)])
+    tables = [("", heads, lines)]
+    if 2 < len(labels) <= MOST_PAIRED and not comparison.reference:
+        won = {(p.a, p.b): p.better for p in all_pairs} | {(p.b, p.a): p.better for p in all_pairs}
+        cells = [[(won[i, k] == i, *_won(won[i, k], i), []) if i != k else NO_CELL for k in range(len(labels))] for i in range(len(labels))]
+        tables.append(("", ["Row is ... than column", *labels], [[_name(name), *line] for name, line in zip(labels, cells, strict=True)]))
+    return tables
+
+
+def _won(better: int | None, one: int) -> tuple[str, bool]:
+    return ("·", False) if better is None else ("better", True) if better == one else ("worse", False)
+
+
+def _exploratory(comparison: ComparisonResults, all_pairs: list[Pair]) -> list[Section]:
+    shown = [m for m in comparison.shown if m != comparison.primary_metric]
+    labels, arrows = [m.label for m in shown], [f"{m.label} {'↑' if m.better > 0 else '↓'}" for m in shown]
+    explored = [p for p in all_pairs if p.improvements]
+    differences = _against_each(comparison, explored, lambda p: [_difference(p, m) for m in shown])
+    improvements = _against_each(comparison, explored, lambda p: [_improvement(p, m) for m in shown])
+    return [
+        ("Paired differences", [(name, [f"Against {name}", *labels], lines) for name, lines in differences if lines]),
+        ("Probability of improvement", [(name, [f"Better than {name}", *arrows], lines) for name, lines in improvements if lines]),
+    ]
 
 
 def _against_each(
     comparison: ComparisonResults, all_pairs: list[Pair], cells: Callable[[Pair], Sequence[Cell]]
 ) -> list[tuple[str, list[list[Cell]]]]:
-    """For each reference controller (each of few, the first of many) its name, and a line for each of the others."""
+    """For each controller its name, and a line for each of the others with which it was paired."""
     labels = [c.label for c in comparison.controllers]
-    shown = labels if len(labels) <= MOST_CONTROLLERS else labels[:1]
-    return [(name, [[_name(labels[p.b]), *cells(p)] for p in against(all_pairs, i)]) for i, name in enumerate(shown)]
+    return [(name, [[_name(labels[p.b]), *cells(p)] for p in against(all_pairs, i)]) for i, name in enumerate(labels)]
 
 
 def _name(label: str) -> Cell:
@@ -262,8 +239,8 @@ def _iqm(found: IntervalEstimate, n: int) -> Cell:
 
 def _goals(pair: Pair) -> Cell:
     s, more = pair.success, pair.success.only_b - pair.success.only_a
-    counts = (f"only this: {s.only_b}", f"only other: {s.only_a}", f"both: {s.both}", f"neither: {s.neither}")
-    return more, signed(more), pair.is_real(SUCCESS), [_corrected(pair, SUCCESS), *counts]
+    counts = [f"only this {s.only_b}, only other {s.only_a}, both {s.both}, neither {s.neither}"]
+    return more, signed(more), pair.is_real(SUCCESS.name), [_corrected(pair, SUCCESS.name), *counts]
 
 
 def _difference(pair: Pair, metric: Metric) -> Cell:
@@ -271,7 +248,7 @@ def _difference(pair: Pair, metric: Metric) -> Cell:
     # in two lines, since columns are narrow
     small = [f"[{signed(d.low)},", f"{signed(d.high)}]"] if math.isfinite(d.low) else ["no interval"]
     small += [_corrected(pair, metric.name)] if math.isfinite(d.p) else []
-    small += [*_count(d.n, pair.success.both), *["skewed"] * d.skewed]
+    small += _count(d.n, pair.seeds if metric.every_pair else pair.success.both)
     return (d.mean, signed(d.mean), pair.is_real(metric.name), small) if d.n else NO_CELL
 
 
@@ -295,47 +272,36 @@ def _bound(value: float) -> str:
 
 
 def _corrected(pair: Pair, name: str, of: Of = "difference") -> str:
-    p = pair.adjusted[name, of]
-    return "no test" if math.isnan(p) else p_text(p)
+    return p_text(pair.adjusted[name, of])
 
 
-# The statistics in a few lines for the terminal: success, interquartile mean, difference from the first controller.
+# The verdicts in a few lines for the terminal.
 MOST: Final = 12  # controllers that are listed
 
 
 def statistics_text(folder: Path) -> str:
-    """A line for each controller, of the first metric that is shown; "" for a single controller, or without a report."""
+    """A line for each controller with its primary metric, against the reference; "" for a single controller, or without a report."""
     if not (folder / f"{CONTROLLERS}.parquet").is_file():
         return ""
     every, pairs = (pl.read_parquet(folder / f"{name}.parquet") for name in (CONTROLLERS, PAIRS))
     if not len(pairs):
         return ""
-    first = every.row(0, named=True)
-    unit = f" [{first['unit']}]" if first["unit"] else ""
-    lines = [("", "reached", f"{first['title'].lower()}{unit}, IQM", f"against {first['controller']}")]
-    of = {(row["controller"], row["metric"]): row for row in pairs.filter(pl.col("against") == first["controller"]).rows(named=True)}
-    for row in every.filter(pl.col("metric") == first["metric"]).rows(named=True):
-        name, reached = row["controller"], f"{row['succeeded']} of {row['runs']}"
-        found = of.get((name, first["metric"])), of.get((name, SUCCESS))
-        lines.append((name, reached + _star(found[1]), _plain_mean(row), _plain_difference(found[0])))
+    (_, primary), reference = pairs.filter(pl.col("role") == "primary").rows(named=True)[:2], pairs["against"][0]
+    unit = f" [{primary['unit']}]" if primary["unit"] else ""
+    lines = [("", "reached", f"{primary['title'].lower()}{unit}, against {reference}", "verdict")]
+    of = {
+        row["controller"]: row
+        for row in pairs.filter((pl.col("against") == reference) & (pl.col("metric") == primary["metric"])).rows(named=True)
+    }
+    for row in every.unique("controller", keep="first", maintain_order=True).rows(named=True):
+        name, found = row["controller"], of.get(row["controller"])
+        better = "" if not found else {None: "no verdict", name: "better"}.get(found["better_one"], "worse")
+        lines.append((name, f"{row['succeeded']} of {row['runs']}", _plain_difference(found), better))
     widths = [max(map(len, column)) for column in zip(*lines[: MOST + 1], strict=True)]
     text = ["  " + "  ".join(map(str.ljust, line, widths)).rstrip() for line in lines[: MOST + 1]]
     if (more := len(lines) - 1 - MOST) > 0:
         text.append(f"  and {more} more in report.html")
-    if any(line.endswith("*") or "* " in line for line in text):
-        text.append("  *: differs from the first, p <= 0.05 after Holm's correction")
     return "\n".join(text)
-
-
-def _star(row: dict[str, Any] | None) -> str:
-    return "*" if row and row["significant"] else ""
-
-
-def _plain_mean(row: dict[str, Any]) -> str:
-    if row["iqm"] is None:
-        return "-"
-    mean, low, high = (number(v) if v is not None and math.isfinite(v) else NEVER for v in (row["iqm"], row["iqm_low"], row["iqm_high"]))
-    return mean if row["iqm_low"] is None else f"{mean} [{low}, {high}]"
 
 
 def _plain_difference(row: dict[str, Any] | None) -> str:
@@ -343,4 +309,4 @@ def _plain_difference(row: dict[str, Any] | None) -> str:
         return ""
     interval = "" if row["low"] is None else f" [{signed(row['low'])}, {signed(row['high'])}]"
     # a hyphen: not every terminal has the minus sign
-    return (signed(row["difference"]) + interval + _star(row)).replace("\N{MINUS SIGN}", "-")
+    return (signed(row["difference"]) + interval).replace("\N{MINUS SIGN}", "-")

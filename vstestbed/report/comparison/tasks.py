@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,7 +15,7 @@ from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once, result_of
 from vstestbed.report.canvas import new_figure, save_paper, style, to_svg
 from vstestbed.report.comparison import baseline, tables
-from vstestbed.report.comparison.page import failures
+from vstestbed.report.comparison.page import failures, write_tables
 from vstestbed.report.comparison.results import TASK, TIME, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
 from vstestbed.report.marks import FAILED, MARKERS, Look, line_color
 from vstestbed.report.pages import write_page
@@ -70,19 +71,19 @@ def _numbers(amounts: Sequence[str]) -> str:
     return f"{', '.join(numbers)} {units[0]}" if units[0] else f"no. {', '.join(numbers)}"
 
 
-def cells(table: pl.DataFrame, axes: Sequence[str]) -> list[Cell]:
-    """Every law in every task, in order of first appearance; the laws are the combinations of all axes but the task."""
+def cells(laws: ComparisonResults) -> list[Cell]:
+    """Every law in every task, in order of first appearance; laws: `over_all_tasks`."""
     return [
         (law.label, task, ControllerResults(law.label, law.runs.filter(pl.col(TASK) == task)))
-        for law in over_all_tasks(table, axes).controllers
-        for task in dict.fromkeys(table[TASK].to_list())
+        for law in laws.controllers
+        for task in dict.fromkeys(laws.table[TASK].to_list())
         if task in law.tasks
     ]
 
 
-def over_all_tasks(table: pl.DataFrame, axes: Sequence[str], metrics: Sequence[str] = ()) -> ComparisonResults:
-    """Each law with its runs in all tasks, which are the strata of statistics over all of them."""
-    return ComparisonResults(table, tuple(axis for axis in axes if axis != TASK), tuple(metrics) or DRAWN, bare=True)
+def over_all_tasks(comparison: ComparisonResults) -> ComparisonResults:
+    """Each law, a combination of all axes but the task, with its runs in all tasks: the strata of statistics over all of them."""
+    return replace(comparison, axes=tuple(axis for axis in comparison.axes if axis != TASK), metrics=comparison.metrics or DRAWN)
 
 
 def markdown(found: Sequence[Cell], metrics: Sequence[str] = ()) -> str:
@@ -166,25 +167,19 @@ def _draw_panel(axes: Axes, here: Sequence[Cell], laws: Sequence[str], metric: M
         axes.set_xticks([])
 
 
-def write_task_report(
-    folder: Path,
-    table: pl.DataFrame,
-    axes: tuple[str, ...],
-    metrics: tuple[str, ...],
-    description: str,
-    command: str,
-    call: Call = at_once,
-    paper: bool = False,
-) -> Path:
-    """Write `report.html`, `tasks.md`, `controllers.*` and `pairs.*` into a comparison's folder, with `paper` also `figures/tasks.*`.
+def write_task_report(folder: Path, comparison: ComparisonResults, command: str, call: Call = at_once, paper: bool = False) -> Path:
+    """Write `report.html`, `tasks.md`, `tables.*`, `controllers.*` and `pairs.*` into a comparison's folder, and with `paper` `figures/`.
 
     As `page.write_comparison_report`; the table has the columns `task` and `amount`, and the first three metrics are drawn.
     """
-    found, laws = cells(table, axes), over_all_tasks(table, axes, metrics)
+    table, metrics, laws = comparison.table, comparison.metrics, over_all_tasks(comparison)
+    found = cells(laws)
     drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics) if paper else None
     write_whole(folder / "tasks.md", markdown(found, metrics))
     all_pairs, means = pairs(laws), interquartiles(laws)
     write_records(folder, laws, means, all_pairs)
+    (verdict, look, sentences, others), sections = tables.headline(laws, all_pairs), tables.sections(laws, means, all_pairs, every=False)
+    write_tables(folder, verdict, sections["sections"])
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
     if drawn[1] is not None:
         result_of(drawn[1])
@@ -193,14 +188,15 @@ def write_task_report(
         "tasks.html",
         f"{heading}: tasks",
         title=heading,
-        description=description,
+        description=comparison.description,
+        found=(verdict, look, sentences, others),
         reached=(int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum()), len(table)),
         overview=_grid(found, _summary_cell),
         baseline=baseline.section(folder),
         figure=result_of(drawn[0]),
         numbers=[(title, *_grid(found, text)) for title, text in _spreads(metrics)],
-        **tables.sections(laws, means, all_pairs, every=False),
-        failures=failures(folder, ComparisonResults(table, axes, metrics)),
+        **sections,
+        failures=failures(folder, comparison),
         command=command,
     )
 

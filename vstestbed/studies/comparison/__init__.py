@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -43,6 +44,8 @@ def compare(
     baseline: str | Path | None = None,
     limit: int | None = None,
     figures: bool = True,
+    primary: str | None = None,
+    reference: str | None = None,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -58,7 +61,8 @@ def compare(
         on_done: called after every run with the job and its summary. force: allow more than 100,000 runs.
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
-        figures: whether to draw the page's figures for a paper as well, as PDF and PNG in `figures/`.
+        figures: whether to draw the page's figures for a paper as well, as PDF, SVG and PNG in `figures/`.
+        primary, reference: as of `Comparison`.
 
     Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
     of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
@@ -67,10 +71,8 @@ def compare(
     must_not_be_worker("compare")
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
-    with prepared(scenarios, vary or {}, seeds, folder, resume, set or {}, plugins, film, force, earlier, limit) as (
-        runner,
-        comparison,
-    ):
+    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference}
+    with prepared(scenarios, vary or {}, folder, resume, set or {}, plugins, film, force, earlier, fields) as (runner, comparison):
         return carry_out(runner, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
 
 
@@ -116,7 +118,6 @@ def carry_out(
 def prepared(
     scenarios: Sequence[str | Path],
     vary: Mapping[str, Sequence[object]],
-    seeds: int | None,
     out: Path | None,
     resume: bool,
     settings: Mapping[str, object],
@@ -124,14 +125,14 @@ def prepared(
     film: bool,
     force: bool = False,
     baseline: Baseline | None = None,
-    limit: int | None = None,
+    fields: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[Runner, Comparison]]:
-    """Check everything, make or open the folder, write the plan; the folder is held until the block ends."""
+    """Check everything, make or open the folder, write the plan; the folder is held until the block ends. fields: as of `chosen`."""
     requested = None
     if scenarios:
         settings = {path: block_of(value) for path, value in settings.items()}
         axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
-        requested = chosen([str(s) for s in scenarios], settings, axes, seeds, plugins, limit)
+        requested = chosen([str(s) for s in scenarios], settings, axes, plugins, **fields or {})
     with ExitStack() as stack:
         if resume:
             folder = stack.enter_context(resumed_folder("compare", out, PLAN))

@@ -122,7 +122,7 @@ class ComparisonTable(pl.DataFrame):
         """Who is better, the controllers' numbers and their differences, where a Jupyter notebook shows the table."""
         from vstestbed.report.comparison.page import comparison_cell
 
-        return comparison_cell(self.folder, self, self.comparison.varied, self.comparison.metrics)
+        return comparison_cell(self.folder, results_of(self, self.comparison))
 
 
 # Results of a comparison beside its runs: the side-by-side film of one seed, and the report.
@@ -148,13 +148,19 @@ def finish(
         from vstestbed.report.comparison.tasks import write_task_report
 
         stage("writing the report")
-        write_task_report(folder, table, axes, comparison.metrics, comparison.description, command_of(comparison), call, paper)
+        write_task_report(folder, results_of(table, comparison), command_of(comparison), call, paper)
         return
     stage("joining the films")
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
-    metrics, command = comparison.metrics or shown_by_default(table), command_of(comparison)
-    write_comparison_report(folder, table, axes, metrics, comparison.description, command, film, comparison.plugins, call, paper)
+    write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, comparison.plugins, call, paper)
+
+
+def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults:
+    """The results of a comparison as its report shows them."""
+    metrics = comparison.metrics or (() if comparison.tasks else shown_by_default(table))
+    names = comparison.varied, metrics, comparison.description, comparison.primary, comparison.reference
+    return ComparisonResults(table, *names)
 
 
 def _film(folder: Path, table: pl.DataFrame, axes: tuple[str, ...]) -> Path | None:
@@ -185,7 +191,8 @@ def command_of(comparison: Comparison) -> str:
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
     options = [("--set", f"{path}={flow_text(value)}") for path, value in comparison.set.items()]
     options += [("--vary", f"{path}={flow_text(list(values))[1:-1]}") for path, values in comparison.axes.items()]
-    options += [] if comparison.seeds is None else [("--seeds", str(comparison.seeds))]
+    single = {"--seeds": comparison.seeds, "--primary": comparison.primary, "--reference": comparison.reference}
+    options += [(option, str(value)) for option, value in single.items() if value]
     return shlex.join(chain(words, *options))
 
 

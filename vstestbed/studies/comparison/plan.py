@@ -161,6 +161,9 @@ class Comparison:
             None: the nominal start, once.
         limit: of each task only so many runs, spread evenly over its list: a first look at a long one, 20 of 500; e.g. `20`.
         metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
+        primary: name of `summary.json` that decides a pair whose successes do not; without one the time to the goal, in which a run that
+            failed counts with its limit (`time_to_goal_s`). Every other metric is exploratory; e.g. `final_position_error_m`.
+        reference: the controller, by its name in the report, with which each other one is compared; without one all pairs are; e.g. `pbvs`.
     """
 
     description: str = ""
@@ -173,6 +176,8 @@ class Comparison:
     seeds: Annotated[Seed, Narrower(ge=1)] | None = None
     limit: Annotated[Seed, Narrower(ge=1)] | None = None
     metrics: tuple[str, ...] = ()
+    primary: str = ""
+    reference: str = ""
     places: Marks = field(default_factory=dict, init=False, repr=False, compare=False)
     """Position of each value in its file, or the option that it comes from; a value without one counts as of `--set`."""
 
@@ -190,9 +195,9 @@ class Comparison:
             raise ParameterError("seeds", words, self.seeds)
         if self.limit is not None and not self.tasks:
             raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
-        for name in self.metrics:
+        for place, name in (*(("metrics", name) for name in self.metrics), *([("primary", self.primary)] if self.primary else [])):
             if name not in (known := comparable()):
-                raise ParameterError("metrics", f"must be figures of summary.json: {', '.join(known)}", name)
+                raise ParameterError.choice(place, known, name)
 
     def _check_axes(self) -> None:
         for path, values in self.axes.items():
@@ -250,32 +255,32 @@ def chosen(
     names: list[str],
     settings: Mapping[str, object],
     axes: Mapping[str, tuple[object, ...]],
-    seeds: int | None,
     plugins: Sequence[str] = (),
-    limit: int | None = None,
+    **fields: Any,
 ) -> Comparison:
     """The comparison that a command line requests: of scenarios, or a comparison by its file or bundled name, with the options applied.
 
-    Scenarios after a comparison's name take the place of its own.
+    Scenarios after a comparison's name take the place of its own. fields: other fields of it, such as `seeds`; one that is None is not
+    given.
 
     Raises ScenarioError, ParameterError, PluginError: invalid input.
     """
     settings, axes = absolute_files(settings, Path.cwd()), absolute_files(axes, Path.cwd())
+    given = {name: value for name, value in fields.items() if value is not None}
     path = bundled_comparisons().get(names[0], Path(names[0])) if names else None
     needs = "a comparison needs base, a scenario robot, target, law and goal"
     options: Marks = {}
     options |= {("set", dotted): "--set" for dotted in settings} | {("axes", dotted): "--vary" for dotted in axes}
     if path is None or not is_there(path) or "base" not in plain_mapping(text_of(path), str(path), needs)[0]:  # scenarios
         plugins = load_plugins(plugins)
-        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), seeds=seeds, plugins=tuple(plugins), limit=limit)
+        own = Comparison(base=tuple(names), set=dict(settings), axes=dict(axes), plugins=tuple(plugins), **given)
         return changed(own, options)
     read = read_comparison(path, plugins)
     for dotted in settings:
         _must_have_effect(read, dotted)
     own = {key: where for key, where in read.places.items() if key[:2] not in options}
-    numbers = {name: given for name, given in (("seeds", seeds), ("limit", limit)) if given is not None}
     base = tuple(names[1:]) or read.base
-    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), **numbers)
+    return changed(read, own | options, base=base, set=merged(read.set, settings), axes=read.axes | dict(axes), **given)
 
 
 def _must_have_effect(read: Comparison, path: str) -> None:
