@@ -13,11 +13,13 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.fields import DIMENSIONLESS, SchemaField, class_text, fields, without_unit
 from vstestbed.core.registry import Registry
+from vstestbed.loop.columns import TEXTS, text_of
 from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
-from vstestbed.tasks.metrics import KNOWN, own_metrics
+from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 _ITEM = re.compile(r"- |\d+\. |\S.{0,15}?  ")
 """The beginning of an item of a list, or of a row of definitions, whose few first words are set off: `xn, yn, an     xg/sqrt(a)`."""
@@ -45,16 +47,31 @@ def describe_entry(entry: Entry, entries: dict[str, Entry], console: Console) ->
     _use(entry, console)
 
 
-def describe_summary(console: Console) -> None:
-    """Print the metrics of `summary.json`: unit in which they are shown, which end is better, which runs have them."""
-    console.print(Text("summary", style="bold"))
+def describe_record(word: str, console: Console) -> None:
+    """Print what a run's record holds: `log` its columns, `log.NAME` one of them, `summary` the numbers of `summary.json`, and `table`
+    the columns of `comparison.parquet`. Raises ParameterError: there is no such column.
+    """
+    console.print(Text(word, style="bold"))
     console.print()
-    table = _table("metric", "shown in", "better", "what it is")
-    for metric in (*KNOWN.values(), *own_metrics().values()):
-        better = {1: "more", -1: "less", 0: ""}[metric.better]
-        words = f"{metric.title}{f'; only of {metric.where}' if metric.where else ''}."
-        table.add_row(Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words))
+    if word.startswith("log"):
+        found = [text_of(word[4:])] if word != "log" else TEXTS
+        if None in found:
+            raise ParameterError(word, f"is no column of a log; {nearest(word[4:], [t.name for t in TEXTS if t.name.isidentifier()])}")
+        table = _table("column", "unit", "what it is")
+        for text in filter(None, found):
+            table.add_row(Text(text.shown or text.name, style="cyan"), Text(text.unit), Text(f"{text.words}."))
+    else:
+        table = _table("number", "shown in", "better", "what it is")
+        for name, words in RUN_COLUMNS.items() if word == "table" else ():
+            table.add_row(Text(name, style="cyan"), Text(""), Text(""), Text(f"{words}."))
+        for metric in (*KNOWN.values(), *own_metrics().values()):
+            better = {1: "more", -1: "less", 0: ""}[metric.better]
+            words = f"{metric.title}{f'; only of {metric.where}' if metric.where else ''}."
+            table.add_row(Text(metric.name, style="cyan"), Text(metric.unit), Text(better), Text(words))
     console.print(table)
+    if word == "log":
+        console.print()
+        _wrapped("An effect or a law may add columns of its own: vstestbed describe KIND says which.", console)
 
 
 def _text(cls: type, console: Console) -> None:

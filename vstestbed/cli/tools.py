@@ -124,7 +124,7 @@ def describe(
         str,
         typer.Argument(
             metavar="KIND",
-            help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; summary: all metrics.",
+            help="Such as pbvs, camera.spherical, noise, camera.readout_s; law: all laws; log, log.cmd_vx, summary, table: the results.",
             autocompletion=complete.kinds,
         ),
     ],
@@ -133,15 +133,16 @@ def describe(
     """What a law, a robot, a camera or another block takes: its equation, source, fields and an example; or what a field is."""
     from rich.console import Console
 
-    from vstestbed.cli.describe import describe_entry, describe_field, describe_summary
+    from vstestbed.cli.describe import describe_entry, describe_field, describe_record
     from vstestbed.scenario.catalogue import Entry, catalogue, looked_up
     from vstestbed.scenario.plugins import load_plugins
     from vstestbed.scenario.scenario import Scenario
 
     load_plugins(plugin or [])
     entries = catalogue(scenario=Scenario)
+    of_results = kind in ("log", "summary", "table") or kind.startswith("log.")
     try:
-        found = None if kind == "summary" else looked_up(kind, entries)
+        found = None if of_results else looked_up(kind, entries)
     except ParameterError:
         from vstestbed.studies.comparison.plan import Comparison  # here: most words are of a scenario, and it takes 0.3 s to import
 
@@ -150,7 +151,7 @@ def describe(
     console = Console(highlight=False)
     with console.capture() as text:
         if found is None:
-            describe_summary(console)
+            describe_record(kind, console)
         elif isinstance(found, Entry):
             describe_entry(found, entries, console)
         else:

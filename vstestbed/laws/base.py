@@ -41,6 +41,7 @@ class Command:
             finds its own for the twist.
         mode: number of the word in `Law.modes` for what the law did.
         error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
+        row: values of the law's own columns in the log (`Law.columns`); (): none are known in this frame.
     """
 
     u: Array
@@ -51,6 +52,7 @@ class Command:
     rates: Array | None = None
     mode: int = 0
     error_grey: float = math.nan
+    row: tuple[float, ...] = ()
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
@@ -178,6 +180,7 @@ class Law(Generic[M]):
         cruise_mps: the constant speed at which the law drives a vehicle along a line [m/s]; None for a law that sets none.
         rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law that never stops.
         modes: words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`.
+        columns: names of the law's own columns in the log, such as `law_energy`; `Command.row` has their values in each frame.
         needs_same_markers: whether each row must show the same marker in every picture, in the target's order.
     """
 
@@ -194,6 +197,7 @@ class Law(Generic[M]):
     cruise_mps: Any = None
     rest_m: Any = 0.0
     modes: Any = ()
+    columns: Any = ()
     needs_same_markers: Any = False
 
     def markers_needed(self, basis: Array) -> int:

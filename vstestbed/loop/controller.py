@@ -83,7 +83,7 @@ class GuardedLaw:
             if isinstance(stepped, tuple):
                 got = f"({', '.join(type(part).__name__ for part in stepped)})"
             return f"returned {got}; its step must return (state, Command)"
-        twist, rates, free = stepped[1].twist, stepped[1].rates, stepped[1].free
+        twist, rates, free, row = stepped[1].twist, stepped[1].rates, stepped[1].free, stepped[1].row
         if not isinstance(twist, np.ndarray) or twist.shape != (6,) or twist.dtype.kind not in "fiu":
             return f"gave the twist {short(twist)}; the twist of a Command must be an array of six numbers"
         if not all_finite(twist):
@@ -93,6 +93,8 @@ class GuardedLaw:
             return f"gave rates that are not finite, {np.round(rates, 3)}"
         if free and not all(math.isfinite(share) and all_finite(twists) for share, twists in free):
             return "gave free motions that are not finite"
+        if row and len(row) != len(self._law.columns):
+            return f"gave {len(row)} numbers as the row of its Command, and has the columns {', '.join(self._law.columns) or 'none'}"
         return ""
 
 

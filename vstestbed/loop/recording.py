@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from vstestbed.camera import Image
-from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.errors import ParameterError, RunFolderError, nearest
 from vstestbed.core.files import read_file
 from vstestbed.core.geometry import Array, inverse, rotation_from_quaternion
 from vstestbed.core.outcome import Outcome
@@ -75,7 +75,7 @@ class Recording:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.columns:
-            raise KeyError(f"no column {name!r} in the log; columns: {', '.join(self.columns)}")
+            raise KeyError(f"no column {name!r} in the log; {nearest(name, self.columns)}; `vstestbed describe log` explains them")
         return self.rows[name]
 
     def camera_poses(self) -> SE3:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.core.files import make_folder
 from vstestbed.core.geometry import Array
 from vstestbed.report.canvas import new_figure, panels, save_paper, style, to_svg
-from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, WIDTH_IN, line_color, number
+from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, WIDTH_IN, number
 from vstestbed.report.pages import NO_CELL, Cell, data_url, write_page
 from vstestbed.tasks.metrics import Metric
 
@@ -223,7 +223,7 @@ Branches = tuple[float, NDArray[np.complexfloating], NDArray[np.complexfloating]
 
 def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
     """Gain limits over the delay, and the root loci in the upper half of the z plane."""
-    drawn = new_figure(3.3, 7.2)
+    drawn = new_figure(3.7, 7.2)
     left, right = drawn.subplots(1, 2, width_ratios=(1, 1.15))
     rows = sorted(rows, key=lambda row: row["delay_frames"])
     d = [row["delay_frames"] for row in rows]
@@ -237,7 +237,7 @@ def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
     left.set_ylabel("largest stable gain x period")
     left.set_ylim(bottom=0)
     left.set_xticks(d)
-    left.legend(loc="best")
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, fontsize=7)
     _draw_locus(right, loci)
     return drawn
 
@@ -245,20 +245,23 @@ def draw_delay(rows: Rows, loci: Sequence[Branches]) -> Figure:
 def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     angle = np.linspace(0, np.pi, 181)
     axes.plot(np.cos(angle), np.sin(angle), color=INK, linewidth=0.8)
+    from matplotlib import colormaps
+
     for i, (delay, poles, at_limit) in enumerate(loci):
+        color = colormaps["viridis"](0.9 * i / max(len(loci) - 1, 1))  # delays have an order
         upper = poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
-        axes.plot(np.where(upper, poles.real, np.nan), np.where(upper, poles.imag, np.nan), color=line_color(i), linewidth=1.0)
+        axes.plot(np.where(upper, poles.real, np.nan), np.where(upper, poles.imag, np.nan), color=color, linewidth=1.0)
         crossing = at_limit[at_limit.imag >= -1e-9]
-        axes.plot(crossing.real, crossing.imag, "o", color=line_color(i), markersize=3)
+        axes.plot(crossing.real, crossing.imag, "o", color=color, markersize=3)
         # an empty line for the legend: `upper` is a matrix with a line for each pole
-        axes.plot([], [], color=line_color(i), label=f"d = {delay:g}")
+        axes.plot([], [], color=color, label=f"d = {delay:g}")
     axes.set_aspect("equal")
     axes.set_xlim(-1.35, 1.35)
     axes.set_ylim(-0.06, 1.6)
     axes.set_xlabel("Re z")
     axes.set_ylabel("Im z")
     axes.set_title("root locus; dots: the measured limit", pad=4)
-    axes.legend(loc="upper center", ncols=3, fontsize=7)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=3, fontsize=7)
 
 
 def write_delay(folder: Path, name: str, rows: Rows, loci: Sequence[Branches], command: str) -> Path:

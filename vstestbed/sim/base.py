@@ -37,6 +37,7 @@ class Truth(NamedTuple):
             feet.
         act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
         effects: values of the columns of the robot's effects.
+        tau: torques (forces of joints that slide) of the actuators at the joints, in the last physics step [Nm, N].
     """
 
     T_world_camera: Array
@@ -52,6 +53,7 @@ class Truth(NamedTuple):
     act: Array
     wind: Array
     effects: tuple[float, ...] = ()
+    tau: Array = np.zeros(0)
 
 
 class Renderer(Protocol):

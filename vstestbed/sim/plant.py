@@ -374,7 +374,8 @@ class MujocoPlant(Plant):
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
-        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, stage.model.opt.wind.copy(), effects)
+        tau, wind = stage.data.qfrc_actuator[stage.at.qvel], stage.model.opt.wind.copy()
+        return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, wind, effects, tau)
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
         """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there."""

@@ -151,8 +151,24 @@ OF_A_RUN = (
 """Other numbers of a summary that a run's page shows, and by which no runs are compared unless they are named."""
 KNOWN = {metric.name: metric for metric in (*EVERY_RUN, *SOME_RUNS, *OF_A_RUN)}
 FIGURES, SOME_FIGURES = tuple(m.name for m in EVERY_RUN), tuple(m.name for m in SOME_RUNS)
-_COLUMNS = ("scenario", "outcome", "success", "reason", "folder", "task", "amount", "attempts", "versions", "time_ms")
-TAKEN = frozenset((*KNOWN, *_COLUMNS, "judged_unit", "judged_limit", "judged_by", "law_mode_share"))
+RUN_COLUMNS = {
+    "scenario": "name of the scenario",
+    "outcome": "how the run ended: `converged`, `timed_out`, `target_lost`, ...",
+    "success": "whether that is a success",
+    "reason": "why it ended, in a sentence",
+    "folder": "of the run, in the comparison's folder",
+    "task": "the task, of a comparison with tasks",
+    "amount": "what varies in the task: `20 deg`",
+    "attempts": "how often it was begun; more than 1: a worker died",
+    "versions": "of the packages and the renderer, `versions.NAME`",
+    "time_ms": "wall time by part, `time_ms.PART` [ms]",
+    "judged_unit": "unit of `judged_error`",
+    "judged_limit": "limit of `judged_error`",
+    "judged_by": "who measured it: pixels, level pixels, estimate, truth",
+    "law_mode_share": "share of the frames in each mode of the law",
+}
+"""What else a summary, or the row of a run in a comparison's table, has; the varied fields have columns of their own."""
+TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))
 """Names that a summary or a comparison's table has already."""
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 

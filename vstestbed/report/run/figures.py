@@ -16,7 +16,7 @@ from vstestbed.report.run.tracks import MeasuredError, Tracks
 
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
-JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]"}
+JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]", "tau": "torque [Nm, N]"}
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
 """Where a vehicle believes to be: columns, words, colour."""
 
@@ -107,10 +107,10 @@ def twist(tracks: Tracks) -> Chart:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
     chart = over_time(tracks, 4.3, "translation [m/s]", "rotation [rad/s]")
     t_command = tracks.column("t_cmd")  # a command takes effect when its image has arrived
-    for panel, part in zip(chart.panels, "vw", strict=True):
+    for panel, part, colors in zip(chart.panels, "vw", (AXIS_COLORS, LINE_COLORS[3:6]), strict=True):
         panel.rule(0)
         panel.least = LEAST_TWIST
-        for axis, color in zip("xyz", AXIS_COLORS, strict=True):
+        for axis, color in zip("xyz", colors, strict=True):
             panel.plot(tracks.t, tracks.column(f"act_{part}{axis}"), color=color, **BAND)
             panel.plot(t_command, tracks.column(f"cmd_{part}{axis}"), color=color, linewidth=1.1, label=f"{part}{axis}")
     return chart
