@@ -27,8 +27,9 @@ from vstestbed.cli.ending import exit_code
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.files import write_whole
 from vstestbed.studies.comparison import Job, Runner, prepared
-from vstestbed.studies.comparison.folder import PLAN, table_of
+from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import AMOUNT
+from vstestbed.studies.comparison.record import PLAN
 from vstestbed.studies.pools import pool_of
 
 SEED = 21

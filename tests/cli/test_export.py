@@ -13,7 +13,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.scenario.dump import given_text
 from vstestbed.studies.comparison import Jobs, chosen, controllers
-from vstestbed.studies.comparison.folder import PLAN
+from vstestbed.studies.comparison.record import PLAN
 from vstestbed.studies.comparison.runs import RunRequest
 from vstestbed.studies.folder import write_plan
 from vstestbed.studies.run_folder import ASSETS, store

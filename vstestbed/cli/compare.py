@@ -26,12 +26,14 @@ def compare(
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=v1,v2", help="Run with each of these values.")] = None,
     set_: SettingsOfAll = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="How many random starts. [default: the nominal one]")] = None,
+    first_seed: Annotated[int | None, typer.Option(min=0, help="The first of their numbers. [default: 0]")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Of each task only so many starts, spread over its list.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
     force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
+    again: Annotated[bool, typer.Option("--again", help="Fly a comparison's folder, the argument, again: do its runs agree?")] = False,
     film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
     baseline: Annotated[Path | None, typer.Option(metavar="OLD", help="An earlier comparison: what changed since, run by run.")] = None,
     fail: Annotated[bool, typer.Option("--fail-on-regression", help="Exit with 5 where it is worse than --baseline.")] = False,
@@ -52,11 +54,14 @@ def compare(
     from vstestbed.studies.comparison import Baseline, carry_out, must_be_known, prepared
 
     must_be_known(executor)
+    if again:
+        _again([Path(name) for name in scenarios or []], out, jobs, executor, not quiet)
+        return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
-    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference}
+    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
     ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields)
     with ready as (runner, plan):
         show_notes(not quiet)
@@ -83,6 +88,25 @@ def compare(
             typer.echo(line, err=True)
         if fail and worse:
             raise typer.Exit(REGRESSED)
+
+
+def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str, shown: bool) -> None:
+    """Fly a folder again, and say which rows agree; exit 5 where some do not."""
+    import polars as pl
+
+    from vstestbed.cli.progress import Counter
+    from vstestbed.studies.comparison import again
+    from vstestbed.studies.comparison.record import must_be_comparison
+
+    if len(places) != 1:
+        raise ParameterError.count("--again", "one", "folder of a comparison, as the argument", list(map(str, places)))
+    must_be_comparison(places[0])
+    with Counter(pl.scan_parquet(places[0] / "comparison.parquet").select(pl.len()).collect().item(), 0, shown) as counter:
+        folder, found = again(places[0], out, jobs, executor, counter.run_done)
+    for line in (*found.lines(), f"  results   {folder}"):
+        typer.echo(line, err=True)
+    if found.differ:
+        raise typer.Exit(REGRESSED)
 
 
 def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:

@@ -238,7 +238,10 @@ RANGES = "A range LOW:HIGH or LOW:HIGH:log, or values to choose from; may be rep
 
 def tune(
     scenario: Annotated[
-        str | None, typer.Argument(help="A bundled scenario's name, or a YAML file.", autocompletion=complete.scenarios)
+        str | None,
+        typer.Argument(
+            help="A scenario, or a comparison, each law of which is tuned before: a name or a file.", autocompletion=complete.experiments
+        ),
     ] = None,
     vary: Annotated[list[str] | None, typer.Option("--vary", metavar="a.b=LOW:HIGH", help=RANGES, autocompletion=complete.paths)] = None,
     metric: Annotated[
@@ -263,12 +266,17 @@ def tune(
     from vstestbed.cli.compare import vary_of
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.studies.comparison import must_be_known
+    from vstestbed.studies.tuned import names_comparison
     from vstestbed.studies.tuning import begun, finished, planned
 
     must_be_known(executor)
     plan, settings = None, settings_of(set_)
+    numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
+    if names_comparison(scenario) and not resume:
+        numbers |= {"metric": metric, "maximise": maximise or None}
+        _tune_comparison(str(scenario), vary_of(vary), out, settings, plugin or [], jobs, executor, quiet, numbers)
+        return
     if not resume:
-        numbers = {"trials": trials or 30, "seeds": seeds, "batch": batch, "check": check, "seed": seed}
         plan = planned(scenario, vary_of(vary), settings, plugin or [], metric=metric, maximise=maximise or None, **numbers)
     elif any((scenario, vary, settings)):
         raise ParameterError("--resume", "goes on with what the folder searches; leave the rest out, but for --trials")
@@ -288,6 +296,33 @@ def tune(
     _tell(as_json, quiet, result.plain, lambda: "\n".join([*lines, RESULTS.format(result.folder)]))
     if result.best is None:
         raise typer.Exit(NOT_REACHED)
+
+
+def _tune_comparison(
+    name: str,
+    vary: dict[str, tuple[object, ...]],
+    out: Path | None,
+    settings: dict[str, object],
+    plugins: list[str],
+    jobs: int | None,
+    executor: str,
+    quiet: bool,
+    numbers: dict[str, Any],
+) -> None:
+    """Tune each law of a comparison, then compare them."""
+    from vstestbed.core.files import new_folder
+    from vstestbed.report.comparison.tables import statistics_text
+    from vstestbed.studies.tuned import tune_comparison
+
+    def say(words: str) -> None:
+        if not quiet:
+            typer.echo(words, err=True)
+
+    folder = new_folder(Path("runs") / "tune", out, "give a new one")
+    table, laws = tune_comparison(name, vary, folder, settings, plugins, jobs, executor, say=say, **numbers)
+    for law in laws:
+        say(f"  {law.words()}")
+    say("\n".join(filter(None, (statistics_text(table.folder), RESULTS.format(table.folder)))))
 
 
 def bench(

@@ -17,8 +17,7 @@ from vstestbed.core.errors import EnvironmentLackError
 MEMORY = re.compile(r"(?i)cannot allocate memory|could not allocate|insufficient memory|failed to map segment|bad_alloc|\bMemoryError\b")
 """What libraries say for want of memory: the loader of shared libraries, MuJoCo, OpenCV, C++, ctypes."""
 FILES = re.compile(r"(?i)too ?many ?open ?files")
-SPARE_BYTES, SPARE_FILES = 1 << 28, 8
-"""What a process that is not short can still have: the largest library takes less memory to load."""
+SPARE_BYTES, SPARE_FILES = 1 << 28, 8  # What a process that is not short can still have: the largest library takes less memory to load
 
 
 def lack_of(error: BaseException) -> EnvironmentLackError | None:

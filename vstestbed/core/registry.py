@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
 T = TypeVar("T")
-SPECS: list[type] = []
-"""Every spec in the order of definition."""
+SPECS: list[type] = []  # Every spec in the order of definition
 REGISTRIES: list[Registry] = []
 
 

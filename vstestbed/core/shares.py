@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-Call = Callable[..., "Future[Any]"]
-"""Calls a function with arguments, perhaps in another process: `call(function, *arguments)`."""
+Call = Callable[..., "Future[Any]"]  # Calls a function with arguments, perhaps in another process: `call(function, *arguments)`
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end a command as Ctrl-C does; its worker processes leave them to it. Windows has no SIGHUP."""
 HEARD_S = 0.2  # longest time that a wait for other processes does not hear of Ctrl-C [s]

@@ -21,8 +21,7 @@ from vstestbed.core.spec import spec
 EDGE = 0.03
 """Depths of neighbouring pixels that differ by more than this share belong to two surfaces: one surface is seen at over 85 degrees then."""
 NEAREST_M = 0.05  # what is nearer casts a shadow as from here [m]: the width of a shadow has no bound otherwise
-STEEPEST = math.radians(89.9)
-"""Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees [rad]."""
+STEEPEST = math.radians(89.9)  # Largest angle for which a noise is computed: the formulas grow without bound towards 90 degrees [rad]
 
 
 @spec
@@ -56,8 +55,7 @@ class DepthSensor(ABC):
     quantum_px: Annotated[Pixels, Narrower(le=4)] = 0.0
     two_pictures: ClassVar[bool] = False
     """Both views are pictures of one size: what the second one does not hold is not measured (a band at the left border)."""
-    flies: ClassVar[bool] = False
-    """Pixels at an edge see both surfaces, and measure a depth between."""
+    flies: ClassVar[bool] = False  # Pixels at an edge see both surfaces, and measure a depth between
 
     def __post_init__(self) -> None:
         check_ordered(self, "near_m", "far_m", equal=False)

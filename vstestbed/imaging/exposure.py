@@ -17,8 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.quantity import PositiveGrey, PositiveTime, Time, check_ordered
 from vstestbed.core.spec import spec
 
-DARKEST = 0.5
-"""Least brightness that is reckoned with [grey levels]: of a black picture the ratio to the target has no bound."""
+DARKEST = 0.5  # Least brightness that is reckoned with [grey levels]: of a black picture the ratio to the target has no bound
 SETTLING = 30  # halvings of the interval in which the settled exposure is sought: to 1e-8 of it
 SKIP = 4  # every fourth row and column is metered, as cameras meter in blocks
 Grey = NDArray[np.uint8]

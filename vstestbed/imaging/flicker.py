@@ -12,8 +12,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.core.quantity import Angle, Frequency
 from vstestbed.core.spec import spec
 
-INSTANT_S = 1e-6
-"""An exposure below which the light is that of its middle [s]: the integrals' differences would lose digits."""
+INSTANT_S = 1e-6  # An exposure below which the light is that of its middle [s]: the integrals' differences would lose digits
 
 
 @spec

@@ -16,8 +16,7 @@ from vstestbed.laws.solve import least_squares
 from vstestbed.robots.arm import unit_scale
 from vstestbed.robots.own_model import OwnModel
 
-ITERATIONS = 500
-"""Most iterations of one program. A count and not a time: the same run gives the same commands on every machine."""
+ITERATIONS = 500  # Most iterations of one program. A count and not a time: the same run gives the same commands on every machine.
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,8 +88,7 @@ class ErrorLaw(Law[ErrorState], ABC):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
-    extra_size = 0
-    """Numbers k that the law adds to the state (`ErrorState.extra`)."""
+    extra_size = 0  # Numbers k that the law adds to the state (`ErrorState.extra`)
 
     @abstractmethod
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:

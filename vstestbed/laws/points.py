@@ -20,8 +20,7 @@ from vstestbed.laws.solve import least_squares
 
 Rows = slice | NDArray[np.bool_]  # selection of markers along the first axis of an array
 TOO_FEW, NO_DEPTH, NO_POSE = "too few markers in sight", "the depth of the markers in sight is unknown", "the pose cannot be estimated"
-NO_AREA = "the markers in sight span no area"
-"""Reasons for rest (`Command.rest_reason`); a run that ends as `target_lost` quotes them."""
+NO_AREA = "the markers in sight span no area"  # Reasons for rest (`Command.rest_reason`); a run that ends as `target_lost` quotes them
 ALL = slice(None)
 
 

@@ -199,8 +199,7 @@ class Eye:
         self._shown.remove()
 
 
-MOST = 1200
-"""Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight."""
+MOST = 1200  # Points of a curve: when there are more, every other one is dropped, so that the whole run stays in sight
 PLOT_HEIGHT = 150  # of a plot [px]
 THIN: dict[str, Any] = {"font": "11px sans-serif", "ticks": {"size": 4, "width": 1}, "grid": {"width": 1, "stroke": "#e3e6ea"}}
 AXES: tuple[Any, ...] = ({"size": 26, **THIN}, {"size": 46, **THIN})
@@ -277,8 +276,7 @@ def _plot(gui: viser.GuiApi, title: str, names: list[str], colors: Any, log: boo
     )
 
 
-SCENE_S, PLOTS_S = 1 / 30, 1 / 4
-"""Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`."""
+SCENE_S, PLOTS_S = 1 / 30, 1 / 4  # Least time on the wall between two updates of the scene, of plots [s]; of picture and words: `live.run`
 VIEW_WIDTH = 340  # of the panel beside the scene [px]
 
 

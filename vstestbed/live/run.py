@@ -256,8 +256,7 @@ class Transport:
         return (t_now - t) / (wall_now - wall) if wall_now > wall else math.nan
 
 
-PICTURE_S, REST = 1 / 15, 2.5
-"""Least time on the wall between two whole pictures [s], and over the time that a frame with one took."""
+PICTURE_S, REST = 1 / 15, 2.5  # Least time on the wall between two whole pictures [s], and over the time that a frame with one took
 
 
 class LiveRun:

@@ -15,8 +15,7 @@ from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.vehicle import Vehicle
 
 ROBOTS = Registry("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
-VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}
-"""Robots that can carry a target along a route (`Carried.by`)."""
+VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}  # Robots that can carry a target along a route (`Carried.by`)
 
 __all__ = [
     "ROBOTS",

@@ -11,8 +11,7 @@ from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.timing.setpoints import Stop
 
 Limit = Literal["", "speed", "joint_limit", "singular"]
-ALL_SIX = np.eye(6)
-"""The motion basis of a robot that can make any camera twist; read-only, since all frames share it."""
+ALL_SIX = np.eye(6)  # The motion basis of a robot that can make any camera twist; read-only, since all frames share it
 ALL_SIX.flags.writeable = False
 
 

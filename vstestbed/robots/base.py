@@ -212,23 +212,16 @@ class Robot:
 
     __dataclass_fields__: ClassVar[dict[str, Any]]  # it is a @spec: `dataclasses.replace` makes variants of it
 
-    kind: Any
-    """Its word in a scenario, a field of each robot."""
-    start: Any
-    """The start block: `nominal`, and `random` (None without one) from which starts are drawn."""
+    kind: Any  # Its word in a scenario, a field of each robot
+    start: Any  # The start block: `nominal`, and `random` (None without one) from which starts are drawn
     base: ClassVar[Base] = "fixed"
     """`fixed` in the world (an arm; the ideal camera), `planar` (a vehicle on the floor, whose configuration is (x, y, heading)) or
     `floating` (a craft that flies). A base that moves is joint `root` (or `root_x`, `root_y`, `root_yaw`) in its file."""
-    joints: ClassVar[tuple[str, ...]] = ()
-    """Joints that it measures, in the order of its reading."""
-    body: ClassVar[BodyFile | None] = None
-    """Its body in MuJoCo; None for the ideal camera."""
-    onboard: ClassVar[Onboard | None] = None
-    """Its onboard controller; None where the setpoint is the actuators' controls."""
-    acting: ClassVar[tuple[Effect, ...]] = ()
-    """Its imperfections, in the order in which they change its model and act."""
-    draws: ClassVar[bool] = False
-    """Whether the scenario's seed makes a difference to its body or its sensors, besides the start."""
+    joints: ClassVar[tuple[str, ...]] = ()  # Joints that it measures, in the order of its reading
+    body: ClassVar[BodyFile | None] = None  # Its body in MuJoCo; None for the ideal camera
+    onboard: ClassVar[Onboard | None] = None  # Its onboard controller; None where the setpoint is the actuators' controls
+    acting: ClassVar[tuple[Effect, ...]] = ()  # Its imperfections, in the order in which they change its model and act
+    draws: ClassVar[bool] = False  # Whether the scenario's seed makes a difference to its body or its sensors, besides the start
 
     @property
     def proprioception_names(self) -> tuple[str, ...]:

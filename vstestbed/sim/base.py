@@ -220,8 +220,7 @@ class Plant(ABC):
             self._stage.close()
 
 
-POSTURES = 12
-"""Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one."""
+POSTURES = 12  # Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one
 
 
 def camera_start(robot: Robot, camera: Camera, target: Target) -> Array:

@@ -145,8 +145,7 @@ if hasattr(os, "register_at_fork"):
 
 
 T = TypeVar("T")
-MOST_KEPT = 4
-"""Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn."""
+MOST_KEPT = 4  # Rendering contexts kept: those of the servo camera and of the outside view, for two scenarios in turn
 _target: list[object] = [None]
 """The rendering context whose buffer is current. This and `_kept` are used on the rendering thread alone, and need no lock."""
 _glossy = [False]  # how OpenGL now draws highlights, see `Physics.glossy`; on the rendering thread alone

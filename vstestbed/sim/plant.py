@@ -241,8 +241,7 @@ class LeadVehicle:
 
 AWAY = np.eye(4)
 AWAY[2, 3] = 1000.0  # displacement of a craft while a vehicle settles: 1 km up [m]
-SETTLE_S = 1.0
-"""How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it."""
+SETTLE_S = 1.0  # How long vehicles settle on their springs before the start [s]; a car's body comes to rest in half of it
 
 
 LONGEST_PUSH_S = 10.0

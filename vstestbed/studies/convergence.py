@@ -118,7 +118,7 @@ class Study:
     @cached_property
     def runs(self) -> Jobs:
         """Every run."""
-        return Jobs(controllers(self.comparison, self.force), self.comparison.seeds)
+        return Jobs(controllers(self.comparison, self.force), self.comparison.seeds, self.comparison.first_seed)
 
     def run_all(self, folder: Path, processes: int | None, on_done: Callable[[int, Job, RunEnding], None]) -> None:
         """Do all runs in worker processes, whose temporary files stand in `folder`; `on_done(place, job, ending)` is called after each."""

@@ -27,7 +27,7 @@ from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison.folder import summary_of
-from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, changed, chosen, controllers
+from vstestbed.studies.comparison.plan import CHECKED, TUNED, Comparison, Job, Jobs, changed, chosen, controllers
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import Pool, clear, must_be_known, must_not_be_worker, pool_of, workers
@@ -212,7 +212,7 @@ class Search:
             if best is None or not self.fresh:
                 return None
             name, metric = str(best.number), self.plan.shown
-            found = self._run({name: best.values, AS_IT_IS: {}}, self.runs, self.runs + self.fresh)
+            found = self._run({name: best.values, AS_IT_IS: {}}, CHECKED, self.fresh)
             return Trial.of(best.number, best.values, found[name], metric), Trial.of(None, {}, found[AS_IT_IS], metric)
 
     @cached_property
@@ -251,7 +251,7 @@ class Search:
         if not self.trials and len(refused) == len(settings):
             raise ParameterError("--vary", f"gives settings that the scenario does not take: {next(iter(refused.values()))}")
         good = {str(number): values for number, values in settings.items() if number not in refused}
-        found = self._run(good, 0, self.runs) if good else {}
+        found = self._run(good, TUNED, self.runs) if good else {}
         metric = self.plan.shown
         return [
             Trial(number, values, refused=refused[number]) if number in refused else Trial.of(number, values, found[str(number)], metric)
@@ -264,9 +264,9 @@ class Search:
         return changed(self.comparison, axes={}, cases={CASE: cases}, seeds=seeds)
 
     def _run(self, settings: Mapping[str, dict[str, object]], first: int, seeds: int) -> dict[str, list[dict[str, Any]]]:
-        """The summaries of runs from the seeds `first` to `seeds` - 1, by name of the setting; those that are missing are done."""
+        """The summaries of runs from so many seeds, by name of the setting; those that are missing are done. first: TUNED or CHECKED."""
         comparison = self._comparison(settings, seeds if self.plan.seeds else None)
-        wanted = [job for job in Jobs(controllers(comparison), comparison.seeds) if (job.seed or 0) >= first]
+        wanted = list(Jobs(controllers(comparison), comparison.seeds, first))
         runner = Runner(self.folder, wanted)
         self.listener.were_done(runner.done)
         if self.stored_alone and runner.done < len(wanted):

@@ -156,27 +156,18 @@ Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each
 class Task:
     """The task of a scenario, its `goal` block, with defaults for all but `kind` and `goal_poses`: one view, on any base."""
 
-    asks: ClassVar[str] = "view"
-    """The word by which a law declares that it supports such tasks (`Law.tasks`)."""
-    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})
-    """The bases of robots that can execute it."""
-    continuing: ClassVar[bool] = False
-    """Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration."""
-    lands: ClassVar[bool] = False
-    """Whether it ends on the ground."""
-    by_clock: ClassVar[bool] = False
-    """Whether the reference moves with time, so that `goal_poses` are points on a trajectory."""
+    asks: ClassVar[str] = "view"  # The word by which a law declares that it supports such tasks (`Law.tasks`)
+    bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})  # The bases of robots that can execute it
+    continuing: ClassVar[bool] = False  # Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration
+    lands: ClassVar[bool] = False  # Whether it ends on the ground
+    by_clock: ClassVar[bool] = False  # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
     needs_pose: ClassVar[bool] = False
     """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""
-    needs_still: ClassVar[bool] = False
-    """Whether the target must stand still."""
-    view_fields: ClassVar[tuple[str, ...]] = ()
-    """The scenario's field of each goal view, for error messages; `goal` where there is none."""
+    needs_still: ClassVar[bool] = False  # Whether the target must stand still
+    view_fields: ClassVar[tuple[str, ...]] = ()  # The scenario's field of each goal view, for error messages; `goal` where there is none
 
-    kind: Any
-    """The word in a scenario, a field of each task."""
-    settle_s: Any = 0.0
-    """Settling time, after which the tolerance counts [s]."""
+    kind: Any  # The word in a scenario, a field of each task
+    settle_s: Any = 0.0  # Settling time, after which the tolerance counts [s]
 
     @property
     def tolerance_m(self) -> float | None:

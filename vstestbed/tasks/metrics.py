@@ -168,8 +168,7 @@ RUN_COLUMNS = {
     "law_mode_share": "share of the frames in each mode of the law",
 }
 """What else a summary, or the row of a run in a comparison's table, has; the varied fields have columns of their own."""
-TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))
-"""Names that a summary or a comparison's table has already."""
+TAKEN = frozenset((*KNOWN, *RUN_COLUMNS))  # Names that a summary or a comparison's table has already
 TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
 
 

@@ -164,6 +164,7 @@ def write_comparison_report(
         film=embedded,
         failures=failures(folder, comparison),
         command=command,
+        place=folder.name,
         **_made_of(comparison),
     )
 

@@ -233,7 +233,8 @@ class Pair:
     def exploratory(self) -> dict[Test, float]:
         """P-values of the exploratory tests, each by itself; NaN where there is no test."""
         found: dict[Test, float] = {(name, "difference"): d.p for name, d in self.differences.items() if name != self.primary.name}
-        return found | {(name, "improvement"): i.p for name, i in self.improvements.items()}
+        found.update({(name, "improvement"): i.p for name, i in self.improvements.items()})
+        return found
 
     def is_real(self, name: str, of: Of = "difference") -> bool:
         """Whether a difference or an improvement is beyond chance by its adjusted p; the interval of a difference must agree."""
@@ -316,7 +317,7 @@ def _pair(comparison: ComparisonResults, a: int, b: int, explore: bool) -> Pair:
     shown = [metric for metric in comparison.shown if explore and metric != primary]
     found = {metric.name: difference(metric) for metric in (primary, *shown)}
     improvements = {m.name: stats.improvement(first.ranked(m)[rows_a], second.ranked(m)[rows_b]) for m in shown}
-    differences, means = ({name: each[k] for name, each in found.items()} for k in (0, 1))
+    differences, means = {name: d for name, (d, _) in found.items()}, {name: mean for name, (_, mean) in found.items()}
     return Pair(a, b, primary, stats.paired_success(*succeeded), differences, means, improvements)
 
 

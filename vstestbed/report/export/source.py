@@ -27,8 +27,7 @@ from vstestbed.scenario.randomise import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Retake
 
-Bodies = tuple[list[str], Array, Array]
-"""The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world."""
+Bodies = tuple[list[str], Array, Array]  # The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
 
 
 class Taken(NamedTuple):

@@ -68,12 +68,9 @@ def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.f
     return px[..., 0].astype(np.float32), px[..., 1].astype(np.float32)
 
 
-NOWHERE = -10.0
-"""Coordinate of a pixel that a face does not hold [px]: outside, so that cv2.remap leaves it unchanged."""
-MOST_PX = 2048.0
-"""Largest focal length of a rendered face [px]; the image of a lens with more pixels per radian is blurred."""
-SEAM_PX = 24
-"""A face is also rendered when a window comes this near to it [px]: a marker may appear a little outside of its window."""
+NOWHERE = -10.0  # Coordinate of a pixel that a face does not hold [px]: outside, so that cv2.remap leaves it unchanged
+MOST_PX = 2048.0  # Largest focal length of a rendered face [px]; the image of a lens with more pixels per radian is blurred
+SEAM_PX = 24  # A face is also rendered when a window comes this near to it [px]: a marker may appear a little outside of its window
 
 
 @dataclass(frozen=True)

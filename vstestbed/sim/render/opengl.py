@@ -29,8 +29,7 @@ from vstestbed.sim.scene.scene import Scene
 # Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them.
 
 
-REACH = 0.05
-"""Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered."""
+REACH = 0.05  # Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered
 
 
 class PartCamera(dm.Camera):
@@ -133,8 +132,7 @@ With 28 a disc of 8 px radius lacks 2 of its 224 pixels, and its centroid is off
 MOST_MATERIALS, MOST_TEXTURES = 997, 1000
 """Most materials and textures of a scene that MuJoCo draws by OpenGL, measured: with a sky it refuses 998 materials (and says 999), and
 1001 textures."""
-SKY = 0.69
-"""Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured: 0.699)."""
+SKY = 0.69  # Least distance of the sky, as a share of the distance at which MuJoCo's picture ends (measured: 0.699)
 
 
 class SceneCamera:

@@ -71,12 +71,9 @@ def ray_depth(rays: Array, T_world_camera: Array, hits: Callable[..., Any]) -> D
 
 
 RENDERER = "rays (mj_multiRay)"
-BLANK = 128
-"""Grey level outside of the regions of interest: without colour or pattern, so that no detector finds a marker there."""
-MOST_RAYS = 1 << 15
-"""Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)."""
-TILE_PX = 48
-"""Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40 us."""
+BLANK = 128  # Grey level outside of the regions of interest: without colour or pattern, so that no detector finds a marker there
+MOST_RAYS = 1 << 15  # Rays shaded at a time: their hits and normals stay in the cache (640 x 480: 90 ms instead of 110)
+TILE_PX = 48  # Side of the tiles in which an image is cast: a small one has few geoms in view, but each costs 40 us
 FAR = 1e10  # length of a ray [m]: unlimited in effect
 NO_RAY = -2  # geom number where the lens has no ray; MuJoCo's -1 is a ray that hits nothing, the sky
 

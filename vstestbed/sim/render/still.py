@@ -14,8 +14,7 @@ from vstestbed.core.geometry import Array, lengths
 from vstestbed.sim.scene.world import LAMP
 
 UNSEEN_PX = 0.5  # motion in the image below which the last image is shown again [px]
-SLIGHT_PX = 0.05
-"""Motion of the camera or of a geom below which it counts as at rest when only a part is drawn again [px]."""
+SLIGHT_PX = 0.05  # Motion of the camera or of a geom below which it counts as at rest when only a part is drawn again [px]
 NEAR_M = 0.1  # least distance that is assumed between a view and what it shows [m]
 FLOOR_M = 0.5  # the same for planes, which have no bounding sphere [m]
 CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])

@@ -35,14 +35,10 @@ from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget
 from vstestbed.vision.tags import printed
 
-SHININESS = 0.5
-"""Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8 degrees."""
-LIFT_M = 2e-4
-"""Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out."""
-FACETS = 90
-"""Facets of a ball from pole to pole, and twice as many round it: its outline is within 2e-4 of its radius."""
-SEGMENT = 4
-"""Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm."""
+SHININESS = 0.5  # Of a glossy picture, in MuJoCo's unit: the highlight of a lamp falls as cos^64, to a half at 8 degrees
+LIFT_M = 2e-4  # Height of the paint over the floor, against z-fighting [m]: seen from .3 m up at 60 degrees, it appears .35 mm too far out
+FACETS = 90  # Facets of a ball from pole to pole, and twice as many round it: its outline is within 2e-4 of its radius
+SEGMENT = 4  # Samples of the route, a centimetre apart, in a segment: its chord deviates from a bend of 2 m radius by .1 mm
 
 
 def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, Array], i: int, rgb: Array, lit: bool) -> None:
@@ -94,16 +90,13 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
-FREE_HOUSING = 6.0
-"""The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away."""
+FREE_HOUSING = 6.0  # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
 DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
 PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
 PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a hard floor
-BEHIND_SHEET_M = 1e-3
-"""How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away."""
-PITCH_M = 1e-5
-"""Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels."""
+BEHIND_SHEET_M = 1e-3  # How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away
+PITCH_M = 1e-5  # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels
 
 
 @dataclass(frozen=True)

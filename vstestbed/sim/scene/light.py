@@ -11,15 +11,13 @@ from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.world import LAMP, Floor, Light, WindowPane, World
 from vstestbed.targets.picture import place_of_picture, read_tile
 
-SUN_M = 6.0
-"""Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from there."""
+SUN_M = 6.0  # Distance of a lamp that is as far as the sun, from the room's middle [m]: shadows are drawn from there
 FINE_QUADS = 48
 """Parts of a box's face along each edge where light differs within it, which OpenGL computes at their corners alone; else MuJoCo's 4."""
 FINE_FLOOR_M, FINE_GRID_M = 10.0, 0.05
 """Half the floor's edge, and the distance of its corners, where light differs within it [m]: in OpenGL the peak of a highlight of exponent
 100 is up to 4 % too low, and found within 0.07 m of its place."""
-PANE_HALF_M = 1e-3
-"""Half the thickness of a window's pane [m]; its lamp is as far before its face as that is before its middle."""
+PANE_HALF_M = 1e-3  # Half the thickness of a window's pane [m]; its lamp is as far before its face as that is before its middle
 
 
 def light_scene(scene: mujoco.MjSpec, world: World, glossy: bool) -> None:

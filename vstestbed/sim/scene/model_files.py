@@ -63,8 +63,7 @@ PARSING = re.compile(r"XML parse error \d+:\s*Error=(?:XML_)?(?:ERROR_)?(\w+).*?
 LINE = re.compile(r",?\s*line (\d+)\s*$")
 ELEMENT = re.compile(r"\s*Element '(\w*)'(?:, id \d+)?\s*$|\s*Element name '([^']*)', id \d+\s*$")
 BEGINS = re.compile(r"^(?:XML )?Error:\s*(?:Schema violation:\s*)?")
-FOREIGN = "could not find decoder", "Unrecognized XML model type"
-"""How MuJoCo says that a file is of another format, such as SDF."""
+FOREIGN = "could not find decoder", "Unrecognized XML model type"  # How MuJoCo says that a file is of another format, such as SDF
 MISSING = re.compile(r"Error opening file '([^']*)'")
 
 

@@ -22,12 +22,10 @@ from vstestbed.sim.scene.joint_chain import compiled, drivers, inertia_at, joint
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
-DRAWS, TRIED = 400, 100
-"""Postures that are drawn, and how many of them, the best first, are looked at more closely."""
+DRAWS, TRIED = 400, 100  # Postures that are drawn, and how many of them, the best first, are looked at more closely
 DISTANCES_M, MOUNTS_M = (0.6, 0.45, 0.3), (0.05, 0.1, 0.2)
 """Distances of the target from the camera at the goal, and of the camera from the flange; the first with a good posture are taken [m]."""
-APART_DEG, APART_M = 4.0, 0.02
-"""How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that slides [m]."""
+APART_DEG, APART_M = 4.0, 0.02  # How far each joint is from the goal's posture at the start: of a hinge [deg], of a joint that slides [m]
 CLEAR_M = 0.1  # height over the floor under which no joint, camera or marker shall be [m]
 SPEED, SLIDE_SPEED, SPEED_UP_S = 1.0, 0.25, 0.25
 """Speed limits of such a scenario [rad/s], [m/s], and the time in which its servos must be able to reach them [s]."""

@@ -11,15 +11,12 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots import Robot
 from vstestbed.targets.base import Target
 
-SEE_FACES = 0.35
-"""The overview of a free camera stands this far behind the side (tangent), so that the markers' faces show."""
+SEE_FACES = 0.35  # The overview of a free camera stands this far behind the side (tangent), so that the markers' faces show
 WIDE_PICTURE = 16 / 9  # width over height of the film that the overview is framed for
-FROM_ABOVE = np.radians(38.0)
-"""Elevation from which the overview of a vehicle looks down [rad]: both its path and its wheels are visible."""
+FROM_ABOVE = np.radians(38.0)  # Elevation from which the overview of a vehicle looks down [rad]: both its path and its wheels are visible
 ROOM = 1.12  # margin in width: the picture is this much wider than its contents
 HEADROOM = 1.25  # margin in height, larger, since a film has a strip of plots along its lower edge
-ROAM, ROAM_M = 0.12, 0.8
-"""Margin for a vehicle that leaves the hull of the given places: a share of their extent, up to a limit [m]."""
+ROAM, ROAM_M = 0.12, 0.8  # Margin for a vehicle that leaves the hull of the given places: a share of their extent, up to a limit [m]
 AZIMUTHS = np.radians(np.arange(0, 360, 10))
 LIGHT_HEIGHT = 6.0  # height of the light that casts shadows over the middle of the view [m], above all objects
 LEAST_REACH = 7.0  # least half width of the shadows' depth map [m]; a tighter one speckles lit surfaces

@@ -28,8 +28,7 @@ from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_mo
 
 PREFIX = "scenery/"
 SAME_HEIGHT_M = 1e-3  # faces nearer to one another than this flicker in pictures [m]
-BRIGHTEST = 1.3
-"""Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its colour times this."""
+BRIGHTEST = 1.3  # Brightness of a surface under the scene's lights, at most: its chroma in a picture is that of its colour times this
 CHROMA = 60  # of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
 MOST_TOLD = 3
 LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"

@@ -17,8 +17,9 @@ from vstestbed.core.registry import REGISTRIES
 from vstestbed.core.shares import at_once
 from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
-from vstestbed.studies.comparison.folder import GROUP, PLAN, Baseline, ComparisonTable, finish, table_of
+from vstestbed.studies.comparison.folder import GROUP, Baseline, ComparisonTable, finish, table_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
+from vstestbed.studies.comparison.record import PLAN, Agreement, agreement, copied_plan, keep, must_be_comparison, must_be_unchanged
 from vstestbed.studies.comparison.runs import OnDone, Runner
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
@@ -46,6 +47,7 @@ def compare(
     figures: bool = True,
     primary: str | None = None,
     reference: str | None = None,
+    first_seed: int | None = None,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -62,7 +64,7 @@ def compare(
         baseline: folder, or table, of an earlier comparison: the result's `baseline` then says what changed (`BaselineChanges`).
         limit: of each task only so many runs, spread evenly over its list.
         figures: whether to draw the page's figures for a paper as well, as PDF, SVG and PNG in `figures/`.
-        primary, reference: as of `Comparison`.
+        primary, reference, first_seed: as of `Comparison`.
 
     Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
     of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
@@ -71,7 +73,7 @@ def compare(
     must_not_be_worker("compare")
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
-    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference}
+    fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
     with prepared(scenarios, vary or {}, folder, resume, set or {}, plugins, film, force, earlier, fields) as (runner, comparison):
         return carry_out(runner, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
 
@@ -114,6 +116,21 @@ def carry_out(
     return ComparisonTable.of(table, runner.folder, comparison, changes)
 
 
+def again(
+    place: Path, out: Path | None = None, jobs: int | None = None, executor: str = "local", on_done: OnDone = lambda job, summary: None
+) -> tuple[Path, Agreement]:
+    """Fly a comparison's folder again, in a new one (`out`), with the copies of its files; the new folder, and whether both agree.
+    Raises RunFolderError: a file is not what flew. ParameterError: `place` is no comparison; others as of `compare`.
+    """
+    must_be_comparison(place)
+    with study_folder("compare", out) as folder:
+        copied_plan(place, folder)
+        keep(folder)
+    with prepared([], {}, folder, True, {}, (), False, force=True) as (runner, comparison):
+        table = carry_out(runner, comparison, jobs, executor, on_done, report=False)
+    return folder, agreement(pl.read_parquet(place / "comparison.parquet"), table)
+
+
 @contextmanager
 def prepared(
     scenarios: Sequence[str | Path],
@@ -126,9 +143,11 @@ def prepared(
     force: bool = False,
     baseline: Baseline | None = None,
     fields: Mapping[str, Any] | None = None,
+    requested: Comparison | None = None,
 ) -> Iterator[tuple[Runner, Comparison]]:
-    """Check everything, make or open the folder, write the plan; the folder is held until the block ends. fields: as of `chosen`."""
-    requested = None
+    """Check everything, make or open the folder, write the plan; the folder is held until the block ends. fields: as of `chosen`.
+    requested: the comparison, of which none is named by `scenarios`.
+    """
     if scenarios:
         settings = {path: block_of(value) for path, value in settings.items()}
         axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
@@ -136,6 +155,7 @@ def prepared(
     with ExitStack() as stack:
         if resume:
             folder = stack.enter_context(resumed_folder("compare", out, PLAN))
+            must_be_unchanged(folder)
             comparison, found = _resumed(folder, requested, force, plugins)
         elif requested is None:
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
@@ -143,12 +163,13 @@ def prepared(
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
             _check_workers_find(found)
             if baseline is not None:
-                baseline.must_match(comparison, Jobs(found, comparison.seeds))
+                baseline.must_match(comparison, Jobs(found, comparison.seeds, comparison.first_seed))
             folder = stack.enter_context(study_folder("compare", out, RESUMABLE))
             write_plan(folder / PLAN, comparison, "base")
-        first = 0 if comparison.seeds is not None else None
+            keep(folder)
+        first = comparison.first_seed if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-        yield Runner(folder, Jobs(found, comparison.seeds), filmed), comparison
+        yield Runner(folder, Jobs(found, comparison.seeds, comparison.first_seed), filmed), comparison
 
 
 def _check_workers_find(found: Variants) -> None:
@@ -175,7 +196,7 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
     def essence(c: Variant) -> tuple[object, ...]:
         return tuple(dump(s, defaults=True) for s in c.starts or [c.scenario]), c.folder, c.runs
 
-    same = (a.seeds, a.limit) == (b.seeds, b.limit) and len(of_a) == len(of_b)
+    same = (a.seeds, a.first_seed, a.limit) == (b.seeds, b.first_seed, b.limit) and len(of_a) == len(of_b)
     return same and all(essence(x) == essence(y) for x, y in zip(of_a, of_b, strict=True))
 
 
@@ -192,7 +213,7 @@ def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
     """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
     comparison = read_comparison(folder / PLAN, plugins)
-    every = Jobs(controllers(comparison, force=True), comparison.seeds)
+    every = Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed)
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)
     if table.is_empty():

@@ -25,8 +25,8 @@ from vstestbed.report.comparison.baseline import BaselineChanges, change_of
 from vstestbed.report.comparison.results import TIME, ComparisonResults, shown_by_default
 from vstestbed.scenario.dump import flow_text
 from vstestbed.studies.comparison.plan import AMOUNT, Comparison, Job
+from vstestbed.studies.comparison.record import moved_plugins
 
-PLAN = "comparison.yaml"
 GROUP = 10_000  # runs of a row group of the table, and rows that are in memory as dictionaries
 DEEPEST = 5  # folders below `runs`: scenario, variant and seed, each of the last two in one of a thousand where there are more (`among`)
 
@@ -151,9 +151,10 @@ def finish(
         write_task_report(folder, results_of(table, comparison), command_of(comparison), call, paper)
         return
     stage("joining the films")
+    plugins = (*comparison.plugins, *moved_plugins(folder))
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
-    write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, comparison.plugins, call, paper)
+    write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper)
 
 
 def results_of(table: pl.DataFrame, comparison: Comparison) -> ComparisonResults:
@@ -191,7 +192,12 @@ def command_of(comparison: Comparison) -> str:
     words = ["vstestbed", "compare", *names, *(f"--plugin={name}" for name in comparison.plugins)]
     options = [("--set", f"{path}={flow_text(value)}") for path, value in comparison.set.items()]
     options += [("--vary", f"{path}={flow_text(list(values))[1:-1]}") for path, values in comparison.axes.items()]
-    single = {"--seeds": comparison.seeds, "--primary": comparison.primary, "--reference": comparison.reference}
+    single = {
+        "--seeds": comparison.seeds,
+        "--first-seed": comparison.first_seed,
+        "--primary": comparison.primary,
+        "--reference": comparison.reference,
+    }
     options += [(option, str(value)) for option, value in single.items() if value]
     return shlex.join(chain(words, *options))
 

@@ -138,6 +138,7 @@ def _read_lists(file: str) -> StartLists:
 
 
 T = TypeVar("T")
+TUNED, CHECKED = 1_000_000, 2_000_000  # first seeds of the trials of a search, and of its check; comparisons have those below
 TASK, AMOUNT = "task", "amount"  # columns that only a comparison with tasks has
 OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *SOME_FIGURES)
 """Columns of the table, whose names no case may have."""
@@ -159,6 +160,7 @@ class Comparison:
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
+        first_seed: the first of these numbers. Searches (`tune`) use those from 1,000,000 on: no comparison shares a start with one.
         limit: of each task only so many runs, spread evenly over its list: a first look at a long one, 20 of 500; e.g. `20`.
         metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
         primary: name of `summary.json` that decides a pair whose successes do not; without one the time to the goal, in which a run that
@@ -174,6 +176,7 @@ class Comparison:
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     tasks: dict[str, StartTable] = field(default_factory=dict)
     seeds: Annotated[Seed, Narrower(ge=1)] | None = None
+    first_seed: Seed = 0
     limit: Annotated[Seed, Narrower(ge=1)] | None = None
     metrics: tuple[str, ...] = ()
     primary: str = ""
@@ -193,6 +196,10 @@ class Comparison:
         if self.tasks and self.seeds is not None:
             words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
             raise ParameterError("seeds", words, self.seeds)
+        if (self.seeds or 0) + self.first_seed > TUNED:
+            raise ParameterError.bound(
+                "seeds", "at most", TUNED - self.first_seed, self.seeds, "the seeds from there on are those of searches"
+            )
         if self.limit is not None and not self.tasks:
             raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
         for place, name in (*(("metrics", name) for name in self.metrics), *([("primary", self.primary)] if self.primary else [])):
@@ -336,16 +343,11 @@ class Variant:
 
     scenario: Scenario
     values: Mapping[str, object]
-    folder: str
-    """Folder of its runs, below the comparison's folder."""
-    draws: bool
-    """Whether a seed draws anything."""
-    start: Start | None = None
-    """Makes the scenario of each run of a task; None if a seed draws it."""
-    amounts: tuple[str, ...] = ()
-    """Labels of the runs of a task: `20 deg`."""
-    runs: int | None = None
-    """Number of runs of a task; None without a task: the comparison's seeds."""
+    folder: str  # Folder of its runs, below the comparison's folder
+    draws: bool  # Whether a seed draws anything
+    start: Start | None = None  # Makes the scenario of each run of a task; None if a seed draws it
+    amounts: tuple[str, ...] = ()  # Labels of the runs of a task: `20 deg`
+    runs: int | None = None  # Number of runs of a task; None without a task: the comparison's seeds
 
     @property
     def unreachable(self) -> Mapping[int, str]:
@@ -364,8 +366,7 @@ class Job:
 
     controller: Variant
     seed: int | None
-    of: int = 1
-    """Number of runs of the controller."""
+    of: int = 1  # Number of runs of the controller
 
     @property
     def folder(self) -> str:
@@ -529,14 +530,14 @@ class Jobs:
     """All runs, seed by seed, so that the controllers can be compared at any time; a task has those of its table, or some of them.
 
     Args:
-        found: the controllers. seeds: of those without a task; None: the nominal start.
+        found: the controllers. seeds: how many of those without a task, from `first` on; None: the nominal start.
     """
 
-    def __init__(self, found: Sequence[Variant], seeds: int | None):
+    def __init__(self, found: Sequence[Variant], seeds: int | None, first: int = 0):
         self._found = found
         # the controllers of a comparison tell without being loaded
         numbers = found.task_runs if isinstance(found, Variants) else tuple(None if c.runs is None else tuple(range(c.runs)) for c in found)
-        without_task = None if seeds is None else range(seeds)
+        without_task = None if seeds is None else range(first, first + seeds)
         self._numbers = tuple(without_task if of_task is None else of_task for of_task in numbers)
 
     def __len__(self) -> int:

@@ -1,0 +1,256 @@
+"""A comparison's folder on another machine: copies of the files that its plan names, their hashes, where it ran, and whether a second
+flight agrees with the first.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator, Mapping
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import polars as pl
+
+from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.files import make_folder, write_json, write_whole
+from vstestbed.core.named_files import ENDINGS, FILE_FIELDS, folder, is_there
+from vstestbed.core.provenance import versions
+from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.plugins import is_file_name
+from vstestbed.scenario.yaml_marks import plain_mapping, text_of
+from vstestbed.tasks.metrics import EVERY_RUN
+
+PLAN, RECORD, FILES, SCENARIOS = "comparison.yaml", "record.json", "files", "scenarios"
+TOLERANCE, LEAST = 0.02, 0.05
+"""Two numbers of a run agree within this share of the larger one and this much in their display unit: one frame of 40 ms of 2 s, 0.05 px.
+Another processor or version of a library changes the last digits of pixels, and with them the frame in which a run converges."""
+_REFERS = re.compile(r'\b(?:file\w*|filename)\s*=\s*"([^"]+)"')
+_FOLDERS = re.compile(r'\b(?:meshdir|texturedir|assetdir)\s*=\s*"([^"]+)"')
+_MODELS = (".xml", ".mjcf", ".urdf")
+
+
+def keep(place: Path) -> None:
+    """Copy each file that the plan in a comparison's folder names, with those that it needs, into `files/`, and write `record.json`.
+
+    Needed are the meshes and textures of a robot's model, and of a Python file the modules and data beside it that it names. What belongs
+    to vstestbed, and modules of installed packages, are not copied: the record has their versions.
+    """
+    files = dict[str, Any]()
+    for source in dict.fromkeys(path for path in _named(place) if not _bundled(path)):
+        for path, copy in _closure(source).items():
+            write_whole(make_folder((place / copy).parent) / Path(copy).name, path.read_bytes())
+            files[copy] = {"from": str(path), "sha256": _hash(path), "commit": _commit(path)}
+    write_json(place / RECORD, {"environment": environment(), "files": files})
+
+
+def must_be_unchanged(place: Path) -> None:
+    """Refuse to go on in a folder whose files are not those of its stored runs; where one is gone, the plan names the copy from now on.
+    Raises RunFolderError: which files have changed.
+    """
+    changed = [
+        f"{said['from']} has changed since"
+        for said in _files(place).values()
+        if is_there(Path(said["from"])) and _differs(said, said["from"])
+    ]
+    if changed:
+        works = "bring it back (its copy is in files/), or compare the new version in a new folder: runs of two versions are never mixed"
+        raise RunFolderError(place, "; ".join(changed), works)
+    gone = {said["from"]: str((place / copy).absolute()) for copy, said in _files(place).items() if not is_there(Path(said["from"]))}
+    if gone:
+        _rewrite(place, place, gone)
+
+
+def moved_plugins(place: Path) -> tuple[str, ...]:
+    """The copies of the plugins of a comparison's folder that are not where they were: its runs name those places."""
+    gone = (copy for copy, said in _files(place).items() if copy.endswith(".py") and not is_there(Path(said["from"])))
+    return tuple(str((place / copy).absolute()) for copy in gone)
+
+
+def copied_plan(place: Path, out: Path) -> None:
+    """Write the plan of a comparison's folder into another one, to be flown there from the copies of its files.
+    Raises RunFolderError: a copy is not there, or is not what flew.
+    """
+    for copy, said in _files(place).items():
+        if not is_there(place / copy):
+            raise RunFolderError(place / copy, "is not there", "copy the comparison's whole folder")
+        if _differs(said, place / copy):
+            raise RunFolderError(place / copy, "is not the file with which the stored runs flew", "bring that one back")
+    _rewrite(place, out, {said["from"]: str((place / copy).absolute()) for copy, said in _files(place).items()})
+
+
+class Agreement(NamedTuple):
+    """How many rows of two flights have the same numbers to the last digit, how many agree within the tolerance, and what does not."""
+
+    same: int
+    near: int
+    differ: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """In words."""
+        total = self.same + self.near + len(self.differ)
+        first = f"{self.same + self.near} of {total} runs agree ({self.same} to the last digit, {self.near} within"
+        first += f" {100 * TOLERANCE:g} % and {LEAST:g} of the unit)"
+        more = [f"and {len(self.differ) - 20} more"] if len(self.differ) > 20 else []
+        return [first, *(f"differs: {words}" for words in self.differ[:20]), *more]
+
+
+def agreement(before: pl.DataFrame, now: pl.DataFrame) -> Agreement:
+    """Compare two tables run by run, by their folders: the outcome, and every metric that each run has."""
+    metrics = [m for m in EVERY_RUN if m.name in before.columns and m.name in now.columns]
+    rows, same, near, differ = {row["folder"]: row for row in now.rows(named=True)}, 0, 0, list[str]()
+    for row in before.rows(named=True):
+        other = rows.get(row["folder"])
+        if other is None or other["outcome"] != row["outcome"]:
+            differ.append(f"{row['folder']}: {row['outcome']}, now {'not there' if other is None else other['outcome']}")
+            continue
+        pairs = [(m, row[m.name], other[m.name]) for m in metrics if row[m.name] != other[m.name]]
+        far = [f"{m.name} {a}, now {b}" for m, a, b in pairs if not _agree(a, b, m.scale)]
+        same, near = same + (not pairs), near + (bool(pairs) and not far)
+        differ += [f"{row['folder']}: {far[0]}"] if far else []
+    return Agreement(same, near, tuple(differ))
+
+
+def _agree(a: Any, b: Any, scale: float) -> bool:
+    if a is None or b is None:
+        return a is b
+    return abs(a - b) <= TOLERANCE * max(abs(a), abs(b)) + LEAST / scale
+
+
+def environment() -> dict[str, Any]:
+    """Machine and software: system, processor, cores, versions of all packages that vstestbed requires, how OpenGL was chosen."""
+    found = dict(versions())
+    for requirement in requires("vstestbed") or ():
+        name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0]
+        try:
+            found.setdefault(name, version(name))
+        except PackageNotFoundError:  # of an extra that is not installed
+            continue
+    processor = platform.processor() or platform.machine()
+    if (info := Path("/proc/cpuinfo")).is_file():
+        processor = next(
+            (line.partition(":")[2].strip() for line in info.read_text().splitlines() if line.startswith("model name")), processor
+        )
+    return {
+        "system": platform.platform(),
+        "processor": processor,
+        "cores": os.cpu_count(),
+        "MUJOCO_GL": os.environ.get("MUJOCO_GL", ""),
+        "versions": found,
+    }
+
+
+def _named(place: Path) -> Iterator[Path]:
+    """The files that the plan and its copies of scenarios name, absolutely."""
+    for document in (place / PLAN, *sorted((place / SCENARIOS).glob("*.yaml"))):
+        yield from _in_values(plain_mapping(text_of(document), str(document), "")[0])
+
+
+def _in_values(value: Any, key: str = "") -> Iterator[Path]:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _in_values(inner, str(name).rpartition(".")[2])
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _in_values(inner, key)
+    elif isinstance(value, str):
+        plugin = key == "plugins" and is_file_name(value)
+        path = Path(re.sub(r"(\.py):\w+$", r"\1", value))
+        if (plugin or (key in FILE_FIELDS and ENDINGS.search(value))) and path.is_absolute() and is_there(path):
+            yield path
+
+
+def _bundled(path: Path) -> bool:
+    return any(path.resolve().is_relative_to(folder(name).resolve()) for name in ("models", "scenarios"))
+
+
+def _closure(source: Path) -> dict[Path, str]:
+    """A file and those that it needs, each with the place of its copy: in a folder of the source's own, with the layout that they have."""
+    found, waiting = dict.fromkeys([source.absolute()]), [source.absolute()]
+    while waiting:
+        for path in _needed(waiting.pop()):
+            if path not in found and is_there(path):
+                found[path] = None
+                waiting.append(path)
+    root = Path(os.path.commonpath([path.parent for path in found]))
+    word = f"{source.stem}_{hashlib.sha256(str(source).encode()).hexdigest()[:6]}"
+    return {path: (Path(FILES) / word / path.relative_to(root)).as_posix() for path in found}
+
+
+def _needed(path: Path) -> Iterator[Path]:
+    """The files that a model refers to; of a Python file the modules, and the files named in texts, that are beside it."""
+    if path.suffix.lower() in _MODELS:
+        text = path.read_text(errors="replace")
+        folders = [path.parent, *(path.parent / name for name in _FOLDERS.findall(text))]
+        for name in _REFERS.findall(text):
+            inside = re.sub(r"^(?:package|file)://", "", name)
+            above = path.resolve().parents if name.startswith("package://") else ()
+            yield from (Path(os.path.normpath(place / inside)) for place in (*folders, *above))
+    elif path.suffix == ".py":
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8", errors="replace"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            for name in names:
+                beside = path.parent.joinpath(*name.split("."))
+                yield from (beside.with_suffix(".py"), beside / "__init__.py")
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and re.fullmatch(r"[\w./-]{1,100}\.\w{1,8}", node.value):
+                yield path.parent / node.value
+
+
+def _files(place: Path) -> dict[str, dict[str, str]]:
+    """The files of a record, by the places of their copies; none of a folder of before, which has no record."""
+    return json.loads((place / RECORD).read_text(encoding="utf-8"))["files"] if is_there(place / RECORD) else {}
+
+
+def _differs(said: Mapping[str, str], path: str | Path) -> bool:
+    return _hash(Path(path)) != said["sha256"]
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _commit(path: Path) -> str:
+    """The commit of the repository in which a file is, with a + where the file was changed after it; "" outside of any."""
+    if shutil.which("git") is None:
+        return ""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(path.parent), *words], capture_output=True, text=True, check=False)
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    commit = git("rev-parse", "HEAD")
+    return f"{commit}+" if commit and git("status", "--porcelain", "--", path.name) else commit
+
+
+def _rewrite(place: Path, out: Path, names: Mapping[str, str]) -> None:
+    """Write plan and scenarios of one folder into another, or the same, with other names of files."""
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: renamed(inner) for key, inner in value.items()}
+        if isinstance(value, list):
+            return [renamed(inner) for inner in value]
+        if not isinstance(value, str):
+            return value
+        file, colon, function = value.partition(".py:")  # a policy: FILE.py:NAME
+        return f"{names[f'{file}.py']}:{function}" if colon and f"{file}.py" in names else names.get(value, value)
+
+    for document in (place / PLAN, *(place / SCENARIOS).glob("*.yaml")):
+        plain = renamed(plain_mapping(text_of(document), str(document), "")[0])
+        target = out / document.relative_to(place)
+        write_whole(make_folder(target.parent) / target.name, as_yaml(plain))
+
+
+def must_be_comparison(place: Path) -> None:
+    """Refuse a folder without the plan and the table of a comparison."""
+    for name in (PLAN, "comparison.parquet"):
+        if not is_there(place / name):
+            raise ParameterError.missing("--again", f"a comparison's folder with {name}", str(place))
