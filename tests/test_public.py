@@ -94,7 +94,7 @@ def test_the_example_of_the_docstring_works() -> None:
     assert recording.outcome is vs.Outcome.timed_out
     assert recording.summary()["scenario"] == "ibvs_book"
     assert recording.frame().height == recording.summary()["frames"] == 4  # pictures at 0, .1, .2 and .3 s
-    with pytest.raises(KeyError, match="no column 'eror_px' in the log; columns: t, frame"):
+    with pytest.raises(KeyError, match="no column 'eror_px' in the log; did you mean 'error_px'"):
         recording["eror_px"]
 
 

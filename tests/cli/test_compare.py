@@ -22,7 +22,7 @@ def test_it_leaves_a_whole_folder_and_says_where(command, quick: Path, here: Non
     assert [line.split()[0] for line in statistics] == ["reached", "gain=3", "gain=6"]
     names = {p.name for p in folder.iterdir()}
     tables = {f"{name}.{end}" for name in ("comparison", "controllers", "pairs") for end in ("csv", "parquet")}
-    assert names == {*tables, "comparison.yaml", "figures", "report.html", "runs", "scenarios", "tables.md", "tables.tex"}
+    assert names == {*tables, "comparison.yaml", "figures", "report.html", "runs", "scenarios", "record.json", "tables.md", "tables.tex"}
     assert len(list((folder / "figures").iterdir())) == 3  # the page's first figure, in three formats
     assert (folder / "scenarios" / "quick.yaml").read_text() == quick.read_text()
 

@@ -488,7 +488,9 @@ class TestFoldersOfBefore:
         assert found == replace(wanted, robot=replace(wanted.robot, start=found.robot.start))
         assert found.robot.start.nominal == wanted.robot.start.nominal
         # To rounding: at the time of this folder the Puma had a kinematics of its own.
-        np.testing.assert_allclose(np.array(run(found).table.tolist()), np.array(open_log(former).table.tolist()), rtol=1e-9, atol=1e-9)
+        before, now = open_log(former), run(found)
+        again = np.column_stack([now[name] for name in before.columns])  # torques have come since
+        np.testing.assert_allclose(again, before.table, rtol=1e-9, atol=1e-9)
 
     @pytest.mark.opengl
     def test_report_render_and_export_read_it(self, command, former: Path) -> None:

@@ -19,6 +19,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError
+from vstestbed.studies.comparison import Comparison
 from vstestbed.studies.search_space import Choice, Range, Trial, best_of, parameter, read_record
 from vstestbed.studies.tuning import NoListener
 
@@ -57,7 +58,7 @@ def test_a_search_finds_the_gain_and_leaves_a_whole_folder(quick: Path, tmp_path
     assert table.columns == ["trial", "law.gain", "runs", "reached", "mean_time_to_converge_s", "outcomes", "best"]
     assert table.filter(pl.col("best"))["law.gain"].to_list() == [found.settings["law.gain"]]
     # a trial is what `run --seed` gives, and best.yaml is the scenario with the best values
-    best = vs.load(tmp_path / "t/best.yaml", seed=1_000_001)
+    best = vs.load(tmp_path / "t/best.yaml", seed=2_000_000_001)
     assert best.law == found.scenario.law
     assert vs.run(best).summary()["time_to_converge_s"] == found.best.found[1]
     page = (tmp_path / "t/report.html").read_text(encoding="utf-8")
@@ -163,7 +164,7 @@ BAD = [
     (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "iae_px_s"], "which the scenario does not have; --set metrics=[error_integrals]"),
     (["quick.yaml", "--vary", "law.gain=1:2", "--set", "law.gain=1"], "axes.law.gain is also in `set`"),
     (["ibvs_retreat", "--vary", "law.gain=1:2", "--seeds", "3"], "robot.start.random is missing"),
-    (["arm_laws", "--vary", "law.gain=1:2"], "SCENARIO must be one scenario, and no comparison"),
+    (["arm_laws", "--vary", "law.gian=1:2"], "--vary fits none of the laws: "),
     (["quick.yaml", "--resume", "--out", "x"], "--resume goes on with what the folder searches"),
     (["--resume", "--out", "x"], "x: no such folder"),
     (["--resume"], "--resume needs the folder that `vstestbed tune` has made: --out DIR"),
@@ -200,7 +201,7 @@ def test_the_command_and_a_search_in_which_nothing_arrives(command, quick: Path,
     assert command("report", page.parent).code == 0 and "vstestbed tune runs/tune/002/scenarios/quick.yaml" in page.read_text(
         encoding="utf-8"
     )
-    next(page.parent.glob("runs/*/*/0/summary.json")).unlink()
+    next(page.parent.glob("runs/*/*/*/summary.json")).unlink()
     assert "holds a search that is not finished; `vstestbed tune --resume" in command("report", page.parent).err
 
 
@@ -232,3 +233,28 @@ def test_killed_and_resumed_and_with_other_jobs_it_is_the_same(quick: Path, tmp_
     for name in ("trials.csv", "best.yaml"):
         assert len({(tmp_path / folder / name).read_bytes() for folder in ("one", "two", "cut")}) == 1
     assert not list((tmp_path / "cut").rglob("*.part")) and not (tmp_path / "cut/.running").exists()
+
+
+def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_search_has_seen(
+    command, quick: Path, here: None, one_figure: None
+) -> None:
+    """A law of points and one of poses, each with its own gain; a law without the field goes as it is, and the page says so."""
+    text = "base: [quick.yaml]\nset: {camera.rate_hz: 10, stop.converged.hold_s: 0.1}\nseeds: 4\ncases:\n  law:\n"
+    laws = ("points: {law: {kind: ibvs, gain: 1}}", "pose: {law: {kind: pbvs, gain: 1}}", "jacobian: {law: {kind: uncalibrated}}")
+    Path("laws.yaml").write_text(text + "".join(f"    {law}\n" for law in laws))
+    search = ("--vary", "law.gain=5:7", "--vary", "law.interaction=current,mean", "--trials", 3, "--seeds", 2, "--check", 0)
+    ended = command("tune", "laws.yaml", *search, "--out", "t")
+    assert ended.code == 0, ended.err
+    assert "points law.gain=" in ended.err and "pose as it is (" in ended.err and "jacobian as it is (" in ended.err
+    plan = " ".join(Path("t/comparison/comparison.yaml").read_text().split())
+    assert "each law with 3 trials from 2 starts that are not among these: law.gain=5:7, law.interaction=" in plan
+    seeds = [{int(p.parent.name) for p in Path(f"t/{part}").rglob("summary.json")} for part in ("tune", "comparison")]
+    assert seeds[0] == {2_000_000_000, 2_000_000_001} and seeds[1] == {0, 1, 2, 3}
+    table = pl.read_parquet("t/comparison/comparison.parquet")
+    assert table["law"].unique(maintain_order=True).to_list() == ["points", "pose", "jacobian"]
+    assert "Tuned before by time to converge" in Path("t/comparison/report.html").read_text()
+
+
+def test_no_comparison_can_have_the_seeds_of_a_search() -> None:
+    with pytest.raises(ParameterError, match=r"seeds must be at most 5 .*searches"):
+        Comparison(base=("quick",), first_seed=1_999_999_995, seeds=6)

@@ -60,7 +60,7 @@ def test_a_comparison_shows_them_with_their_titles():
     both = pl.DataFrame({"final_error_px": [None, 0.1], "final_error_grey": [0.3, None]})
     assert shown_by_default(both) == (*DEFAULT_METRICS, "final_error_grey")
     assert Comparison(base=("quick",), metrics=("iae_px_s",)).metrics == ("iae_px_s",)
-    with pytest.raises(ParameterError, match=r"must be figures of summary.json: .*iae_px_s"):
+    with pytest.raises(ParameterError, match=r"metrics must be one of sim_time_s, .*iae_px_s"):
         Comparison(base=("quick",), metrics=("iae",))
 
 

@@ -16,7 +16,7 @@ from rich.text import Text
 from vstestbed.core.errors import ParameterError, nearest
 from vstestbed.core.fields import DIMENSIONLESS, SchemaField, class_text, fields, without_unit
 from vstestbed.core.registry import Registry
-from vstestbed.loop.columns import TEXTS, text_of
+from vstestbed.loop.columns import column_texts, text_of
 from vstestbed.scenario.catalogue import Entry, FieldPlace, bundled_uses, example_block, examples_of
 from vstestbed.scenario.dump import block_text, flow_text
 from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
@@ -54,12 +54,13 @@ def describe_record(word: str, console: Console) -> None:
     console.print(Text(word, style="bold"))
     console.print()
     if word.startswith("log"):
-        found = [text_of(word[4:])] if word != "log" else TEXTS
+        found = [text_of(word[4:])] if word != "log" else column_texts()
         if None in found:
-            raise ParameterError(word, f"is no column of a log; {nearest(word[4:], [t.name for t in TEXTS if t.name.isidentifier()])}")
-        table = _table("column", "unit", "what it is")
+            names = [name for text in column_texts() for name in text.shown.split(", ")]
+            raise ParameterError(word, f"is no column of a log; {nearest(word[4:], names)}")
+        table = _table("column", "unit", "of", "what it is")
         for text in filter(None, found):
-            table.add_row(Text(text.shown or text.name, style="cyan"), Text(text.unit), Text(f"{text.words}."))
+            table.add_row(Text(text.shown, style="cyan"), Text(text.unit), Text(text.whose), Text(f"{text.words}."))
     else:
         table = _table("number", "shown in", "better", "what it is")
         for name, words in RUN_COLUMNS.items() if word == "table" else ():

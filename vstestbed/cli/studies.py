@@ -310,16 +310,16 @@ def _tune_comparison(
     numbers: dict[str, Any],
 ) -> None:
     """Tune each law of a comparison, then compare them."""
-    from vstestbed.core.files import new_folder
     from vstestbed.report.comparison.tables import statistics_text
+    from vstestbed.studies.folder import study_folder
     from vstestbed.studies.tuned import tune_comparison
 
     def say(words: str) -> None:
         if not quiet:
             typer.echo(words, err=True)
 
-    folder = new_folder(Path("runs") / "tune", out, "give a new one")
-    table, laws = tune_comparison(name, vary, folder, settings, plugins, jobs, executor, say=say, **numbers)
+    with study_folder("tune", out) as folder:
+        table, laws = tune_comparison(name, vary, folder, settings, plugins, jobs, executor, say=say, **numbers)
     for law in laws:
         say(f"  {law.words()}")
     say("\n".join(filter(None, (statistics_text(table.folder), RESULTS.format(table.folder)))))

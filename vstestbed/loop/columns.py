@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -128,87 +130,30 @@ class Layout:
         return np.column_stack([np.linalg.norm(T_camera[:, :3, 3] - T_goal[:, :3, 3], axis=1), angle])
 
 
-@dataclass(frozen=True)
-class ColumnText:
-    """What a column of the log is. name: a regular expression for the names of such columns; shown: how a page writes them."""
+class ColumnText(NamedTuple):
+    """What a column of the log is. name: a regular expression for such columns; shown: how people write them.
+
+    whose: who knows it: `clock`, times and counters; `measured`, by camera and robot; `command`, what they command; `truth`, the
+    simulator's alone.
+    """
 
     name: str
+    shown: str
     unit: str
+    whose: str
     words: str
-    shown: str = ""
 
 
-_N = r"\d+"
-_AXIS = r"v[xyz]|w[xyz]"
-TEXTS: tuple[ColumnText, ...] = (
-    ColumnText("t", "s", "time of the exposure (of its middle) since the start; measurements and truth of a row are those of this time"),
-    ColumnText("frame", "", "number of the picture; numbers that are missing are pictures that were lost or refused"),
-    ColumnText("lost", "", "1 where too few markers were seen"),
-    ColumnText(f"[uv]_{_N}", "px", "measured image coordinates of marker N; NaN where it was not seen", "u_N, v_N"),
-    ColumnText(f"[uv]_true_{_N}", "px", "true image coordinates of marker N, by the true camera and its true pose", "u_true_N, v_true_N"),
-    ColumnText(f"[uv]_goal_{_N}", "px", "image coordinates of marker N in the goal view", "u_goal_N, v_goal_N"),
-    ColumnText(f"depth_{_N}", "m", "depth of marker N that the law used (`law.depth`)", "depth_N"),
-    ColumnText(f"(theta|phi)_{_N}", "rad", "angles of the measured ray from the optical axis, and about it", "theta_N, phi_N"),
-    ColumnText("error_px", "px", "RMS of the measured image error over the coordinates seen; NaN where none are"),
-    ColumnText("(cam|tgt)_[xyz]", "m", "true position of the camera, and of the target, in the world", "cam_x, ..., tgt_z"),
-    ColumnText("(cam|tgt)_q[wxyz]", "", "true orientation of the camera, and of the target, as a quaternion wxyz", "cam_qw, ..., tgt_qz"),
-    ColumnText("position_error_m", "m", "true distance of the camera (of a vehicle, on the floor) from its goal pose"),
-    ColumnText("rotation_error_rad", "rad", "true angle between the camera (a vehicle's heading) and its goal pose"),
-    ColumnText("t_cmd", "s", "from when the command of this row is in force: its picture's arrival and the latency of commands"),
-    ColumnText(f"cmd_({_AXIS})", "m/s, rad/s", "twist that the law commands, in the camera frame", "cmd_vx, ..., cmd_wz"),
-    ColumnText(f"act_({_AXIS})", "m/s, rad/s", "true twist of the camera, in the camera frame", "act_vx, ..., act_wz"),
-    ColumnText(
-        f"applied_({_AXIS})",
-        "m/s, rad/s",
-        "twist ordered after the robot's limits and damping",
-        "applied_vx, ..., applied_wz",
-    ),
-    ColumnText("scale", "", "product of the factors by which the law's limits and the robot's shortened the command; 1: not at all"),
-    ColumnText("supervisor", "", "0 follows the law, 1 holds, 2 stops (a craft: sinks), 3 rotors off"),
-    ColumnText("view", "", "number of the current goal view, of a goal with several"),
-    ColumnText("error_grey", "grey levels", "RMS difference between picture and goal picture, with the law's weights"),
-    ColumnText("level_error_px", "px", "as `error_px`, after derotation, of a craft that tilts: the error that decides its task"),
-    ColumnText("est_position_m", "m", "distance from the goal pose as the robot estimates it"),
-    ColumnText("est_rotation_rad", "rad", "angle from the goal pose as the robot estimates it"),
-    ColumnText("task_error_m", "m", "true error of the task: of a continuing one its distance, of a landing that from the pad's centre"),
-    ColumnText("touch_mps", "m/s", "speed downwards at the first contact of a landing; NaN before"),
-    ColumnText("(base|est|odo)_[xy]", "m", "place of a vehicle: true, estimated, and by its encoders alone", "base_x, est_y, odo_x, ..."),
-    ColumnText("(base|est|odo)_heading", "rad", "heading of a vehicle: true, estimated, and by its encoders alone", "base_heading, ..."),
-    ColumnText("slip_mps", "m/s", "rate at which a vehicle's odometry and its true motion diverge"),
-    ColumnText("slip_radps", "rad/s", "rate at which a vehicle's odometry and its true turn diverge"),
-    ColumnText(
-        "(est|ref)_(roll|pitch)",
-        "rad",
-        "attitude of a craft: estimate, and reference of the velocity loop",
-        "est_roll, ref_roll, ...",
-    ),
-    ColumnText("est_v[xyz]", "m/s", "velocity of a craft in the level frame, its estimate", "est_vx, ..., est_vz"),
-    ColumnText(
-        "(est|ref)_w[xyz]",
-        "rad/s",
-        "rates of a craft's body: estimate, and reference of the attitude loop",
-        "est_wx, ref_wx, ...",
-    ),
-    ColumnText("wind_[xyz]", "m/s", "true velocity of the air in the world", "wind_x, ..., wind_z"),
-    ColumnText("speed_rotor_.*", "rad/s", "true speed of a rotor", "speed_rotor_NAME"),
-    ColumnText("battery_v", "V", "voltage of the battery as measured"),
-    ColumnText("q_.*", "rad, m", "true position of a joint", "q_NAME"),
-    ColumnText("qd_.*", "rad/s, m/s", "true velocity of a joint", "qd_NAME"),
-    ColumnText("ctrl_.*", "of the actuator", "control of an actuator, as the robot's model has it", "ctrl_NAME"),
-    ColumnText("tau_.*", "Nm, N", "torque (force) of the actuators at a joint, true", "tau_NAME"),
-    ColumnText("law_mode", "", "number of the word in the law's `modes` for what it did"),
-    ColumnText("t_stamp", "s", "time of the exposure by the picture's stamp, which the controller believes"),
-    ColumnText("refused", "", "how many pictures have been refused so far, because a later one had arrived"),
-    ColumnText("command_lost", "", "1 where this frame's command was lost on its way to the robot"),
-    ColumnText("exposure_s", "s", "exposure time of the picture, as the camera's automatic set it"),
-    ColumnText("gain", "", "gain of the picture, as the camera's automatic set it"),
-)
-"""What the columns of the log are; a column of an effect or a law of one's own is described there."""
+@cache
+def column_texts() -> tuple[ColumnText, ...]:
+    """All columns of bundled scenarios (`columns.csv`); those of an effect or a law of one's own are described there."""
+    lines = Path(__file__).with_name("columns.csv").read_text(encoding="utf-8").splitlines()[1:]
+    return tuple(ColumnText(name, shown or name, *rest) for name, shown, *rest in csv.reader(lines))
 
 
 def text_of(name: str) -> ColumnText | None:
     """What a column of the log is; None of one that an effect or a law has added."""
-    return next((text for text in TEXTS if re.fullmatch(text.name, name)), None)
+    return next((text for text in column_texts() if re.fullmatch(text.name, name)), None)
 
 
 def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:

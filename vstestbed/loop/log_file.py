@@ -147,6 +147,8 @@ def open_log(folder: Path, scenario: Scenario | None = None, names: Sequence[str
         else:
             log = _of_part(folder / "log.part", names)
         lacking = [name for name in Layout(scenario).columns if name not in log.columns] if scenario else []
+        if lacking and all(name.startswith("tau_") for name in lacking):  # logs of before have no torques
+            log, lacking = Log((*log.columns, *lacking), np.pad(log.table, ((0, 0), (0, len(lacking))), constant_values=np.nan)), []
         if lacking:
             raise RunFolderError(whole, f"has no column {lacking[0]}", WORKS)
         if scenario is not None and not (np.isfinite(log["t"]).all() and (np.diff(log["t"]) >= 0).all()):

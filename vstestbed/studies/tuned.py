@@ -67,7 +67,7 @@ def tune_comparison(
     """Tune each law of a comparison in `out/tune/NAME`, and compare them with what was found in `out/comparison`.
 
     Every law has the same ranges and numbers of trials and starts. A law that does not have a varied field goes into the comparison as it
-    is, and the report says so. Searches use seeds from 1,000,000 on, and comparisons those below, so that no start is in both.
+    is, and the report says so. Searches use seeds from 2,000,000,000 on, and comparisons those below, so that no start is in both.
 
     Args:
         name: of the comparison, or its file. vary, numbers: as of `tune`. settings: values by dotted path for all.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,6 +17,7 @@ from vstestbed.camera import Image
 from vstestbed.core.errors import NOTHING_RAN, RunFolderError
 from vstestbed.core.files import PartFile, make_folder, whole_folder, write_whole, writing
 from vstestbed.core.geometry import Array
+from vstestbed.loop.columns import text_of
 from vstestbed.loop.log_file import ROW_GROUP, Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.film import rows_of
@@ -134,19 +134,14 @@ _SUFFIXES = {"px": "px", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": 
 IN_NAMES = {"m/s": "mps", "rad/s": "radps", "grey levels": "grey"}  # Units as parts of names
 
 
-_PATTERNS = list(csv.reader(Path(__file__).with_name("columns.csv").read_text(encoding="utf-8").splitlines()[1:]))
-"""Regular expression of columns, unit, who knows them, in words."""
-
-
 def meaning(column: str, scenario: Scenario) -> Meaning:
     """What a column of a scenario's log is."""
     kind, _, joint = column.partition("_")
     if kind in ("q", "qd") and joint in scenario.robot.joints:
         unit = unit_of_joint(joint, scenario) + ("/s" if kind == "qd" else "")
         return unit, "truth", "velocity of a joint" if kind == "qd" else "position of a joint"
-    for pattern, *found in _PATTERNS:
-        if re.fullmatch(pattern, column):
-            return cast(Meaning, tuple(found))
+    if (text := text_of(column)) is not None:
+        return text.unit, cast(Whose, text.whose), text.words
     return _SUFFIXES.get(column.rpartition("_")[2], ""), "own", "of the robot's kind, or of the task"
 
 

@@ -138,7 +138,7 @@ def _read_lists(file: str) -> StartLists:
 
 
 T = TypeVar("T")
-TUNED, CHECKED = 1_000_000, 2_000_000  # first seeds of the trials of a search, and of its check; comparisons have those below
+TUNED, CHECKED = 2_000_000_000, 3_000_000_000  # first seeds of the trials of a search, and of its check; comparisons have those below
 TASK, AMOUNT = "task", "amount"  # columns that only a comparison with tasks has
 OWN_COLUMNS = ("scenario", "seed", "folder", TASK, AMOUNT, "attempts", "outcome", "success", "reason", *FIGURES, *SOME_FIGURES)
 """Columns of the table, whose names no case may have."""
@@ -160,7 +160,7 @@ class Comparison:
         tasks: start tables by name, in place of seeds.
         seeds: number of seeds; seed i draws the start, the noise and the delays of run i, the same for every controller.
             None: the nominal start, once.
-        first_seed: the first of these numbers. Searches (`tune`) use those from 1,000,000 on: no comparison shares a start with one.
+        first_seed: the first of these numbers. Searches (`tune`) use those from 2,000,000,000 on: no comparison shares a start with one.
         limit: of each task only so many runs, spread evenly over its list: a first look at a long one, 20 of 500; e.g. `20`.
         metrics: names of `summary.json` that the report shows; none: those of `report`, and the scenarios' own.
         primary: name of `summary.json` that decides a pair whose successes do not; without one the time to the goal, in which a run that
