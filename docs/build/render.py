@@ -24,7 +24,7 @@ from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.results import TIME, ComparisonResults
 from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference, quartiles, success_rate
-from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown
+from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.bench import BesideFloor
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -205,7 +205,7 @@ def tasks(rows: Sequence[Row]) -> str:
     """Laws by tasks, as in a comparison's `tasks.md`."""
     names = list(rows[0])
     axes = [name for name in names[1 : names.index("seed")] if name != AMOUNT]
-    return markdown(cells(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes)))).rstrip("\n")
+    return markdown(cells(over_all_tasks(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), tuple(axes))))).rstrip("\n")
 
 
 def effects(rows: Sequence[Row]) -> str:

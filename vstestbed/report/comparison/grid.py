@@ -71,7 +71,7 @@ def real(changes: Mapping[Place, IntervalEstimate]) -> set[Place]:
     Of two or three starts all changes may be equal, since times are whole frames: no spread, but nothing is known.
     """
     adjusted = holm([d.p if d.n >= FEWEST else np.nan for d in changes.values()])
-    return {at for at, p in zip(changes, adjusted, strict=True) if p <= CHANCE}
+    return {at for (at, d), p in zip(changes.items(), adjusted, strict=True) if p <= CHANCE and d.excludes_zero}
 
 
 def _changes(before: ControllerResults, now: ControllerResults, metric: Metric) -> dict[tuple[str, int], float]:
