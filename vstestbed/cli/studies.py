@@ -177,7 +177,10 @@ def sweep(
 
 def gain_limit(
     scenario: Annotated[
-        str, typer.Argument(help="A bundled scenario's name, or a YAML file; robot free or puma560.", autocompletion=complete.scenarios)
+        str,
+        typer.Argument(
+            help="A free camera or an arm, with a law of one gain: ibvs, pbvs, hybrid, predictive.", autocompletion=complete.scenarios
+        ),
     ],
     frames: Annotated[
         str, typer.Option(metavar="D1,D2,...", help="Delays, in frames of the camera, beside the scenario's own latency.")
@@ -189,8 +192,8 @@ def gain_limit(
     plugin: Plugins = None,
 ) -> None:
     """The gain at which the loop goes unstable for each delay, by bisection of runs near the goal, over what theory says. The oracle
-    detects, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of the scenario
-    (`--set camera.latency_s=0.06`) comes first.
+    detects, without noise, so that nothing but dynamics and delay counts. An arm's servos are measured, too. The answer for the latency of
+    the scenario (`--set camera.latency_s=0.06`) comes first.
     """
     from vstestbed.studies.delay import delays_of, find_limits, write
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -25,6 +26,7 @@ from vstestbed.loop.stability import NO_LAG, Poles, closed_form, gain_limit, loo
 from vstestbed.report.studies import Branches, write_delay
 from vstestbed.robots import Robot
 from vstestbed.robots.arm import Arm
+from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
@@ -258,10 +260,13 @@ def prepared(scenario: Scenario) -> Scenario:
     settled = replace(
         scenario,
         law=replace(law, **{name: value for name, value in plain.items() if name in names}),  # only those fields that this law has
+        noise=Noise(),
         detector=Oracle(field_of_view="unlimited"),  # exact pixels, and no target lost: only dynamics and delay count
         camera=replace(scenario.camera, latency_s=0.0),
         stop=Stop(duration_s=60.0, converged=Converged(error_px=0.01, hold_s=0.0)),
     )
+    if scenario.noise != settled.noise:
+        logging.getLogger("vstestbed").warning("the gain limit is that without the scenario's noise, which is switched off")
     if settled.robot.body is None:
         T = scenario.T_world_goal @ inverse(scenario.camera.mount.T)
         return replace(settled, robot=settled.robot.started_at(T.ravel()))
@@ -325,6 +330,14 @@ def growth(at_start: Scenario, gain: float, delay_frames: float) -> float:
     return float(late / early) if late > SETTLED * size[0] else 0.0
 
 
+def _must_take(law: Law[Any], gain: float) -> None:
+    """Refuse a law that does not take a gain that the search must try."""
+    try:
+        replace(law, gain=gain)
+    except ParameterError as error:
+        raise ParameterError("law.gain", f"{error.problem}: the gain limit is beyond what law {law.kind} takes", round(gain, 4)) from None
+
+
 def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     """The gain limit at one delay, by bisection."""
     period, theory = at_goal.camera.period, _theory(at_goal, delay_frames)
@@ -341,12 +354,15 @@ def find_limit(at_goal: Scenario, delay_frames: float) -> Limit:
     low, high = 0.5 * expected, 1.5 * expected
     # a bracket without the limit would make the bisection converge to one of its ends
     count += 1
+    _must_take(at_start.law, low / period)
     if growth(at_start, low / period, delay_frames) > 1:
         words = f"is still unstable at {low / period:.3g} 1/s with {delay_frames} frames of delay, half of what is expected"
         raise ParameterError("law.gain", words)
     count += 1
+    _must_take(at_start.law, high / period)
     while growth(at_start, high / period, delay_frames) <= 1:  # a law that predicts is stable beyond the theory of one that does not
         low, high, count = high, 2 * high, count + 1
+        _must_take(at_start.law, high / period)
         if high > MOST_G:
             return Limit(delay_frames, delay_frames * period, low / period, low, theory, g_lag, lags, count, True, g_linear)
     for _ in range(HALVINGS):

@@ -207,3 +207,20 @@ def test_limits_from_no_delay_to_five_frames(name, settings, of_theory, of_lag):
         assert np.all([abs(x.g / x.g_theory - 1) < bound for x, bound in zip(limits, of_theory, strict=True)])
     if of_lag:
         assert np.all([x.g_lag is not None and abs(x.g / x.g_lag - 1) < bound for x, bound in zip(limits, of_lag, strict=True)])
+
+
+def test_noise_is_switched_off_with_a_word_and_a_law_that_takes_no_larger_gain_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    noisy = prepared(vs.load("ibvs_book", {"camera.rate_hz": 25, "noise.pixel_sigma_px": 0.5}))
+    assert noisy.noise == vs.load("ibvs_book").noise and "without the scenario's noise" in caplog.text
+    law = noisy.law
+
+    class Small(type(law)):  # pyright: ignore[reportGeneralTypeIssues, reportUntypedBaseClass] - the class of the law
+        """A law whose gain is at most 3 1/s."""
+
+        def __post_init__(self) -> None:
+            if self.gain.value > 3:
+                raise ParameterError.bound("gain", "<=", 3, self.gain.value)
+
+    small = replace(noisy, law=vs.spec(Small)(gain=2.0))
+    with pytest.raises(ParameterError, match=r"law\.gain must be <= 3: the gain limit is beyond what law ibvs takes"):
+        find_limit(small, 1)
