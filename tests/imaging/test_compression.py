@@ -136,3 +136,22 @@ def test_a_field_of_one_kind_alone_names_the_kind(block: dict[str, Any], kind: t
 def test_a_field_of_another_kind_is_refused_with_the_kind_that_has_it() -> None:
     with pytest.raises(ScenarioError, match=r"camera\.stream\.bitrate_kbps: is an unknown field of jpeg; h264 has it"):
         vs.load("arm_ibvs", {"camera.stream": "jpeg", "camera.stream.bitrate_kbps": 500})
+
+
+LUMINANCE = """
+16 11 10 16 24 40 51 61  12 12 14 19 26 58 60 55  14 13 16 24 40 57 69 56  14 17 22 29 51 87 80 62
+18 22 37 56 68 109 103 77  24 35 55 64 81 104 113 92  49 64 78 87 103 121 120 101  72 92 95 98 112 100 103 99
+"""
+"""Quantisation steps of the brightness at quality 50 (ISO/IEC 10918-1:1994, table K.1)."""
+
+
+@pytest.mark.parametrize("quality", [90, 80])
+def test_the_error_of_jpeg_is_that_of_its_quantisation(quality: int) -> None:
+    """Of a picture whose DCT coefficients are all much wider than the steps q, each is off by q^2 / 12 in the mean, and each rounded grey
+    level by 1/12 more; the transform is orthonormal, so that the mean square over the pixels is the same.
+    """
+    noise = np.clip(np.random.default_rng(3).normal(128, 40, (240, 320)), 0, 255).astype(np.uint8)
+    picture = np.repeat(noise[..., None], 3, axis=-1)
+    steps = np.floor((np.array(LUMINANCE.split(), dtype=float) * (200 - 2 * quality) + 50) / 100)
+    off = grey(round_trip(JpegStream(quality=quality), RATE)(picture)) - grey(picture)
+    assert np.mean(off**2) == pytest.approx(np.mean(steps**2) / 12 + 1 / 12, rel=0.05)

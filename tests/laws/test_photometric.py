@@ -306,8 +306,10 @@ def test_depth_of_markers_is_refused() -> None:
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_one_step_is_a_few_per_cent_shorter_than_the_motion_that_it_measures(axis: int) -> None:
-    """From 0.26, 0.52 and 0.87 px aside (f = 870 px, 1 m) the first command, over its gain, moves the picture by 92 to 100 % of that. A step
-    aside and a turn look nearly alike here: what they make together is compared, x' = -(v_x / Z + w_y), y' = -(v_y / Z - w_x) in the middle of the picture.
+    """From 0.26, 0.52 and 0.87 px aside (f = 870 px, 1 m) the first command, over its gain, moves the picture by 92 to 100 % of that.
+
+    A step aside and a turn look nearly alike here. What they make together is compared: in the middle of the picture
+    x' = -(v_x / Z + w_y), y' = -(v_y / Z - w_x).
     """
     scenario, gain = vs.load("camera_photometric", {"stop.duration_s": 0.1}), 30.0
     for aside in (0.0003, 0.0006, 0.001):

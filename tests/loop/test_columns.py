@@ -21,7 +21,7 @@ def test_every_column_of_every_bundled_scenario_is_explained() -> None:
     columns = {name: Layout(vs.load(name)).columns for name in bundled_scenarios()}
     assert {(name, column) for name, those in columns.items() for column in those if text_of(column) is None} == set()
     units = {column: text.unit for those in columns.values() for column in those if (text := text_of(column))}
-    assert (units["cmd_vx"], units["u_0"], units["tau_joint_1"], units["q_joint_1"]) == ("m/s, rad/s", "px", "Nm, N", "rad, m")
+    assert (units["cmd_vx"], units["u_0"], units["tau_joint_1"], units["q_joint_1"]) == ("m/s", "px", "Nm, N", "rad, m")
 
 
 def test_torques_at_rest_are_those_that_carry_the_arm() -> None:
