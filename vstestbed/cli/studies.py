@@ -72,6 +72,7 @@ def basin(
         Literal["limited", "unlimited"] | None,
         typer.Option(help="Whether the picture has a border. [default: as the oracle's, or limited]"),
     ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Workers, for a law without equations of a batch. [default: one a core]")] = None,
     check: Annotated[int, typer.Option(min=0, help="So many random starts, and 4 frontal ones, also fly in the time loop of `run`.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/basin/NUMBER]")] = None,
     force: Force = False,
@@ -105,7 +106,9 @@ def basin(
     mapped: list[Basin] = []
     with _results_in("basin", out, mapped, len(found), "maps", lambda folder: write(folder, mapped, _command())) as folder:
         for label, scenario in found:
-            mapped.append(map_of(label, scenario, across, up, rest, check))
+            mapped.append(map_of(label, scenario, across, up, rest, check, jobs=jobs, folder=folder))
+            if mapped[-1].interrupted:
+                raise KeyboardInterrupt
             if not (quiet or as_json):
                 typer.echo(_summary_text(mapped[-1]), err=True)
     _tell(as_json, quiet, lambda: [b.summary() for b in mapped], lambda: RESULTS.format(folder))

@@ -71,7 +71,8 @@ def draw_basin(maps: Sequence[BasinMap], x: BasinAxis, y: BasinAxis) -> Figure:
     for i, (axes, one) in enumerate(zip(grid, maps, strict=True)):
         axes.imshow(colours(one, soonest, latest), origin="lower", extent=(x[2], x[3], y[2], y[3]), aspect="auto", interpolation="nearest")
         axes.grid(False)
-        axes.set_title(f"{one[0]}: {100 * float(np.mean(one[1] == 'converged')):.1f} %")
+        flown = one[1][one[1] != "interrupted"]
+        axes.set_title(f"{one[0]}: {100 * float(np.mean(flown == 'converged')):.1f} %" if len(flown) else one[0])
         if i + columns >= len(maps):
             axes.set_xlabel(f"{x[0]} [{x[1]}]")
             axes.tick_params(labelbottom=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-import time
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +17,11 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_json, write_table
 from vstestbed.core.geometry import Array, Pose, inverse, rotation_from_rpy, transform
 from vstestbed.core.outcome import Outcome
+from vstestbed.laws.views import has_batch
 from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Robot
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.studies.batch import Batch, BatchSetup, ideal, simulate_batch, start_of, started_at
+from vstestbed.studies.batch import Batch, BatchSetup, ideal, simulate_batch, simulate_in_parts, start_of, started_at
 from vstestbed.studies.comparison.plan import Comparison, changed, controllers
 from vstestbed.vision import Oracle
 
@@ -132,6 +133,11 @@ class Basin:
     disagreements: tuple[Disagreement, ...] = ()
 
     @property
+    def interrupted(self) -> bool:
+        """Whether it is a part of a map, since Ctrl-C came."""
+        return bool((self.batch.outcome == Outcome.interrupted).any())
+
+    @property
     def endings(self) -> Array:
         """Outcomes by name (M,); `target_lost` is split: out of the field of view, or `plane_crossed`."""
         names = np.array([outcome.name for outcome in self.batch.outcome], dtype=object)
@@ -144,7 +150,8 @@ class Basin:
 
     def summary(self) -> dict[str, Any]:
         """The map in numbers, as `basin.json` has it."""
-        names, counts = np.unique(self.endings.astype(str), return_counts=True)
+        flown = self.endings.astype(str)[self.batch.outcome != Outcome.interrupted]
+        names, counts = np.unique(flown, return_counts=True)
         shares = dict(zip(names.tolist(), (counts / counts.sum()).tolist(), strict=True))
         detector, gain = self.scenario.detector, getattr(self.scenario.law, "gain", None)
         gain = gain if isinstance(gain, float) else getattr(gain, "value", None)
@@ -214,13 +221,26 @@ def laws(comparison: Comparison, field_of_view: str | None = None, force: bool =
     return found
 
 
-def basin(label: str, scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float] | None = None, check: int = 0, seed: int = 0) -> Basin:
-    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `run`."""
+def basin(
+    label: str,
+    scenario: Scenario,
+    x: Axis,
+    y: Axis,
+    at: Mapping[str, float] | None = None,
+    check: int = 0,
+    seed: int = 0,
+    jobs: int | None = 1,
+    folder: Path | None = None,
+) -> Basin:
+    """Compute the map of an ideal scenario's law; `check` random starts of it, and frontal, centred ones, also run in `run`.
+    jobs, folder: as of `simulate_in_parts`, for a law without equations of a batch.
+    """
     poses = starts(scenario, x, y, at or {})
-    began = time.process_time()
-    batch = simulate_batch(scenario, poses)
-    mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, time.process_time() - began)
-    if not check:
+    began = sum(os.times()[:4])  # of the worker processes, too
+    one_by_one = folder is not None and not has_batch(scenario.law)
+    batch = simulate_in_parts(scenario, poses, jobs, folder) if one_by_one else simulate_batch(scenario, poses)
+    mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, sum(os.times()[:4]) - began)
+    if not check or mapped.interrupted:
         return mapped
     # a seed of its own: the same starts are checked every time
     spots = np.random.default_rng(seed).choice(len(poses), min(check, len(poses)), replace=False)

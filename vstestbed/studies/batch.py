@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,9 +31,12 @@ from vstestbed.loop.stability import LastPart, sentence, window
 from vstestbed.loop.termination import FAR_M
 from vstestbed.robots import Free, Mount
 from vstestbed.robots.free import FreeStart
+from vstestbed.scenario.dump import dump
+from vstestbed.scenario.load import parse
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
+from vstestbed.studies.pools import completed, pool_of, workers
 from vstestbed.tasks.base import PLANE_INPUTS
 from vstestbed.tasks.monitor import REST
 from vstestbed.timing.plan import Timing
@@ -255,6 +263,19 @@ class Batch:
     unstable: NDArray[np.object_]
     run_steps: int
 
+    @classmethod
+    def joined(cls, parts: Sequence[Batch]) -> Batch:
+        """Several batches as one."""
+        joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
+        return cls(**joined, run_steps=sum(part.run_steps for part in parts))
+
+    @classmethod
+    def without(cls, start: Array) -> Batch:
+        """A batch of runs from these poses (M, 4, 4) that were not flown."""
+        m = len(start)
+        ended = np.full(m, Outcome.interrupted, dtype=object), np.zeros(m, int), np.full(m, -1), start, np.zeros(m), np.full(m, np.nan)
+        return cls(*ended, np.zeros(m, dtype=bool), np.full(m, "", dtype=object), 0)
+
 
 @dataclass(frozen=True)
 class BatchFrame:
@@ -289,8 +310,43 @@ def simulate_batch(scenario: Scenario, start: Array) -> Batch:
     # a batch without starts still gives arrays of the right shapes
     start = np.asarray(start, dtype=float).reshape(-1, 4, 4)
     parts = [_simulate(setup, start[i : i + AT_ONCE]) for i in range(0, max(len(start), 1), AT_ONCE)]
-    joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Batch) if f.name != "run_steps"}
-    return Batch(**joined, run_steps=sum(part.run_steps for part in parts))
+    return Batch.joined(parts)
+
+
+def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder: Path) -> Batch:
+    """As `simulate_batch`, of a law that is asked run by run: the starts are shared among worker processes, after a word on how long it
+    takes. After Ctrl-C it returns what is done, and the other runs have the outcome `interrupted`.
+
+    jobs: worker processes; None: one per core. folder: of the study, for temporary files.
+    """
+    few = start[np.linspace(0, len(start) - 1, min(len(start), 5)).astype(int)]
+    began = time.perf_counter()
+    simulate_batch(scenario, few)
+    count = workers(jobs, len(start))
+    minutes = (time.perf_counter() - began) / len(few) * len(start) / count / 60
+    words = "law %s has no equations for many runs at once, and is asked run by run: %d starts take some %.2g min with %d workers"
+    logging.getLogger("vstestbed").warning(words, scenario.law.kind, len(start), minutes, count)
+    shares = [start[rows] for rows in np.array_split(np.arange(len(start)), min(len(start), 8 * count))]
+    work = [(i, PartRequest(str(i), dump(scenario), share)) for i, share in enumerate(shares)]
+    parts = [Batch.without(share) for share in shares]
+    with closing(pool_of("local", count, folder)) as pool, contextlib.suppress(KeyboardInterrupt):
+        for i, _, future in completed(pool, work, []):
+            parts[i] = future.result()
+    return Batch.joined(parts)
+
+
+@dataclass(frozen=True)
+class PartRequest:
+    """Some starts of a map, as they are sent to a worker. folder: identifies them. text: the scenario. light: as of `Request`."""
+
+    folder: str
+    text: str
+    start: Array
+    light: bool = False
+
+    def perform(self, place: str | None = None) -> Batch:
+        """Simulate them."""
+        return simulate_batch(parse(self.text, "the scenario of a map"), self.start)
 
 
 @dataclass

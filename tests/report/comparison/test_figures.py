@@ -10,7 +10,7 @@ import polars as pl
 
 from tests.report.comparison.comparisons import build
 from vstestbed.report.canvas import save, style, to_svg
-from vstestbed.report.comparison.figures import Data, each_run, medians, read_series
+from vstestbed.report.comparison.figures import Data, distributions, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
 from vstestbed.report.comparison.results import ComparisonResults
 
@@ -83,3 +83,11 @@ def test_names_that_no_font_has_are_drawn_without_a_warning(tmp_path: Path) -> N
         warnings.simplefilter("error")
         assert save(medians(data, 3.5), tmp_path / "names.pdf").is_file()
         assert "中" in to_svg(medians(data, 3.5), "m", "medians")
+
+
+def test_a_metric_that_no_run_has_makes_no_panel(tmp_path: Path) -> None:
+    frame = build(tmp_path, {"slow": 0.8, "fast": 1.6}, 6)
+    data = read_series(tmp_path, ComparisonResults(frame, (), ("path_ratio", "tracking_rms_px", "peak_speed_mps")))
+    assert [m.name for m in data.shown] == ["path_ratio", "peak_speed_mps"]
+    with style():
+        assert sum(axes.get_visible() for axes in distributions(data, 5.0).axes) == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -191,3 +192,32 @@ def test_a_hundred_thousand_starts_of_every_law(view: str):
         assert made.summary()["gain_step"] == pytest.approx(0.1)
         assert made.processor_s < 20
         assert len(made.disagreements) <= 4
+
+
+PREDICTIVE = {"law": {"kind": "predictive", "gain": 2.0}, "camera.rate_hz": 5.0, "detector": "oracle"}
+
+
+@pytest.mark.process
+def test_a_law_that_is_asked_run_by_run_is_shared_among_workers(tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    s, axes = ideal(vs.load("ibvs_book", PREDICTIVE)), (Axis("x", -0.5, 0.5, 4), Axis("yaw", -40, 40, 4))
+    shared = basin.basin("predictive", s, *axes, jobs=2, folder=tmp_path)
+    alone = basin.basin("predictive", s, *axes)
+    np.testing.assert_array_equal(shared.batch.outcome, alone.batch.outcome)
+    np.testing.assert_allclose(shared.batch.T_camera_target, alone.batch.T_camera_target, atol=1e-9)
+    assert "asked run by run: 16 starts take some" in caplog.text and not shared.interrupted
+
+
+def test_after_an_interrupt_the_part_that_was_flown_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def one_part(pool: Any, work: Any, again: Any) -> Any:
+        i, request = work[0]
+        future: Any = Future()
+        future.set_result(request.perform())
+        yield i, request, future
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("vstestbed.studies.batch.completed", one_part)
+    s = ideal(vs.load("ibvs_book", PREDICTIVE))
+    found = basin.basin("predictive", s, Axis("x", -0.5, 0.5, 8), Axis("yaw", 0, 40, 2), check=3, jobs=1, folder=tmp_path)
+    assert found.interrupted and found.checked == 0
+    assert (found.endings == "interrupted").sum() == 14 and (found.endings == "converged").sum() == 2
+    assert found.summary()["shares"] == {"converged": 1.0} and found.summary()["starts"] == 2

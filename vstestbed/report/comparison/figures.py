@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import Array
 from vstestbed.loop.log_file import open_log
 from vstestbed.report.canvas import new_figure, panels, plain, wrapped
-from vstestbed.report.comparison.results import TIME, ComparisonResults, ControllerResults, Pair
+from vstestbed.report.comparison.results import RESTRICTED, TIME, ComparisonResults, ControllerResults, Pair
 from vstestbed.report.comparison.statistics import LEAST, NOTHING, wilson
 from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, LOST, RULE, THRESHOLD, Look, look, signed
 from vstestbed.report.marks import TIME as TIME_LABEL
@@ -51,6 +51,12 @@ class Data:
     def labels(self) -> list[str]:
         """The controllers' labels, as matplotlib takes them."""
         return [plain(c.label) for c in self.comparison.controllers]
+
+    @cached_property
+    def shown(self) -> tuple[Metric, ...]:
+        """The metrics that any run has: a panel without values says nothing."""
+        metrics, controllers = self.comparison.shown, self.comparison.controllers
+        return tuple(m for m in metrics if any(np.isfinite(c.values(m)).any() for c in controllers)) or metrics[:1]
 
     def units(self) -> dict[MeasuredError, list[int]]:
         """The controllers that are measured in the same, by number."""
@@ -206,8 +212,9 @@ def differences(data: Data, width_in: float) -> Figure | None:
         return None  # a single controller, or no two seeds on which both reached the goal
     names = [wrapped(f"{data.labels[p.b]} \N{MINUS SIGN} {data.labels[p.a]}", 30) for p in rows]
     height = 0.22 * sum(name.count("\n") + 1 for name in names) + 0.06 * len(rows) + 1.0
-    grid, figure = metric_panels(data, width_in, height, 5, names)
-    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+    shown = [m for m in data.shown if any(m.name in p.differences and p.differences[m.name].n for p in rows)]
+    grid, figure = metric_panels(shown, width_in, height, 5, names)
+    for axes, metric in zip(grid, shown, strict=True):
         axes.axvline(0, color=INK, linewidth=0.8)
         largest = 0.0
         for row, pair in enumerate(rows):
@@ -250,15 +257,17 @@ def matrix(data: Data, width_in: float) -> Figure | None:
     return figure
 
 
-def metric_panels(data: Data, width_in: float, panel_in: float, columns: int, names: Sequence[str]) -> tuple[list[Any], Figure]:
+def metric_panels(
+    metrics: Sequence[Metric], width_in: float, panel_in: float, columns: int, names: Sequence[str]
+) -> tuple[list[Any], Figure]:
     """One panel per metric in a grid, with the same named rows in each panel, the first on top."""
-    n = len(data.comparison.shown)
+    n = len(metrics)
     columns = min(n, columns)
     figure = new_figure(panel_in * -(-n // columns), width_in)
     grid = panels(figure, n, columns, sharey=True)
     grid[0].set_yticks(range(len(names)), names)
     grid[0].set_ylim(len(names) - 0.4, -0.6)  # reversed: the first row on top
-    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+    for axes, metric in zip(grid, metrics, strict=True):
         axes.set_xlabel(wrapped(metric.label, 18))
         axes.grid(axis="y", visible=False)
         axes.tick_params(axis="y", length=0)
@@ -295,8 +304,8 @@ def distributions(data: Data, width_in: float) -> Figure:
     """One panel per metric, one row per controller; failed runs as red crosses below the row, arrows at the edge if outside the limits."""
     names = [wrapped(label) for label in data.labels]
     height = 0.27 * sum(name.count("\n") + 1 for name in names) + 0.15 * len(names) + 0.95
-    grid, figure = metric_panels(data, width_in, height, 5, names)
-    for axes, metric in zip(grid, data.comparison.shown, strict=False):
+    grid, figure = metric_panels(data.shown, width_in, height, 5, names)
+    for axes, metric in zip(grid, data.shown, strict=True):
         limits = _set_limits(axes, data, metric)
         for i, controller in enumerate(data.comparison.controllers):
             _draw_strip(axes, i, controller, metric, limits, POINTS // len(names))
@@ -398,7 +407,7 @@ def success(data: Data, width_in: float) -> Figure:
 
 def profiles(data: Data, width_in: float) -> Figure | None:
     """Performance profile of each other metric that any run has, one panel each; None without one, or where its values are all equal."""
-    shown = [m for m in data.comparison.shown if m.name != TIME.name and _differs(data, m)]
+    shown = [m for m in data.shown if m.name not in (TIME.name, RESTRICTED.name) and _differs(data, m)]
     if not shown:
         return None
     rows = -(-len(shown) // COLUMNS)
