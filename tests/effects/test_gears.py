@@ -11,7 +11,8 @@ import pytest
 
 from tests.sim.two_mass import ROTOR, arm, frequency, inertia, plant_of, stage_of
 from vstestbed.core.geometry import Array
-from vstestbed.effects.joints import CURVES, Gears, StrainWave
+from vstestbed.effects.base import RobotBody
+from vstestbed.effects.joints import CURVES, ElasticJoints, Gears, StrainWave
 from vstestbed.sim.scene.scene import Scene
 
 K = 2000.0
@@ -75,6 +76,21 @@ def test_its_lost_motion_is_the_play(tmp_path: Path) -> None:
         rests.append(data.qpos[at.qpos[0]])
     stage.close()
     assert rests[0] - rests[1] == pytest.approx(math.radians(play) + 2 * torque / K, rel=1e-4)
+
+
+def test_a_small_load_winds_the_gears_up_to_the_side_that_it_pulls(tmp_path: Path) -> None:
+    """At the start the rotor is ahead of its link by T / k and half the play, also under 0.3 Nm; without a load by neither."""
+    play = math.radians(0.2)
+    for torque, expected in ((0.3, 0.3 / K + play / 2), (-0.3, -0.3 / K - play / 2), (0.0, 0.0)):
+        stage = loose(tmp_path, backlash_deg=(0.2, 0.0))
+        effect = next(e for e in stage.parts.robot.acting if isinstance(e, ElasticJoints))
+        load = np.zeros(stage.model.nv)
+        load[stage.at.qvel[0]] = torque
+        stage.data.qpos[stage.at.motor_qpos] = stage.data.qpos[stage.at.qpos]
+        effect.settle(RobotBody(stage.model, stage.data, stage.at, stage.model.opt.timestep, (), ()), load)
+        assert stage.data.qpos[stage.at.motor_qpos[0]] - stage.data.qpos[stage.at.qpos[0]] == pytest.approx(expected, abs=1e-12)
+        assert load[stage.at.motor_qvel[0]] == torque  # which then is the rotor's
+        stage.close()
 
 
 def test_within_its_play_the_link_is_free(tmp_path: Path) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
+import vstestbed as vs
 from vstestbed.effects.floor import CELLS, UnevenFloor
+from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.scene.scene import Scene
 
 HALF_M = 20.0
 
@@ -59,3 +63,19 @@ def test_a_base_is_tilted_by_the_heights_under_its_wheels() -> None:
     expected = rms_m / (j * cell) * np.sqrt((1 + across) * (1 - along))
     assert np.std(found) == pytest.approx(expected, rel=0.03)
     assert np.degrees(expected) == pytest.approx(0.174, abs=0.004)
+
+
+def test_the_relief_lies_where_its_heights_say() -> None:
+    """Rays straight down find the heights at the grid's corners, the floor's middle in the world's origin."""
+    scenario = vs.load("car_pbvs", {"robot.uneven_floor": {"rms_m": 0.004, "correlation_m": 0.3, "seed": 3}})
+    heights = UnevenFloor(rms_m=0.004, correlation_m=0.3, seed=3).heights(HALF_M)
+    scene = Scene(SceneDescription(scenario.robot, scenario.camera, scenario.target, scenario.world, 0.002))
+    mujoco.mj_forward(scene.model, scene.data)
+    relief = next(i for i in range(scene.model.ngeom) if scene.model.geom_type[i] == mujoco.mjtGeom.mjGEOM_HFIELD)
+    cell, n = 2 * HALF_M / (len(heights) - 1), len(heights)
+    for i, j in ((n // 4, n // 3), (n // 2 + 7, n // 5), (n // 3, 3 * n // 4)):
+        above = np.array([j * cell - HALF_M, i * cell - HALF_M, 0.5])
+        away = mujoco.mj_rayHfield(scene.model, scene.data, relief, above, np.array([0.0, 0, -1]), None)
+        assert above[2] - away == pytest.approx(heights[i, j], abs=2e-4)
+    assert np.ptp(heights) > 0.01
+    scene.close()

@@ -28,6 +28,11 @@ def test_blocks_fill_the_horizon_and_grow(horizon: int, blocks: int) -> None:
     assert (later >= each[:, 0]).all() and later[-1] == each[-1, 0]
 
 
+def test_blocks_halve_what_is_left_of_the_horizon() -> None:
+    """A sixteenth of 20 periods, an eighth of the 19 left, a quarter of 17, half of 13, the rest."""
+    assert np.bincount(blocks_of(20, 5)).tolist() == [1, 2, 4, 6, 7]
+
+
 def test_servos_follow_as_a_fine_simulation_does() -> None:
     plan, before, lag = np.array([[1.0], [-2.0], [0.5], [3.0]]), np.array([0.7]), 0.6
     means, changes = lagged(BLOCKS, plan, before, lag)

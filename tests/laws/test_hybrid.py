@@ -51,6 +51,15 @@ def test_homography_and_model_order_the_same(goal_pose: Array):
     assert twists[0] == pytest.approx(twists[1], abs=1e-6)  # findHomography computes in single precision
 
 
+@pytest.mark.parametrize("source", ["homography", "model"])
+def test_the_change_between_two_views_is_the_motion_between_them(source: str):
+    """e = L xi to second order, with xi the motion of the camera: so that the feedforward finds the target's motion."""
+    goal, law = Goal.from_view(CAMERA, POINTS, TILTED), Hybrid(source=source)  # pyright: ignore[reportArgumentType] - of a parameter
+    moved = np.array([0.01, -0.02, 0.015, 0.03, -0.02, 0.04])
+    e, L = law.change(view(AWAY, goal), view(exp(-moved) @ AWAY, goal), goal)
+    assert np.linalg.solve(L, e) == pytest.approx(moved, abs=2e-3 * np.linalg.norm(moved) + 1e-5)
+
+
 def test_the_image_of_the_targets_origin_goes_straight():
     r = fly(Hybrid(), (0.6, 0.3, -2.0), rpy_deg=(8, -14, 100))
     assert r.outcome is vs.Outcome.converged

@@ -125,6 +125,15 @@ class TestMemory:
         firsts = [law.step(first, seen, goal, np.eye(6))[1].u[0] for _ in range(2)]
         assert firsts == [0.11, 0.12] and law.step(second, seen, goal, np.eye(6))[1].u[0] == 0.11
 
+    def test_it_goes_on_without_a_marker_unless_its_action_is_nothing(self, tmp_path: Path):
+        text = "def act(o): return [0.5] * 6\ndef still(o): return [0] * 6\n"
+        frame, file = first_frame(), written(tmp_path, text)
+        hidden = frame.observation.only(np.array([True, True, True, False]))
+        laws = [Policy(file=f"{file}:{name}") for name in ("act", "still")]
+        moves, rests = (law.step(law.init(frame.goal), hidden, frame.goal, np.eye(6))[1] for law in laws)
+        assert moves.rest_reason == "" and np.linalg.norm(moves.twist) > 0
+        assert rests.rest_reason == "the policy rests while a marker is out of sight"
+
     def test_no_action_is_rest_with_a_reason(self, tmp_path: Path):
         loop = scenario(written(tmp_path, "def act(o): return None\n") + ":act")
         recording = vs.run(loop)

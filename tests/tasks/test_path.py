@@ -58,6 +58,14 @@ class TestTrajectory:
             w = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
             np.testing.assert_allclose(path.twist_at(t), [*v, *w], atol=1e-5)
 
+    def test_a_leg_of_a_turn_takes_the_time_of_the_turn(self):
+        """90 degrees at 15 deg/s at most, 15/8 of the mean: 11.25 s, where a way of 0.2 m at 0.5 m/s takes 0.75 s."""
+        turn = (GoalView(T_camera_target=Pose(xyz=(0, 0, 2))), GoalView(T_camera_target=Pose(xyz=(0.2, 0, 2), rpy_deg=(0, 0, 90))))
+        path = GoalPath(way=turn, speed_mps=0.5, turn_degps=15.0, settle_s=3.0)
+        assert path.end_s == pytest.approx(3.0 + 15 / 8 * 90 / 15)
+        rates = [np.linalg.norm(path.twist_at(t)[3:]) for t in np.arange(3.0, path.end_s, 0.01)]
+        assert max(rates) == pytest.approx(np.radians(15), rel=1e-3)
+
 
 class TestReference:
     def test_the_law_is_told_the_view_of_this_time_with_its_velocity(self):

@@ -59,6 +59,11 @@ class TestSettles:
         if outcome is Outcome.local_minimum:  # a rest that is no end
             assert ended(QUICK, run, rest_after_s=None) == (Outcome.timed_out, 20)
 
+    def test_two_windows_of_pictures_are_needed(self):
+        """At rest from the first picture on: both windows of 6 are full at the twelfth, whatever the least number of pictures."""
+        run = frames([0.5, *[0.01] * 19], [0.0] * 20)
+        assert ended(Settles(window=6, least=4, most=20), run) == (Outcome.converged, 12)
+
     def test_is_judged_at_the_latest_after_most_pictures(self):
         fast = [1.0] * 20
         assert ended(QUICK, frames([0.5] * 20, fast)) == (Outcome.timed_out, 20)
@@ -70,6 +75,8 @@ class TestSettles:
         assert ended(QUICK, run) == (Outcome.timed_out, 20)
         near = Settles(window=3, least=8, most=20, or_position_m=0.03, or_rotation_deg=6.0)
         assert ended(near, run) == (Outcome.converged, 20)
+        # within 6 degrees, but 25 mm are over 20 mm
+        assert ended(replace(near, or_position_m=0.02), run) == (Outcome.timed_out, 20)
 
     def test_diverges_beyond_five_times_the_start(self):
         assert ended(QUICK, frames([0.1, 0.3, 0.5, 0.51])) == (Outcome.diverged, 4)
