@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.effects.wheels import LOW_SPEED, Tyres
+from vstestbed.effects.wheels import LOW_SPEED, TyreForces, Tyres
 
 LOAD, MU, DT = 150.0, 0.8, 0.002
 
@@ -88,3 +88,10 @@ def test_the_rear_may_be_softer() -> None:
 def test_a_patch_too_stiff_for_the_step_is_refused(which: str) -> None:
     with pytest.raises(ParameterError, match=r"relaxation_m.*at least 0\.1 m at a stiffness of 20"):
         Tyres(**{which: 20.0}, relaxation_m=0.05)
+
+
+def test_a_wheel_in_the_air_has_no_force_and_lands_with_a_patch_at_rest() -> None:
+    forces = TyreForces.__new__(TyreForces)  # of no vehicle: what a wheel without load does asks for none
+    forces._deflection = [(1e-3, -1e-3)] * 4
+    assert forces._wheel(2, 0.0, [0.0, 1.0], [0.1] * 6, 1e-3) == (0.0,) * 6
+    assert forces._deflection == [(1e-3, -1e-3)] * 2 + [(0.0, 0.0), (1e-3, -1e-3)]

@@ -34,6 +34,7 @@ def test_noise_has_the_standard_deviation_of_the_formula(z: float):
         Stereo(quantum_px=0): z * z * 0.08 / (F * 0.05),
         StructuredLight(quantum_px=0): 0.0012 + 0.0019 * (z - 0.4) ** 2,
         TimeOfFlight(): 1e-3 * (1.5 - 0.5 * z + 0.3 * z * z),
+        Ideal(sigma_m=0.1): 0.1,
     }
     for sensor, sigma in formulas.items():
         # Over pictures, not within one: the noise is correlated over a window. Towards the corners the angle adds under 1 %.

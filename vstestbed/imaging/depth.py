@@ -118,12 +118,18 @@ class DepthSensor(ABC):
 
 @spec
 class Ideal(DepthSensor):
-    """Without noise. Each of the imperfections can be switched on by itself."""
+    """Without imperfections. Each of them can be switched on by itself.
+
+    Args:
+        sigma_m: standard deviation of the noise, the same at each depth [m].
+    """
 
     kind: Literal["ideal"] = "ideal"
+    sigma_m: Distance = 0.0
 
-    def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> None:
-        """None."""
+    def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
+        """sigma_m everywhere."""
+        return np.full_like(z, self.sigma_m) if self.sigma_m else None
 
 
 @spec
