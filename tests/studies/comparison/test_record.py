@@ -70,7 +70,14 @@ def test_files_that_a_model_and_a_module_need_are_copied_with_their_layout(tmp_p
     with pytest.raises(RunFolderError, match=r"helper\.py has changed since; bring it back.*runs of two versions are never mixed"):
         must_be_unchanged(folder)
     (tmp_path / "helper.py").unlink()
-    (tmp_path / "law.py").unlink()
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    moved = (tmp_path / "law.py").rename(elsewhere / "law.py")
+    must_be_unchanged(folder, [str(moved)])  # it has moved, and is the same: the plan keeps its name, which `--plugin` answers for
+    assert str(tmp_path / "law.py") in (folder / "scenarios" / "s.yaml").read_text()
+    moved.write_text("WEIGHTS = 'others.npy'\n")
+    with pytest.raises(RunFolderError, match=r"elsewhere/law\.py has changed since"):
+        must_be_unchanged(folder, [str(moved)])
     must_be_unchanged(folder)  # they are gone: the plan names the copies now
     assert f"{folder}/files/law_" in (folder / "scenarios" / "s.yaml").read_text()
 

@@ -19,7 +19,16 @@ from vstestbed.report.comparison.baseline import FILE
 from vstestbed.scenario.dump import check_plugins, dump
 from vstestbed.studies.comparison.folder import GROUP, Baseline, ComparisonTable, finish, table_of
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, Variant, Variants, chosen, controllers, read_comparison
-from vstestbed.studies.comparison.record import PLAN, Agreement, agreement, copied_plan, keep, must_be_comparison, must_be_unchanged
+from vstestbed.studies.comparison.record import (
+    PLAN,
+    Agreement,
+    agreement,
+    copied_plan,
+    keep,
+    moved_plugins,
+    must_be_comparison,
+    must_be_unchanged,
+)
 from vstestbed.studies.comparison.runs import OnDone, Runner
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
@@ -155,7 +164,7 @@ def prepared(
     with ExitStack() as stack:
         if resume:
             folder = stack.enter_context(resumed_folder("compare", out, PLAN))
-            must_be_unchanged(folder)
+            must_be_unchanged(folder, plugins)
             comparison, found = _resumed(folder, requested, force, plugins)
         elif requested is None:
             raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
@@ -212,7 +221,7 @@ def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True
 
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
     """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
-    comparison = read_comparison(folder / PLAN, plugins)
+    comparison = read_comparison(folder / PLAN, (*plugins, *moved_plugins(folder, plugins)))
     every = Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed)
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)

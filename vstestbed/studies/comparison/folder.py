@@ -151,7 +151,7 @@ def finish(
         write_task_report(folder, results_of(table, comparison), command_of(comparison), call, paper)
         return
     stage("joining the films")
-    plugins = (*comparison.plugins, *moved_plugins(folder))
+    plugins = (*comparison.plugins, *moved_plugins(folder, comparison.plugins))
     film = call(_film, folder, table, axes)  # first: it takes longest
     stage("writing the report")
     write_comparison_report(folder, results_of(table, comparison), command_of(comparison), film, plugins, call, paper)

@@ -12,7 +12,7 @@ import platform
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,27 +51,29 @@ def keep(place: Path) -> None:
     write_json(place / RECORD, {"environment": environment(), "files": files})
 
 
-def must_be_unchanged(place: Path) -> None:
+def must_be_unchanged(place: Path, plugins: Sequence[str] = ()) -> None:
     """Refuse to go on in a folder whose files are not those of its stored runs; where one is gone, the plan names the copy from now on.
+    plugins: given beside those of the plan, one of which may be a file of the plan in its new place.
     Raises RunFolderError: which files have changed.
     """
+    new = {Path(name).name: Path(name) for name in plugins}
+    now = {copy: new.get(Path(said["from"]).name, Path(said["from"])) for copy, said in _files(place).items()}
     changed = [
-        f"{said['from']} has changed since"
-        for said in _files(place).values()
-        if is_there(Path(said["from"])) and _differs(said, said["from"])
+        f"{now[copy]} has changed since" for copy, said in _files(place).items() if is_there(now[copy]) and _differs(said, now[copy])
     ]
     if changed:
         works = "bring it back (its copy is in files/), or compare the new version in a new folder: runs of two versions are never mixed"
         raise RunFolderError(place, "; ".join(changed), works)
-    gone = {said["from"]: str((place / copy).absolute()) for copy, said in _files(place).items() if not is_there(Path(said["from"]))}
+    gone = {said["from"]: str((place / copy).absolute()) for copy, said in _files(place).items() if not is_there(now[copy])}
     if gone:
         _rewrite(place, place, gone)
 
 
-def moved_plugins(place: Path) -> tuple[str, ...]:
-    """The copies of the plugins of a comparison's folder that are not where they were: its runs name those places."""
+def moved_plugins(place: Path, given: Sequence[str]) -> tuple[str, ...]:
+    """The copies of the plugins of a comparison's folder that are not where they were, which its runs name; without those given."""
+    there = {Path(name).name for name in given}
     gone = (copy for copy, said in _files(place).items() if copy.endswith(".py") and not is_there(Path(said["from"])))
-    return tuple(str((place / copy).absolute()) for copy in gone)
+    return tuple(str((place / copy).absolute()) for copy in gone if Path(copy).name not in there)
 
 
 def copied_plan(place: Path, out: Path) -> None:
