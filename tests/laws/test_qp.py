@@ -184,6 +184,21 @@ def test_a_straight_path_is_straighter() -> None:
     assert straight["straight"] < 1.002 < 1.02 < straight["alone"]
 
 
+def test_the_straight_way_has_no_direction_within_a_millimetre_of_the_goal() -> None:
+    scenario = vs.load("arm_ibvs")
+    q = scenario.robot.start_joints()
+    model = scenario.robot.own_model(vs.Reading(q, 0 * q), vs.Controller(scenario).mount)
+    with vs.Session(replace(scenario, detector=vs.load("arm_ibvs", {"detector": "oracle"}).detector)) as session:
+        frame = session.reset()
+    for aside, rows in ((0.0009, 0), (0.0011, 3)):
+        T = frame.goal.T_camera_target.copy()
+        T[0, 3] += aside
+        A, b = StraightPath().rows(replace(frame.observation, T_camera_target=T), frame.goal, model)
+        assert A.shape == (rows, 6) and not b.any()
+    # across the line to the goal, along x here, no velocity is wanted, and along it any
+    assert np.linalg.matrix_rank(A) == 2 and np.abs(A[0]).max() < 1e-12
+
+
 def test_manipulability_grows_along_its_task() -> None:
     scenario = vs.load("arm_ibvs")
     q = scenario.robot.start_joints()
