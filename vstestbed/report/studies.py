@@ -249,7 +249,7 @@ def _draw_locus(axes: Axes, loci: Sequence[Branches]) -> None:
     from matplotlib import colormaps
 
     for i, (delay, poles, at_limit) in enumerate(loci):
-        color = colormaps["viridis"](0.9 * i / max(len(loci) - 1, 1))  # delays have an order
+        color = colormaps["plasma"](0.9 * i / max(len(loci) - 1, 1))  # delays have an order
         upper = poles.imag >= -1e-9  # the lower half mirrors it; the tolerance keeps real poles
         axes.plot(np.where(upper, poles.real, np.nan), np.where(upper, poles.imag, np.nan), color=color, linewidth=1.0)
         crossing = at_limit[at_limit.imag >= -1e-9]
