@@ -237,8 +237,10 @@ def basin(
     """
     poses = starts(scenario, x, y, at or {})
     began = sum(os.times()[:4])  # of the worker processes, too
-    one_by_one = folder is not None and not has_batch(scenario.law)
-    batch = simulate_in_parts(scenario, poses, jobs, folder) if one_by_one else simulate_batch(scenario, poses)
+    if folder is not None and not has_batch(scenario.law):
+        batch = simulate_in_parts(scenario, poses, jobs, folder)
+    else:
+        batch = simulate_batch(scenario, poses)
     mapped = Basin(label, scenario, x, y, fixed(scenario, x, y, at or {}), batch, sum(os.times()[:4]) - began)
     if not check or mapped.interrupted:
         return mapped
