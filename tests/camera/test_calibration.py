@@ -45,7 +45,7 @@ def test_what_a_lens_does_not_have_is_refused():
     for error, camera, words in (
         ({"focal_error": 0.1}, SphericalCamera(), "no lens errors with camera spherical"),
         ({"ignores_distortion": True}, Catadioptric(), "lenses perspective and fisheye"),
-        ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must lie in the 640 x 480 picture"),
+        ({"principal_error_px": (400.0, 0.0)}, Perspective(), "must be within the 640 x 480 picture"),
     ):
         with pytest.raises(ParameterError, match=words):
             Calibration(**error).believed(camera)

@@ -58,8 +58,8 @@ def test_a_distortion_does_not_fold_far_things_into_the_picture():
 def test_bad_lenses_are_refused_in_one_sentence():
     for values, words in (
         ({"focal_length_m": 0.008}, "pixel_size_m is missing"),
-        ({"focal_length_m": 0.008, "pixel_size_m": 1e-5, "fovy_deg": 60}, "same thing twice"),
-        ({"principal_px": (700, 200)}, "must lie in the 640 x 480 picture"),
+        ({"focal_length_m": 0.008, "pixel_size_m": 1e-5, "fovy_deg": 60}, "excludes focal_length_m"),
+        ({"principal_px": (700, 200)}, "must be within the 640 x 480 picture"),
         ({"distortion": (-0.9, 0, 0, 0, 0)}, "distortion folds the picture over itself"),
         ({"fovy_deg": float("nan")}, "fovy_deg"),
     ):

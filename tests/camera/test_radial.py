@@ -126,7 +126,7 @@ def test_right_and_down_are_where_they_are_in_the_picture(lens):
 @pytest.mark.parametrize("kind", [Fisheye, Catadioptric, SphericalCamera])
 def test_bad_pictures_are_refused(kind):
     assert kind in CAMERAS.members.values()
-    with pytest.raises(ParameterError, match="principal_px must lie in the 640 x 480 picture"):
+    with pytest.raises(ParameterError, match="principal_px must be within the 640 x 480 picture"):
         kind(principal_px=(700, 200))
     with pytest.raises(ParameterError, match="focal_length_px"):
         kind(focal_length_px=0.0)

@@ -145,8 +145,8 @@ def test_words_that_are_not_one() -> None:
         ("camera.readout", "camera.readout is no field of a scenario: camera has no readout; did you mean 'readout_s'?"),
         ("law.ibvs.gane", "law.ibvs.gane is no field of a scenario: law.ibvs has no gane; did you mean 'gain'?"),
         ("camera.optic.defocus", "camera.optic.defocus is no field of a scenario: camera has no optic; did you mean 'optics'?"),
-        ("seed.x", "seed.x is no field of a scenario: seed is no block, and has no fields"),
-        ("camera.readout_s.x", "camera.readout_s.x is no field of a scenario: camera.readout_s is no block"),
+        ("seed.x", "seed.x is no field of a scenario; seed is no block, and has no fields"),
+        ("camera.readout_s.x", "camera.readout_s.x is no field of a scenario; camera.readout_s is no block"),
     ):
         with pytest.raises(ParameterError) as refused:
             looked_up(word, entries())

@@ -114,8 +114,8 @@ def test_the_name_is_everywhere_and_the_file_is_short():
 class TestRefusals:
     def test_each_with_one_sentence(self, command, tmp_path: Path):
         for words, sentence in (
-            (("law", "My Law"), "NAME must be a word in small letters, digits and _, such as my_law, got 'My Law'"),
-            (("law", "class"), "NAME must be a word in small letters"),
+            (("law", "My Law"), "NAME needs the form of a word in small letters, digits and _, such as my_law, got 'My Law'"),
+            (("law", "class"), "NAME needs the form of a word in small letters"),
             (("law", "ibvs"), "NAME is bundled already (law); take another, such as my_ibvs"),
             (("lens", "fisheye"), "NAME is bundled already (lens); take another, such as my_fisheye"),
             (("keypoints", "sift"), "NAME is bundled already (keypoints)"),

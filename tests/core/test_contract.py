@@ -125,7 +125,7 @@ def test_attributes_and_methods_are_told_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"), [(("red", "grean"), "has no valid word 'grean'; did you mean 'green'"), ("red", "must be a tuple of words")]
+    ("words", "sentence"), [(("red", "grean"), "'grean' is no valid word; did you mean 'green'"), ("red", "must be a tuple of words")]
 )
 def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str, ...], sentence: str) -> None:
     @spec
@@ -175,7 +175,7 @@ def test_features_and_detectors_have_contracts() -> None:
     class Seer:
         kind: Literal["seer"] = "seer"
 
-    with pytest.raises(ParameterError, match=r"^Feature\.inputs has no valid word 'depht'; did you mean 'depth'"):
+    with pytest.raises(ParameterError, match=r"^Feature\.inputs: 'depht' is no valid word; did you mean 'depth'"):
         FEATURES.add(Feature)
     with pytest.raises(ParameterError, match=r"^Seer lacks needs_image, .*detect\(state, picture, view, camera, target, rng\)"):
         DETECTORS.add(Seer)

@@ -73,7 +73,7 @@ def test_a_file_in_a_package_that_is_named_as_its_distribution(tmp_path: Path, m
         place_of_file("package:maker-arm-parts/leg.xml")
     assert place_of_file(right) == tmp_path / inside[1]
     for wrong in ("package:/arm.xml", "package:maker.arm_parts"):
-        with pytest.raises(ParameterError, match="must be package:NAME/path"):
+        with pytest.raises(ParameterError, match="needs the form package:NAME/path"):
             place_of_file(wrong)
     with pytest.raises(ParameterError, match=r"not installed; pip install --no-deps no_maker, if that is its name there"):
         place_of_file("package:no_maker/arm.xml")

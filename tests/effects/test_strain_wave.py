@@ -105,7 +105,7 @@ class TestMechanics:
 
 def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     for given, words in (
-        ({"strain_wave": StrainWave(sizes=(21,)), "gears": Gears()}, "must be 0 or of 8, 11, 14, 17, 20, 25, 32, 40"),
+        ({"strain_wave": StrainWave(sizes=(21,)), "gears": Gears()}, "must be one of 0, 8, 11, 14, 17, 20, 25, 32, 40"),
         ({"strain_wave": StrainWave(sizes=(20, 20, 20)), "gears": Gears()}, "must be one value for all joints, or 2"),
         ({"gears": Gears()}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),
         ({"gears": Gears(backlash_deg=(0.1,)), "realism": "lab"}, "gears.stiffness_nmprad is missing; or give the catalogue sizes"),

@@ -364,7 +364,7 @@ class TestMistakes:
     def test_of_the_scenario(self) -> None:
         with pytest.raises(ScenarioError, match="did you mean 'arm_ibvs'"):
             vstestbed.env.make("arm_ibv")
-        with pytest.raises(ParameterError, match="overrides are for a scenario given by name"):
+        with pytest.raises(ParameterError, match="overrides is for a scenario given by name"):
             GymServo(vs.load("arm_ibvs"), overrides={"seed": 1})
 
     def test_without_gymnasium_a_sentence_says_what_to_install(self, monkeypatch: pytest.MonkeyPatch) -> None:

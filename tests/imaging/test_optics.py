@@ -43,7 +43,11 @@ def test_the_depth_of_field_is_the_textbooks(allowed_m: float):
 def test_a_lens_without_a_focal_length_or_an_image_is_refused():
     for given, field, words in (
         ({"optics": Optics(defocus=Defocus(focus_m=0.5, f_number=2))}, "optics.defocus.focal_length_m", "needed"),
-        ({"optics": Optics(defocus=LENS), "focal_length_m": F, "pixel_size_m": PITCH}, "optics.defocus.focal_length_m", "leave it out"),
+        (
+            {"optics": Optics(defocus=LENS), "focal_length_m": F, "pixel_size_m": PITCH},
+            "optics.defocus.focal_length_m",
+            "leave one of the two out",
+        ),
         (
             {"optics": Optics(defocus=Defocus(focus_m=0.01, f_number=2, focal_length_m=F))},
             "optics.defocus.focus_m",

@@ -90,7 +90,7 @@ def test_a_wrong_law_is_refused_when_it_is_registered() -> None:
             r"^Mine\.step must take the arguments of step\(state, observation, goal, basis\)",
         ),
         (lambda: named(step=step, init=lambda self: None), r"^Mine\.init must take the arguments of init\(goal\)"),
-        (lambda: named(step=step, inputs=("xy", "depht")), r"^Mine\.inputs has no valid word 'depht'; did you mean 'depth'"),
+        (lambda: named(step=step, inputs=("xy", "depht")), r"^Mine\.inputs: 'depht' is no valid word; did you mean 'depth'"),
     ):
         with pytest.raises(ParameterError, match=sentence):
             LAWS.add(make())

@@ -241,7 +241,7 @@ def test_rests_without_a_picture_and_before_a_wall(texture: np.ndarray) -> None:
         assert isinstance(command, Command)
         assert command.rest_reason == why
         assert not command.twist.any()
-    with pytest.raises(ParameterError, match="has no picture"):
+    with pytest.raises(ParameterError, match=r"goal\.image is missing"):
         law.step(law.init(goal), looked(goal.image), replace(goal, image=None), np.eye(6))
 
 

@@ -158,7 +158,7 @@ class TestMistakes:
     def test_of_shape(self, tmp_path: Path, given: str, found: str):
         recording = vs.run(scenario(written(tmp_path, f"def act(o): return {given}\n") + ":act"))
         assert recording.outcome is vs.Outcome.law_failed
-        assert re.search(rf"mine.py:act: an action must be 6 numbers for this robot's motions, got {found}", recording.reason)
+        assert re.search(rf"act of mine.py:act must return 6 numbers for this robot's motions, got '{found}'", recording.reason)
 
     def test_of_a_class_that_cannot_be_made(self, tmp_path: Path):
         mine = written(tmp_path, "class P:\n    def __init__(self):\n        self.x = 1 / 0\n")
@@ -171,7 +171,7 @@ class TestMistakes:
 
     def test_of_the_file_stand_at_its_place_in_the_scenario(self, tmp_path: Path):
         for file, words in (
-            ("mine.py", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx, got 'mine.py'"),
+            ("mine.py", "needs the form FILE.py:NAME, such as my.py:act, or FILE.onnx, got 'mine.py'"),
             ("gone.py:act", "gone.py is not there; give the place of gone.py"),
             ("mine.py:drive", "mine.py has no function or class 'drive'"),
             ("bad.py:act", "bad.py:2 cannot be imported (ZeroDivisionError: division by zero)"),
@@ -267,7 +267,7 @@ class TestOnnx:
     def test_no_network_at_all(self, tmp_path: Path):
         pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
         (tmp_path / "net.onnx").write_bytes(b"no network")
-        with pytest.raises(ParameterError, match=r"net.onnx is no ONNX network"):
+        with pytest.raises(ParameterError, match=r"cannot be read .*works: an ONNX network"):
             Policy(file=str(tmp_path / "net.onnx"))
 
     def test_without_its_runtime_the_extra_is_named(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

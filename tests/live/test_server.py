@@ -338,7 +338,7 @@ class TestGizmos:
         thread = threading.Thread(target=app.serve)
         thread.start()
         app.ask(lambda: app.gizmo("target", True))
-        until(lambda: "is carried, and goes where its carrier goes" in app.said)
+        until(lambda: "it goes where its carrier goes" in app.said)
         assert app.run.by_hand == ()
         app.stop()
         thread.join(10)

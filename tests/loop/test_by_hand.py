@@ -124,7 +124,7 @@ class TestTheTarget:
 
     @pytest.mark.parametrize("name", ["arm_eye_to_hand", "car_pursuit"])
     def test_is_not_moved_where_it_is_carried(self, name: str):
-        with started(name, 0) as session, pytest.raises(ParameterError, match="is carried"):
+        with started(name, 0) as session, pytest.raises(ParameterError, match="it goes where its carrier goes"):
             session.move_target(np.eye(4))
 
 
@@ -188,7 +188,7 @@ def test_what_is_no_pose_and_no_twist_is_refused():
     session = started("ibvs_book", detector="oracle")
     with pytest.raises(ParameterError, match=r"T_world_target is a place in the plane \(SE2\)"):
         session.move_target(SE2(1, 2, 3))
-    with pytest.raises(ParameterError, match="T_world_plate must be one pose, and this SE3 holds 2"):
+    with pytest.raises(ParameterError, match=r"T_world_plate must be one pose: .*, got 2"):
         session.hold_plate(SE3.Rx([0.1, 0.2]))
     with pytest.raises(ParameterError, match=r"command must be a twist \(Twist3\) or numbers, got an SE3"):
         session.step(SE3())

@@ -94,5 +94,5 @@ def test_a_controller_is_given_the_depth_of_a_real_camera():
     cycle = Controller(scenario).step(frame.image, 0.0, reading, depth=z)
     np.testing.assert_array_equal(cycle.observation.depth, frame.observation.depth)
     for wrong in (None, z[:100], (1000 * z).astype(np.uint16)):
-        with pytest.raises(vs.errors.ParameterError, match=r"depth must be \(240, 320\) of floats, in metres"):
+        with pytest.raises(vs.errors.ParameterError, match=r"depth must be \(240, 320\) floats, in metres"):
             Controller(scenario).step(frame.image, 0.0, reading, depth=wrong)

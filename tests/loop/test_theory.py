@@ -72,7 +72,7 @@ def test_branches_are_followed():
 
 
 def test_a_servo_that_goes_backwards_is_refused():
-    with pytest.raises(ParameterError, match="more than 0"):
+    with pytest.raises(ParameterError, match="must be > 0 in sum"):
         gain_limit(1, (0.5, -0.7))
 
 

@@ -63,7 +63,7 @@ class TestEyeToHand:
         assert max(np.abs(r[f"u_{i}"] - r[f"u_true_{i}"]).max() for i in range(4)) < 0.5
 
     def test_only_a_hand_can_hold(self):
-        with pytest.raises(ScenarioError, match="held is for an arm's hand"):
+        with pytest.raises(ScenarioError, match="may not be held with robot"):
             vs.load("arm_eye_to_hand", {"robot": {"kind": "free", "start": {"nominal": {"xyz": [0.5, 0, 0.7]}}}})
 
     @pytest.mark.study

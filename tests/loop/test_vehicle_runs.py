@@ -194,7 +194,7 @@ class TestRefusals:
             ("omni_ibvs", {"law.depth": "pnp"}, "law.depth: may not be pnp: all markers lie on one line"),
             ("arm_ibvs", {"law.depth": "floor"}, "law.depth: may be floor only for a vehicle, and robot puma560 is none"),
             ("omni_ibvs", {"robot.wheels": "planar", "world.floor_friction": 0.05}, "is not felt by wheels: planar, which never slip"),
-            ("car_pursuit", {"law.depth": "goal"}, "may not be goal with law pursuit, which needs the pose itself; use floor or pnp"),
+            ("car_pursuit", {"law.depth": "goal"}, "may not be goal with law pursuit, which needs the pose itself; works: floor or pnp"),
             ("car_pbvs", {"stop.converged": {"error_px": 0.3}}, "stop.converged: must have position_m or rotation_deg"),
             ("omni_ibvs", {"goal": {}}, "goal: needs one of the fields T_camera_target, view_from, views, pose, gap_m"),
             ("car_pbvs", {"robot.start.nominal.heading": 3}, "did you mean 'heading_deg'?"),

@@ -389,7 +389,7 @@ class TestDoctor:
         (tmp_path / "room.xml").write_text(f"<mujoco><worldbody><geom type='box' size='1 1 .1'/>\n{door}</worldbody></mujoco>")
         told = command("doctor", str(tmp_path / "room.xml"))
         assert told.code == 2 and "1 joint, 0 actuators, 0 sites, 2 geoms" in told.out
-        assert "missing  as an arm    door: flange must have 2 to 7 joints before it, and door has 1" in told.out
+        assert "missing  as an arm    door: flange must be after 2 to 7 joints, and door is after 1" in told.out
         assert "missing  as scenery   has the joint hinge (line 2), and scenery stands still" in told.out and "-> remove it" in told.out
 
     def test_files_that_are_no_arms(self, command: Any, tmp_path: Path) -> None:

@@ -47,9 +47,9 @@ def test_what_does_not_fit_is_refused() -> None:
         ({"gears": {"stiffness_nmprad": [1e4, 1e4]}}, "must be one value for all joints, or 6"),
         ({"gears": {**SOFT, "backlash_deg": [0, 0, 0, 0.1, 0, 0]}}, "must be 0 for a rigid joint"),
         ({"gears": {"stiffness_nmprad": [0, 0, 0, 0, 0, 30000]}}, r"at most \d+ for joint_6: it vibrates at \d+ Hz"),
-        ({"realism": "lab", "actuation": "ideal"}, "must be none with `actuation: ideal`"),
+        ({"realism": "lab", "actuation": "ideal"}, "must be none with actuation: ideal"),
         ({"drives": {}, "actuation": "ideal"}, "is for actuators with limits"),
-        ({"geometry_error": {"offsets": [{}]}}, "must be 6, one for each link"),
+        ({"geometry_error": {"offsets": [{}]}}, "must be 6 items, one for each link"),
         ({"encoders": {"counts": [10, 10]}}, "must be one value for all joints"),
     ):
         with pytest.raises(ScenarioError, match=words):

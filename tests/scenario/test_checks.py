@@ -27,7 +27,7 @@ def test_what_only_some_robots_feel_do_or_hold():
         (
             "arm_ibvs",
             {"world.wind.mean_mps": [1, 0, 0]},
-            "world.wind: acts only on a craft that flies (robot quadrotor), not on robot p",
+            "world.wind: is for a craft that flies (robot quadrotor), got 'p",
         ),
         ("quadrotor_land", {"level_trim_s": 5}, "level_trim_s: corrects the tilt for a derotation by a target that stands still"),
         ("quadrotor_hover", {"target.motion": {"kind": "line", "velocity_mps": [0.1, 0, 0]}}, "level_trim_s: corrects the tilt"),
@@ -35,7 +35,7 @@ def test_what_only_some_robots_feel_do_or_hold():
         (
             "quadrotor_hover",
             {"target.motion": "held", "level_trim_s": 0},
-            "target.motion: held is for an arm's hand; robot quadrotor has none",
+            "target.motion: may not be held with robot quadrotor",
         ),
     ):
         refused(name, settings, words)

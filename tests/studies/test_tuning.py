@@ -125,8 +125,8 @@ def test_a_failure_outweighs_any_number(higher: bool) -> None:
 
 def test_what_is_no_range() -> None:
     for given, words in (
-        ("2:1", "must have its low end first"),
-        ("1:1", "must have its low end first"),
+        ("2:1", "needs the form LOW:HIGH with LOW < HIGH"),
+        ("1:1", "needs the form LOW:HIGH with LOW < HIGH"),
         ("0:1:log", "must begin above 0"),
         ("1:2:lin", "is no range of numbers; it needs a.b=LOW:HIGH, a.b=LOW:HIGH:log, or a.b=v1,v2"),
         ("a:b", "is no range of numbers"),
@@ -155,14 +155,14 @@ def test_ranges_are_read_as_they_are_written() -> None:
 BAD = [
     ([], "SCENARIO is missing: name the scenario"),
     (["quick.yaml"], "--vary is missing: it names what is tuned"),
-    (["quick.yaml", "--vary", "law.gain=2:.2"], "--vary law.gain: must have its low end first, and below the high one, got '2:.2'"),
+    (["quick.yaml", "--vary", "law.gain=2:.2"], "--vary law.gain: needs the form LOW:HIGH with LOW < HIGH, got '2:.2'"),
     (["quick.yaml", "--vary", "law.gain=-1:2"], "--vary: law.gain: must be > 0, got -1"),
     (["quick.yaml", "--vary", "law.gian=1:2"], "--vary: law.gian: is an unknown field; did you mean 'gain'?"),
     (["quick.yaml", "--vary", "law.feature=1:2"], "--vary: law.feature"),
     (["quick.yaml", "--vary", "law.interaction=current,wrong"], "--vary: law.interaction: "),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "speed"], "--metric must be a figure of summary.json: sim_time_s, "),
+    (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "speed"], "--metric must be one of sim_time_s, "),
     (["quick.yaml", "--vary", "law.gain=1:2", "--metric", "iae_px_s"], "which the scenario does not have; --set metrics=[error_integrals]"),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--set", "law.gain=1"], "axes.law.gain is also in `set`"),
+    (["quick.yaml", "--vary", "law.gain=1:2", "--set", "law.gain=1"], "axes.law.gain excludes the same field in `set`"),
     (["ibvs_retreat", "--vary", "law.gain=1:2", "--seeds", "3"], "robot.start.random is missing"),
     (["arm_laws", "--vary", "law.gian=1:2"], "--vary fits none of the laws: "),
     (["quick.yaml", "--resume", "--out", "x"], "--resume goes on with what the folder searches"),
@@ -256,5 +256,5 @@ def test_each_law_of_a_comparison_is_tuned_and_compared_from_starts_that_no_sear
 
 
 def test_no_comparison_can_have_the_seeds_of_a_search() -> None:
-    with pytest.raises(ParameterError, match=r"seeds must be at most 5 .*searches"):
+    with pytest.raises(ParameterError, match=r"seeds must be at most 5: .*searches"):
         Comparison(base=("quick",), first_seed=1_999_999_995, seeds=6)

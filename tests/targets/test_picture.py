@@ -48,7 +48,7 @@ def test_or_points_in_pixels_of_the_file(plain: str):
     target = picture(file=plain, width=0.6, at_px=((-0.5, -0.5), (29.5, 14.5), (59.5, 29.5)), draw_markers=False)
     np.testing.assert_allclose(target.points, [[-0.3, -0.15, 0], [0, 0, 0], [0.3, 0.15, 0]], atol=1e-12)
     assert target.board_half_m == pytest.approx((0.3, 0.15)) and not target.draw_markers
-    with pytest.raises(ParameterError, match=r"at_px.1 must be in the picture, which has 60 x 30 px, got \[60.0, 0.0\]"):
+    with pytest.raises(ParameterError, match=r"at_px.1 must be within the picture, which has 60 x 30 px, got \[60.0, 0.0\]"):
         picture(file=plain, width=0.6, at_px=((0, 0), (60, 0)))
 
 
@@ -84,8 +84,8 @@ def test_a_large_one_is_reduced(tmp_path: Path):
 def test_what_is_no_picture_is_told(tmp_path: Path):
     for name, content, words in (
         ("gone.png", None, "is not there"),
-        ("note.png", b"no picture at all", r"cannot be read as a picture \(it is damaged, or another kind of file\); works: a PNG or JPEG"),
-        ("empty.png", b"", "cannot be read as a picture"),
+        ("note.png", b"no picture at all", r"cannot be read \(it is damaged, or another kind of file\); works: a PNG or JPEG"),
+        ("empty.png", b"", "cannot be read"),
         ("page.pdf", b"%PDF", "must be a picture, FILE.png or FILE.jpg"),
     ):
         if content is not None:
@@ -96,7 +96,7 @@ def test_what_is_no_picture_is_told(tmp_path: Path):
 
 def test_a_picture_cut_short_is_told_or_read(tmp_path: Path, plain: str):
     (tmp_path / "cut.png").write_bytes(Path(plain).read_bytes()[:60])
-    with pytest.raises(ParameterError, match="cannot be read as a picture"):
+    with pytest.raises(ParameterError, match="cannot be read"):
         picture(file=str(tmp_path / "cut.png"), width=0.4)
 
 

@@ -154,7 +154,7 @@ def test_what_does_not_go_together_is_refused():
             {"law.depth": "pnp"},
             "law.depth: may not be pnp: the outline of a ball does not tell how it is turned, and so has no pose; use",
         ),
-        ("arm_ibvs", {"law.depth": "size"}, "law.depth: may be size only with target ball"),
+        ("arm_ibvs", {"law.depth": "size"}, "law.depth: may not be size without target ball"),
         (
             "arm_ball",
             {"law.feature": "point", "law.redundant": False},
@@ -177,8 +177,8 @@ def test_what_does_not_go_together_is_refused():
         ("arm_ball", {"detector": {"kind": "blobs"}}, "with outline use detector .*region"),
         ("arm_ibvs", {"detector": {"kind": "region"}}, "detector region sees outline; with disc use detector blobs or oracle$"),
         ("arm_region", {"goal.markers": [0, 1, 2, 3]}, "goal.markers: must be left out: the points of an outline count together"),
-        ("arm_region", {"target.names": ["tail"]}, "target.names: are for markers; the points of an outline have none"),
-        ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: has no place behind a ball"),
+        ("arm_region", {"target.names": ["tail"]}, "target.names: is for markers; the points of an outline have none"),
+        ("arm_ball", {"target.pad": {"side": 0.5}}, "target.pad: is for target square or points"),
         ("arm_ball", {"goal.T_camera_target.xyz": [0, 0, 0.15]}, "outside the 640 x 480 picture"),
     ):
         with pytest.raises(ScenarioError, match=words):

@@ -97,5 +97,5 @@ def test_a_piece_is_straight_or_a_bend(wrong):
 
 
 def test_a_circle_needs_a_radius():
-    with pytest.raises(ParameterError, match=r"radius_m must be 0\.1 m or more"):
+    with pytest.raises(ParameterError, match=r"radius_m must be at least 0\.1 m"):
         CircularRoute(radius_m=0.01)

@@ -31,9 +31,7 @@ def test_they_are_small():
 def test_a_picture_may_be_one_by_its_name():
     target = PictureTarget(pose=Pose(), file="texture:poster", width=0.8)
     assert target.height == pytest.approx(0.6) and target.source.name == "poster.jpg"
-    with pytest.raises(
-        ParameterError, match=r"file names no bundled texture; there are texture:brick, .* texture:text, got 'texture:postr'"
-    ):
+    with pytest.raises(ParameterError, match=r"file is no bundled texture; there are texture:brick, .* texture:text, got 'texture:postr'"):
         PictureTarget(pose=Pose(), file="texture:postr", width=0.8)
 
 

@@ -83,7 +83,7 @@ def test_a_name_that_is_taken_is_refused(own_kinds):
 
 
 @pytest.mark.parametrize(
-    ("found", "words"), [({"three": "3"}, "three must be a number or None"), ({"tree": 3}, "must give three"), (3, "three")]
+    ("found", "words"), [({"three": "3"}, "figures must return three as a number or None"), ({"tree": 3}, "must give three"), (3, "three")]
 )
 def test_figures_that_are_none_are_said(own_kinds, found, words):
     @METRICS.add

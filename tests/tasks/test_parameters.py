@@ -58,8 +58,8 @@ class TestMarkersThatCount:
     def test_refused(self):
         for markers, words in (
             ([0, 1, 4], "must be numbers of markers, 0 to 3"),
-            ([0, 1], "must name 3 markers or more for law ibvs"),
-            ([0, 0, 1], "must name 3 markers or more for law ibvs"),
+            ([0, 1], "must be 3 or more markers for law ibvs"),
+            ([0, 0, 1], "must be 3 or more markers for law ibvs"),
             ([-1, 0, 1], "goal.markers"),
             ([], "goal.markers"),
         ):
@@ -109,7 +109,11 @@ class TestWhatATaskRefuses:
             ("car_pbvs", {"stop.converged.position_m": 0.02}, r"must be under stop\.converged\.position_m = 0\.02 m"),
             ("omni_ibvs", {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}}, "is for a craft that flies"),
             ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
-            ("arm_ibvs", {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}}, "of kind views is for a vehicle"),
+            (
+                "arm_ibvs",
+                {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}},
+                "goal: may not be views with robot puma560",
+            ),
         ):
             with pytest.raises(ScenarioError, match=words):
                 vs.load(name, settings)

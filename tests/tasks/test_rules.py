@@ -93,7 +93,7 @@ class TestSettles:
         assert ended(Settles(stuck=6, least=3, most=20), run, rest_after_s=None) == (Outcome.timed_out, 20)
 
     def test_what_is_refused(self):
-        with pytest.raises(ParameterError, match="goes with or_rotation_deg"):
+        with pytest.raises(ParameterError, match="or_rotation_deg is missing"):
             Settles(or_position_m=0.01)
         with pytest.raises(ParameterError, match="least must be at most most = "):
             Settles(least=100, most=50)

@@ -139,7 +139,7 @@ def test_what_cannot_work_is_refused_with_a_sentence():
         Keypoints(features=Orb(), within="board").begin(replace(the_goal(), T_camera_target=far), CAMERA, TARGET)
     with pytest.raises(ParameterError, match="compares with the picture taken at the goal"):
         Keypoints().begin(replace(the_goal(), image=None), CAMERA, TARGET)
-    with pytest.raises(ParameterError, match="may not be board with target mesh, which has none; use picture"):
+    with pytest.raises(ParameterError, match="may not be board with target mesh, which has none; works: picture"):
         Keypoints(within="board").begin(the_goal(), CAMERA, vs.load("arm_mesh").target)
     with pytest.raises(ParameterError, match="at most best = 24"):
         Keypoints(least=30)

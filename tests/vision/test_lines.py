@@ -122,5 +122,5 @@ def test_only_the_strips_are_looked_at():
 def test_refuses_a_floor_that_it_does_not_see():
     up = Perspective(mount=Pose(xyz=(0, 0, 0.3)))
     frame = Picture(0.0, (np.zeros((480, 640, 3), np.uint8),))
-    with pytest.raises(ParameterError, match="where the camera sees the floor"):
+    with pytest.raises(ParameterError, match="within the floor that the camera sees"):
         Lines().detect(Lines().init(), frame, None, up, GroundLines(route=WAY), RNG)

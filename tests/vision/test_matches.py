@@ -150,9 +150,9 @@ class Given:
 
 def test_wrong_output_of_a_plugin_is_refused_with_a_sentence():
     for given, words in (
-        (np.zeros((3, 2)), r"must give \(uv, descriptors\), from extract of .*, got 'ndarray'"),
-        ((np.zeros((3, 3)), np.zeros((3, 8))), r"uv of shape \(M, 2\), pixels, from extract of .*, got \(3, 3\)"),
-        ((np.zeros((3, 2)), np.zeros((4, 8))), r"descriptors of shape \(3, D\), a row for each point, from .*, got \(4, 8\)"),
+        (np.zeros((3, 2)), r"extract of .* must return \(uv, descriptors\), got 'ndarray'"),
+        ((np.zeros((3, 3)), np.zeros((3, 8))), r"uv of shape \(M, 2\), pixels, got \(3, 3\)"),
+        ((np.zeros((3, 2)), np.zeros((4, 8))), r"descriptors of shape \(3, D\), a row for each point, got \(4, 8\)"),
         ((np.full((3, 2), np.nan), np.zeros((3, 8))), "uv that are finite; leave out points that were not found"),
         ((np.zeros((3, 2)), np.full((3, 8), np.inf)), "descriptors that are finite"),
     ):

@@ -35,7 +35,7 @@ class TestErasing:
         assert np.mean(changed) == pytest.approx(0.3, abs=0.05)
 
     def test_a_range_upside_down_is_refused(self):
-        with pytest.raises(ParameterError, match="smallest and the largest value, in this order"):
+        with pytest.raises(ParameterError, match=r"needs the form .smallest, largest"):
             Erasing(area=(0.4, 0.02))
 
 

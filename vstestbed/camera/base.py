@@ -129,12 +129,13 @@ class Camera(ABC):
     def __post_init__(self) -> None:
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
             most = MOST_SAMPLES // (self.width * self.height)
-            words = f"must be at most {most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
-            raise ParameterError("multisampling", words, self.multisampling)
+            words = f"{most} for a {self.width} x {self.height} picture, whose samples would not fit into the memory"
+            raise ParameterError.bound("multisampling", "at most", words, self.multisampling)
         if self.principal_px is not None and not self.inside(np.array(self.principal_px)):
-            raise ParameterError("principal_px", f"must lie in the {self.width} x {self.height} picture", self.principal_px)
+            raise ParameterError.bound("principal_px", "within", f"the {self.width} x {self.height} picture", self.principal_px)
         if self.depth_sensor is not None and not self.with_depth:
-            raise ParameterError("depth_sensor", "is for camera perspective, with distortion or without: depth cameras have no wide lenses")
+            words = "camera perspective, with distortion or without: depth cameras have no wide lenses"
+            raise ParameterError.only_for("depth_sensor", words)
         if not self.imaged:
             return
         if len(self.panels) > 1:

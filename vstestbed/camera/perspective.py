@@ -55,9 +55,9 @@ class Perspective(Camera):
         super().__post_init__()
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
-            raise ParameterError(missing, "is missing: a lens is given by focal_length_m and pixel_size_m together")
+            raise ParameterError.missing(missing, "a lens is given by focal_length_m and pixel_size_m together")
         if self.focal_length_m is not None and self.fovy_deg is not None:
-            raise ParameterError("fovy_deg", "and focal_length_m say the same thing twice; give one of them")
+            raise ParameterError.conflict("fovy_deg", "focal_length_m")
         if self.focal_length_m is None and self.fovy_deg is None:
             object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run states it
         if self.distortion is None:
@@ -73,8 +73,8 @@ class Perspective(Camera):
         # The pinhole picture from which the distorted one is resampled covers the undistorted border.
         side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
         if side > most:
-            words = f"needs a rendered picture of {side:.4g} px, and {most} are the most; use smaller coefficients or a smaller picture"
-            raise ParameterError("distortion", words, self.distortion)
+            words = f"a rendered picture of {side:.4g} px, and {most} are the most"
+            raise ParameterError.needs("distortion", words, self.distortion, works="smaller coefficients or a smaller picture")
 
     @property
     def resampled(self) -> bool:

@@ -78,7 +78,7 @@ class Radial(Camera):
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
         if ignores_distortion:
-            raise ParameterError("calibration.ignores_distortion", "is for the lenses perspective and fisheye, which have one")
+            raise ParameterError.only_for("calibration.ignores_distortion", "the lenses perspective and fisheye, which have one")
         return replace(self, focal_length_px=self.f * (1 + focal_error), principal_px=principal_px)
 
     def project(self, p_camera: Array) -> Array:
@@ -203,7 +203,7 @@ class Catadioptric(Radial):
         super().__post_init__()
         end = 2 * math.degrees(math.acos(-self.xi if self.xi <= 1 else -1 / self.xi))
         if self.fov_deg >= end:
-            raise ParameterError("fov_deg", f"must be below {end:.4g} with xi = {self.xi:g}", self.fov_deg)
+            raise ParameterError.bound("fov_deg", "below", f"{end:.4g} with xi = {self.xi:g}", self.fov_deg)
         if self.blind_deg >= self.fov_deg / 2:
             words = f"hides the whole field of view; it must be below fov_deg / 2 = {self.fov_deg / 2:g}"
             raise ParameterError("blind_deg", words, self.blind_deg)

@@ -128,7 +128,7 @@ def render(
     if size is not None:
         width, _, height = size.lower().partition("x")
         if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 7680 and 16 <= int(height) <= 4320):
-            raise ParameterError("--size", "must be WIDTHxHEIGHT in pixels, such as 1280x720", size)
+            raise ParameterError.form("--size", "WIDTHxHEIGHT in pixels, such as 1280x720", size)
         size_px = int(width), int(height)
     if out is not None and out.suffix.lower() != ending:
         raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))

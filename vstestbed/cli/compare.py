@@ -59,7 +59,7 @@ def compare(
         return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
-        raise ParameterError(option, "needs the earlier results: --baseline OLD, a comparison's folder")
+        raise ParameterError.needs(option, "the earlier results", why="--baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
     ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields)
@@ -117,10 +117,10 @@ def vary_of(options: list[str] | None) -> dict[str, tuple[object, ...]]:
     for option in options or []:
         path, equals, text = option.partition("=")
         if not equals or not text.strip() or not all(part.strip() for part in path.split(".")):
-            raise ParameterError("--vary", "needs the form a.b=v1,v2", option)
+            raise ParameterError.form("--vary", "a.b=v1,v2", option)
         pairs.append((path.strip(), text))
     if len({path for path, _ in pairs}) < len(pairs):
-        raise ParameterError("--vary", "names a field twice; put all its values after one =", options)
+        raise ParameterError.twice("--vary", "a field", options)
     # in brackets it is a YAML list, whose reader knows which commas are inside nested brackets
     values = {path: read_value(f"[{text}]") for path, text in pairs}
     return {path: tuple(found) if isinstance(found, list) else (found,) for path, found in values.items()}

@@ -57,7 +57,7 @@ def describe_record(word: str, console: Console) -> None:
         found = [text_of(word[4:])] if word != "log" else column_texts()
         if None in found:
             names = [name for text in column_texts() for name in text.shown.split(", ")]
-            raise ParameterError(word, f"is no column of a log; {nearest(word[4:], names)}")
+            raise ParameterError.unknown(word, "column of a log", nearest(word[4:], names))
         table = _table("column", "unit", "of", "what it is")
         for text in filter(None, found):
             table.add_row(Text(text.shown, style="cyan"), Text(text.unit), Text(text.whose), Text(f"{text.words}."))

@@ -45,7 +45,7 @@ def export(
 ) -> None:
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
     if start is not None and to != "mcap":
-        raise ParameterError("--start", "is for --to mcap; the times of other formats begin at 0")
+        raise ParameterError.only_for("--start", "--to mcap; the times of other formats begin at 0")
     from rich.progress import Progress, TimeRemainingColumn
 
     from vstestbed.cli.progress import ProgressBar, show_notes

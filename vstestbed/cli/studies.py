@@ -95,9 +95,9 @@ def basin(
         try:
             number = float(value)
         except ValueError:
-            raise ParameterError("--at", "needs the form NAME=VALUE, such as z=-1", text) from None
+            raise ParameterError.form("--at", "NAME=VALUE, such as z=-1", text) from None
         if name.strip() in rest:
-            raise ParameterError("--at", "must give each coordinate once", name.strip())
+            raise ParameterError.twice("--at", name.strip())
         rest[name.strip()] = number
     comparison = chosen(scenarios, settings_of(set_), vary_of(vary), plugin or [])
     must_be_few_starts(comparison, n, force)
@@ -125,7 +125,7 @@ def _axis(option: str, text: str, n: int) -> Axis:
     except ParameterError as error:
         raise ParameterError(option, f"{error.field} {error.problem}" if error.field != "axis" else error.problem, error.found) from None
     except ValueError:
-        raise ParameterError(option, "needs the form NAME=LOW:HIGH, such as yaw=-180:180", text) from None
+        raise ParameterError.form(option, "NAME=LOW:HIGH, such as yaw=-180:180", text) from None
 
 
 def _summary_text(mapped: Basin) -> str:
@@ -204,7 +204,7 @@ def gain_limit(
     try:
         delays = sorted({int(part) for part in frames.split(",")})  # in order, and no delay twice
     except ValueError:
-        raise ParameterError("--frames", "needs whole numbers between commas, such as 0,1,2", frames) from None
+        raise ParameterError.form("--frames", "N,N,..., such as 0,1,2", frames) from None
     limits: list[Limit] = []
     total = len(delays_of(chosen, delays))
 

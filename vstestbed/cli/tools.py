@@ -73,7 +73,7 @@ def settings_of(settings: list[str] | None) -> dict[str, object]:
         key, equals, value = setting.partition("=")
         # an empty value is allowed: YAML reads it as null
         if not equals or not all(part.strip() for part in key.split(".")):
-            raise ParameterError("--set", "needs the form a.b=value", setting)
+            raise ParameterError.form("--set", "a.b=value", setting)
         overrides[key.strip()] = read_value(value)
     return overrides
 
@@ -203,7 +203,7 @@ def new(
     """Write a commented file for a kind of one's own, with its test; it runs as it is."""
     path = out or Path(f"{name}.py")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
-        raise ParameterError("NAME", f"must be a word in small letters, digits and _, such as my_{kind}", name)
+        raise ParameterError.form("NAME", f"of a word in small letters, digits and _, such as my_{kind}", name)
     from vstestbed.scenario.plugins import registry  # after the cheap check: it imports much of the package
 
     if name in registry(REGISTRY_OF.get(kind, f"{kind}s")).members:
@@ -264,7 +264,7 @@ def live(
     app: PlaybackApp | LiveApp
     if (folder / "scenario.yaml").is_file():
         if set_ or seed is not None:
-            raise ParameterError("--set" if set_ else "--seed", "is for a scenario; what a folder holds has run already")
+            raise ParameterError.only_for("--set" if set_ else "--seed", "a scenario; what a folder holds has run already")
         from vstestbed.live import playback
 
         app = playback.PlaybackApp(folder, port, plugin or [])

@@ -42,22 +42,32 @@ class ParameterError(VstestbedError, ValueError):
         got = "" if found is None else f", got {found!r}"
         super().__init__(f"{field} {problem}{got}".rstrip())
 
-    # The sentences that many rooms need, each once. works: what would be accepted instead.
+    # The sentences that many rooms need, each once. found: what was given. why: the reason. works: what would be accepted.
 
     @classmethod
-    def missing(cls, field: object, needed_by: str, works: str = "") -> Self:
+    def missing(cls, field: object, why: str, found: object = None) -> Self:
         """A value is not there, and something needs it."""
-        return cls(field, f"is missing: {needed_by} needs it{_works(works)}")
+        return cls(field, f"is missing: {why}", found)
 
     @classmethod
-    def only_for(cls, field: object, what: str, found: object = None, works: str = "") -> Self:
-        """A value is given where nothing can use it."""
-        return cls(field, f"is only for {what}{_works(works)}", found)
+    def needs(cls, field: object, what: str, found: object = None, why: str = "", works: str = "") -> Self:
+        """A value works only together with something that is not there."""
+        return cls(field, f"needs {what}{_why(why)}{_works(works)}", found)
 
     @classmethod
-    def conflict(cls, field: object, other: str, found: object = None) -> Self:
-        """Two values are given that exclude each other, or say the same."""
-        return cls(field, f"and {other} exclude each other; leave one of them out", found)
+    def only_for(cls, field: object, what: str, found: object = None) -> Self:
+        """A value is given where nothing uses it."""
+        return cls(field, f"is for {what}", found)
+
+    @classmethod
+    def excluded(cls, field: object, what: str, found: object = None, why: str = "", works: str = "") -> Self:
+        """A value that is valid elsewhere cannot work here. what: the value, and beside what it cannot be."""
+        return cls(field, f"may not be {what}{_why(why)}{_works(works)}", found)
+
+    @classmethod
+    def fixed(cls, field: object, value: str, found: object = None, where: str = "", why: str = "", works: str = "") -> Self:
+        """Only one value works here. where: the circumstance, such as "with lit: false"."""
+        return cls(field, f"must be {value}{where and ' ' + where}{_why(why)}{_works(works)}", found)
 
     @classmethod
     def choice(cls, field: object, valid: Iterable[object], found: object = None, why: str = "") -> Self:
@@ -65,15 +75,19 @@ class ParameterError(VstestbedError, ValueError):
         return cls(field, f"must be one of {', '.join(map(str, valid))}{_why(why)}", found)
 
     @classmethod
-    def bound(cls, field: object, relation: str, limit: object, found: object = None, why: str = "", works: str = "") -> Self:
-        """A number is beyond a limit. relation: how the value must stand to it, such as "at most" or ">". limit: with its unit."""
-        limit = f"{limit:.4g}" if isinstance(limit, float) else limit
-        return cls(field, f"must be {relation} {limit}{_why(why)}{_works(works)}", found)
+    def unknown(cls, field: object, what: str, hint: str, found: object = None) -> Self:
+        """A word names nothing. what: the kind of thing it should name; hint: the nearest words, by `nearest`."""
+        return cls(field, f"is no {what}; {hint}", found)
 
     @classmethod
-    def count(cls, field: object, wanted: object, what: str, found: object = None, works: str = "") -> Self:
-        """A list has the wrong number of items, or an array the wrong shape."""
-        return cls(field, f"must be {wanted} {what}{_works(works)}", found)
+    def bound(cls, field: object, relation: str, limit: object, found: object = None, why: str = "") -> Self:
+        """A number is beyond a limit. relation: how the value must stand to it, such as "at most" or ">". limit: with its unit."""
+        return cls(field, f"must be {relation} {limit}{_why(why)}", found)
+
+    @classmethod
+    def count(cls, field: object, wanted: object, what: str, found: object = None, why: str = "") -> Self:
+        """A list or an array has the wrong number of items."""
+        return cls(field, f"must be {wanted} {what}{_why(why)}", found)
 
     @classmethod
     def infinite(cls, field: object, found: object = None) -> Self:
@@ -86,6 +100,21 @@ class ParameterError(VstestbedError, ValueError):
         return cls(field, f"has {name} twice; name each once", found)
 
     @classmethod
+    def conflict(cls, field: object, other: str, found: object = None) -> Self:
+        """Two values are given that exclude each other, or say the same."""
+        return cls(field, f"excludes {other}; leave one of the two out", found)
+
+    @classmethod
+    def form(cls, field: object, form: str, found: object = None) -> Self:
+        """A text is not of the form that is read. form: with an example."""
+        return cls(field, f"needs the form {form}", found)
+
+    @classmethod
+    def returned(cls, field: object, method: str, wanted: object, found: object = None) -> Self:
+        """The method of a plugin returned something else than its protocol says."""
+        return cls(field, f"{method} must return {wanted}", found)
+
+    @classmethod
     def unreadable(cls, field: object, why: object, works: str, found: object = None) -> Self:
         """A file cannot be read, or is not what it should be. works: what the file should be."""
         return cls(field, f"cannot be read ({why}){_works(works)}", found)
@@ -96,7 +125,7 @@ def _works(works: str) -> str:
 
 
 def _why(why: str) -> str:
-    return why and f" ({why})"
+    return why and f": {why}"
 
 
 class UnreachableError(ParameterError):

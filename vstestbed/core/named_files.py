@@ -44,7 +44,7 @@ def place_of_file(file: str) -> Path:
     if file.startswith(PACKAGE):
         name, _, inside = file.removeprefix(PACKAGE).partition("/")
         if not (name and inside):
-            raise ParameterError("file", "must be package:NAME/path, the name by which Python imports the package and a file in it", file)
+            raise ParameterError.form("file", "package:NAME/path, the name by which Python imports the package and a file in it", file)
         try:
             found = importlib.util.find_spec(name)
         except (ImportError, ValueError):  # its parent is not there, or it is no name of a package

@@ -82,14 +82,14 @@ def check_ordered(block: Any, low: str, high: str, equal: bool = True) -> None:
     """Refuse a field of a block that is over another one of it; equal: both may be the same."""
     smaller, larger = getattr(block, low), getattr(block, high)
     if smaller > larger or (smaller == larger and not equal):
-        raise ParameterError(low, f"must be {'at most' if equal else 'under'} {high} = {larger:g}", smaller)
+        raise ParameterError.bound(low, "at most" if equal else "under", f"{high} = {larger:g}", smaller)
 
 
 def check_range(block: Any, name: str, equal: bool = True) -> None:
     """Refuse a pair of numbers that is not the smallest and the largest value; equal: both may be the same."""
     smallest, largest = getattr(block, name)
     if smallest > largest or (smallest == largest and not equal):
-        raise ParameterError(name, "must be the smallest and the largest value, in this order", [smallest, largest])
+        raise ParameterError.form(name, "[smallest, largest]", [smallest, largest])
 
 
 def _shown(bound: float) -> str:

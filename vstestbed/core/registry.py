@@ -175,7 +175,7 @@ def kind_of(cls: type) -> str:
     for own in dataclasses.fields(cls):
         if own.name == "kind" and isinstance(own.default, str):
             return own.default
-    raise ParameterError("kind", f"is missing: {cls.__name__} needs `kind: Literal['...'] = '...'`")
+    raise ParameterError.missing("kind", f"{cls.__name__} needs `kind: Literal['...'] = '...'`")
 
 
 @functools.cache
@@ -358,4 +358,4 @@ def _check_words(member: type, name: str, valid: Collection[str]) -> None:
         raise ParameterError(f"{member.__name__}.{name}", "must be a tuple of words, such as ('xy', 'depth')", words)
     for word in words:
         if word not in valid:
-            raise ParameterError(f"{member.__name__}.{name}", f"has no valid word {word!r}; {nearest(str(word), valid)}")
+            raise ParameterError.unknown(f"{member.__name__}.{name}: {word!r}", "valid word", nearest(str(word), valid))

@@ -52,7 +52,7 @@ def floor_place(value: Any, name: str = "") -> tuple[float, float, float]:
         return tidy(T[0, 2], 15), tidy(T[1, 2], 15), heading_of(T)
     (x, y, z), heading = upright(value, name)
     if abs(z) > LEVEL:
-        raise ParameterError(name, f"must be at height 0, on the floor; this pose is at z = {z:.3g} m")
+        raise ParameterError.fixed(name, "at height 0", f"z = {z:.3g} m", where="on the floor")
     return x, y, heading
 
 
@@ -83,7 +83,7 @@ def twist_numbers(value: Any, name: str = "command") -> Any:
     if kind != "Twist3":
         raise ParameterError(name, f"must be a twist (Twist3) or numbers, got {_a(kind)}")
     if len(value) != 1:
-        raise ParameterError(name, f"must be one twist, and this Twist3 holds {len(value)}; take one of them, as twists[0]")
+        raise ParameterError.count(name, "one", "twist", len(value), why="take one of them, as twists[0]")
     return np.asarray(value.S, dtype=float)
 
 
@@ -103,7 +103,7 @@ def as_twist3(S: Array) -> Twist3:
 
 def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
     if kind and len(value) != 1:
-        raise ParameterError(name, f"must be one pose, and this {kind} holds {len(value)}; take one of them, as poses[0]")
+        raise ParameterError.count(name, "one", "pose", len(value), why="take one of them, as poses[0]")
     try:
         T = np.array(value.A if kind else value, dtype=float)
     except (TypeError, ValueError):
@@ -116,7 +116,7 @@ def _one(value: Any, kind: str, size: int, wanted: str, name: str) -> Array:
 def _rigid(T: Array, name: str) -> Array:
     n = len(T) - 1
     if not np.isfinite(T).all():
-        raise ParameterError(name, "must be finite, and some numbers of this pose are not")
+        raise ParameterError.infinite(name, "a pose with other numbers")
     off = float(np.abs(T[:n, :n].T @ T[:n, :n] - np.eye(n)).max())
     if off > RIGID:
         words = f"is no rigid motion: its axes are not perpendicular unit vectors (off by {off:.2g}); SE{n}.norm() makes them so"

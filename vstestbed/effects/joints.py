@@ -36,12 +36,12 @@ def each(field: str, given: Sequence[float], slides: NDArray[np.bool_], turns: b
     """
     n = len(slides)
     if len(given) not in (1, n):
-        raise ParameterError(field, f"must be one value for all joints, or {n}, one for each", list(given))
+        raise ParameterError.count(field, f"one value for all joints, or {n},", "one for each", list(given))
     values = np.resize(np.array(given, dtype=float), n)
     if not turns:
         return values
     if len(given) == n and values[slides].any():
-        raise ParameterError(field, "must be 0 for a joint that slides", list(given))
+        raise ParameterError.fixed(field, "0", list(given), where="for a joint that slides")
     return np.where(slides, 0.0, values)
 
 
@@ -77,8 +77,8 @@ class Gears:
         """
         play = np.radians(each("gears.backlash_deg", self.backlash_deg, slides))
         if len(self.backlash_deg) > 1 and play[k == 0].any():
-            words = "must be 0 for a rigid joint; works: a stiffness for it in gears.stiffness_nmprad"
-            raise ParameterError("gears.backlash_deg", words, list(self.backlash_deg))
+            words = "a stiffness for it in gears.stiffness_nmprad"
+            raise ParameterError.fixed("gears.backlash_deg", "0", list(self.backlash_deg), where="for a rigid joint", works=words)
         return np.where(k > 0, play, 0.0)
 
 
@@ -452,7 +452,7 @@ class StrainWave:
             if size == 0:
                 continue
             if size not in CURVES:
-                raise ParameterError("strain_wave.sizes", f"must be 0 or of {', '.join(map(str, CURVES))}", size)
+                raise ParameterError.choice("strain_wave.sizes", (0, *CURVES), size)
             curve = CURVES[size]
             first, second = curve.bends
             k[i], stages[i] = curve.k1, ((first, curve.k2 - curve.k1), (second, curve.k3 - curve.k2))

@@ -43,8 +43,8 @@ class GeometryError:
 
     def __post_init__(self) -> None:
         if self.draws and self.offsets:
-            words = "must be empty with sigma_m or sigma_deg > 0, which draw them, also those of a preset; works: both 0 beside the list"
-            raise ParameterError("offsets", words)
+            words = "with sigma_m or sigma_deg > 0, which draw them, also those of a preset"
+            raise ParameterError.fixed("offsets", "empty", where=words, works="both 0 beside the list")
 
     @property
     def draws(self) -> bool:
@@ -63,7 +63,7 @@ class GeometryError:
         if not self.offsets:
             return None
         if len(self.offsets) != n:
-            raise ParameterError("geometry_error.offsets", f"must be {n}, one for each link", len(self.offsets))
+            raise ParameterError.count("geometry_error.offsets", n, "items, one for each link", len(self.offsets))
         return np.array([pose.T for pose in self.offsets])
 
 

@@ -55,8 +55,8 @@ class WheelSpread:
 
     def __post_init__(self) -> None:
         if self.sigma and self.errors is not None:
-            words = "must be none with sigma > 0, which draws them, also that of robot.realism; works: sigma 0 beside the listed errors"
-            raise ParameterError("errors", words, list(self.errors))
+            words = "with sigma > 0, which draws them, also that of robot.realism"
+            raise ParameterError.fixed("errors", "none", list(self.errors), where=words, works="sigma 0 beside the listed errors")
 
     def drawn(self, rng: np.random.Generator) -> WheelSpread:
         """With four errors listed that are drawn from `rng`; itself where sigma is 0."""
@@ -96,8 +96,8 @@ class Tyres(Effect):
     def __post_init__(self) -> None:
         stiffest = max(self.stiffness, self.rear_stiffness or 0.0)
         if stiffest > STIFFEST * self.relaxation_m:
-            words = f"must be at least {stiffest / STIFFEST:.3g} m at a stiffness of {stiffest:g}: a stiffer patch needs shorter steps"
-            raise ParameterError("relaxation_m", words, self.relaxation_m)
+            words = f"{stiffest / STIFFEST:.3g} m at a stiffness of {stiffest:g}"
+            raise ParameterError.bound("relaxation_m", "at least", words, self.relaxation_m, why="a stiffer patch needs shorter steps")
 
     @property
     def rear(self) -> Tyres:

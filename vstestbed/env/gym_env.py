@@ -34,7 +34,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
 
     def __init__(self, scenario: str | Path | Scenario, *, render_mode: str | None = None, **settings: Any):
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError("render_mode", "must be None or rgb_array", render_mode)
+            raise ParameterError.fixed("render_mode", "None or rgb_array", render_mode)
         self.render_mode = render_mode
         self._rollout = Rollout(scenario, **settings)
         self.scenario = self._rollout.scenario

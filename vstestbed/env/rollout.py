@@ -66,11 +66,11 @@ class Reward:
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(RewardKind):
-            raise ParameterError("reward", f"must be one of {', '.join(get_args(RewardKind))}", self.kind)
+            raise ParameterError.choice("reward", get_args(RewardKind), self.kind)
         if not 0 < self.discount <= 1:
-            raise ParameterError("discount", "must be over 0 and at most 1", self.discount)
+            raise ParameterError.bound("discount", "over", "0 and at most 1", self.discount)
         if not math.isfinite(self.success_bonus):
-            raise ParameterError("success_bonus", "must be finite", self.success_bonus)
+            raise ParameterError.infinite("success_bonus", self.success_bonus)
 
     def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
         """The reward of a step between two potentials.
@@ -151,9 +151,9 @@ class Rollout:
         end_on_loss: bool = True,
     ):
         if observation not in get_args(ObservationMode):
-            raise ParameterError("observation", f"must be one of {', '.join(get_args(ObservationMode))}", observation)
+            raise ParameterError.choice("observation", get_args(ObservationMode), observation)
         if isinstance(scenario, Scenario) and overrides:
-            raise ParameterError("overrides", "are for a scenario given by name or path; load it with them")
+            raise ParameterError.only_for("overrides", "a scenario given by name or path; load it with them")
         given = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
         rest = {} if end_on_rest else {"rest_after_s": None}
         loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
@@ -260,9 +260,9 @@ class Rollout:
         except (TypeError, ValueError):
             numbers = np.zeros(0)
         if numbers.shape != self.action_unit.shape:
-            raise ParameterError("action", f"must be {len(self.action_unit)} numbers in [-1, 1]", action)
+            raise ParameterError.count("action", len(self.action_unit), "numbers in [-1, 1]", action)
         if not np.isfinite(numbers).all():  # not their sum: it may overflow
-            raise ParameterError("action", "must be finite", action)
+            raise ParameterError.infinite("action", action)
         return numbers
 
     def _observation(self, frame: Frame) -> dict[str, Any]:

@@ -60,12 +60,12 @@ def checked(x: Array, distance: Array, inputs: tuple[str, ...], least: int = 1) 
     name, of = inputs
     size = 3 if name == "ray" else 2
     if x.shape[-1:] != (size,) or x.shape[:-1] != distance.shape:
-        raise ParameterError(of, f"must have the shape (..., N) of {name} (..., N, {size}) = {x.shape}", distance.shape)
+        raise ParameterError.count(of, "of the shape (..., N)", f"of {name} (..., N, {size}) = {x.shape}", distance.shape)
     if x.ndim < 2 or x.shape[-2] < least:
-        raise ParameterError(name, f"must have the shape (..., N, {size}) with at least {least} markers", x.shape)
+        raise ParameterError.count(name, f"of the shape (..., N, {size})", f"with at least {least} markers", x.shape)
     if not np.minimum.reduce(distance, axis=None, initial=np.inf) > 0:  # also where one is NaN
         behind = ": a point at or behind the lens has no image" if of == "depth" else ""
-        raise ParameterError(of, f"must be > 0 m for every point{behind}")
+        raise ParameterError.bound(of, ">", f"0 m for every point{behind}")
     return x, distance
 
 

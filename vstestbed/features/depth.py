@@ -171,7 +171,7 @@ class OracleDepth(DepthSource):
     def points(self, cues: DepthCues) -> Array:
         """The true places of the markers."""
         if cues.p_true is None:
-            raise ParameterError("depth", "oracle is only with detector {kind: oracle}; valid here: pnp, constant, goal, estimate, sensor")
+            raise ParameterError.excluded("depth", "oracle without detector oracle", works="pnp, constant, goal, estimate or sensor")
         return cues.p_true
 
     def depths(self, cues: DepthCues) -> Array:
@@ -212,7 +212,7 @@ class Sensed(DepthSource):
 
     def __post_init__(self) -> None:
         if self.window_px % 2 == 0:
-            raise ParameterError("window_px", "must be odd: the marker's pixel is in the middle", self.window_px)
+            raise ParameterError.fixed("window_px", "odd", self.window_px, why="the marker's pixel is in the middle")
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
         """The medians (N,) [m]; NaN where too few pixels are valid, and for markers that are not seen."""

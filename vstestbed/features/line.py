@@ -38,7 +38,7 @@ class LineFeature(Feature):
         """The vector s (..., 2 lines) [1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
-            raise ParameterError("xy", "must hold at least two markers: a line needs two", xy.shape)
+            raise ParameterError.count("xy", "at least two", "markers", xy.shape, why="a line needs two")
         start, end = _ends(xy)
         d = end - start
         theta = np.arctan2(d[..., 0], -d[..., 1])
@@ -185,7 +185,7 @@ class Segment(Feature):
         """The vector s (..., 4) [1, 1, 1, rad] of xy (..., N, 2)."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
-            raise ParameterError("xy", "must hold at least two markers: a segment has two ends", xy.shape)
+            raise ParameterError.count("xy", "at least two", "markers", xy.shape, why="a segment has two ends")
         return np.stack(self._rows(xy[..., 0, 0], xy[..., 0, 1], xy[..., 1, 0], xy[..., 1, 1]), axis=-1)
 
     def interaction(self, xy: Array, depth: Array) -> Array:

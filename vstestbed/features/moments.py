@@ -315,7 +315,7 @@ class Moments(Feature):
 
     def __post_init__(self) -> None:
         if twice := [row for i, row in enumerate(self.rows) if row in self.rows[:i]]:
-            raise ParameterError("rows", f"has {twice[0]} twice; name each row once", list(self.rows))
+            raise ParameterError.twice("rows", twice[0], list(self.rows))
 
     def measure(self, xy: Array) -> Array:
         """The vector s (..., rows), with t (2) behind the rows where alpha is one of them, of xy (..., N, 2)."""
@@ -357,10 +357,10 @@ class Moments(Feature):
             raise ParameterError("law.feature.rows", words)
         found = self._condition(m, xy, depth)
         if found > MOST_CONDITION:
-            words = f"may not be {', '.join(self.rows)}: they depend on one another in the goal view, where L has"
             # A larger condition than 1e12 is what rounding has made of a singular L.
             limit = f"the condition {found:.2g} (at most {MOST_CONDITION:g} is accepted)" if found < 1e12 else "no inverse"
-            raise ParameterError("law.feature.rows", f"{words} {limit}; {self._advice(m, xy, depth)}")
+            why = f"they depend on one another in the goal view, where L has {limit}; {self._advice(m, xy, depth)}"
+            raise ParameterError.excluded("law.feature.rows", ", ".join(self.rows), why=why)
 
     def _condition(self, m: MomentSet, xy: Array, depth: Array) -> float:
         scale = np.abs([place(m, row) if row in ("an", "area") else place(m, "an") if row in ("xn", "yn") else 1.0 for row in self.rows])
@@ -442,7 +442,7 @@ class Ellipse(Feature):
         """The vector s (..., rows) of points xy (..., N, 2) on the outline; NaN where the conic that fits them is no ellipse."""
         xy = np.asarray(xy, dtype=float)
         if xy.shape[-2] < self.least_markers:
-            raise ParameterError("xy", "must hold at least five markers: fewer do not determine an ellipse", xy.shape)
+            raise ParameterError.count("xy", "at least five", "markers", xy.shape, why="fewer do not determine an ellipse")
         m = ellipse_moments(fitted_ellipse(xy))
         return np.stack([_row(m, row) for row in self.rows], axis=-1)
 

@@ -95,7 +95,7 @@ def size_error(sigma: Array, sigma_star: Array, form: Literal["difference", "rat
     if form == "difference":
         return sigma - sigma_star
     if not ((sigma > 0).all() and (sigma_star > 0).all()):
-        raise ParameterError("sigma", f"must be > 0, now and at the goal, for the error {form!r}: the markers must span an area")
+        raise ParameterError.bound("sigma", ">", f"0, now and at the goal, for the error {form!r}", why="the markers must span an area")
     return np.log(sigma / sigma_star) if form == "log" else sigma / sigma_star - 1
 
 

@@ -71,8 +71,8 @@ class AutoExposure:
         most = 2 * math.sin(math.pi / (2 * (2 * self.delay_pictures + 1)))
         if self.share(period_s) >= most:
             least = -period_s / math.log1p(-most)
-            words = f"must be over {least:.3g} s: with a delay of {self.delay_pictures} pictures it oscillates otherwise"
-            raise ParameterError("exposure.auto.lag_s", words, self.lag_s)
+            why = f"with a delay of {self.delay_pictures} pictures it oscillates otherwise"
+            raise ParameterError.bound("exposure.auto.lag_s", "over", f"{least:.3g} s", self.lag_s, why=why)
 
     def within(self, x: float) -> float:
         """Time x gain [s] held within the limits."""

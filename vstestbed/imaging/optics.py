@@ -94,8 +94,8 @@ class Optics:
         """
         for field, given in (("cos4", self.cos4), ("defocus", self.defocus is not None)):
             if given and not flat:
-                words = "is for camera perspective: wide lenses are made to have neither its cos^4 law nor a depth of field to speak of"
-                raise ParameterError(f"optics.{field}", words)
+                words = "camera perspective: wide lenses are made to have neither its cos^4 law nor a depth of field to speak of"
+                raise ParameterError.only_for(f"optics.{field}", words)
         if self.defocus is None:
             return
         given = self.defocus.focal_length_m
@@ -105,10 +105,10 @@ class Optics:
             )
             raise ParameterError("optics.defocus.focal_length_m", words)
         if given is not None and focal_length_m is not None:
-            raise ParameterError("optics.defocus.focal_length_m", "says the same as camera.focal_length_m; leave it out", given)
+            raise ParameterError.conflict("optics.defocus.focal_length_m", "camera.focal_length_m", given)
         f = given or focal_length_m or 0.0
         if self.defocus.focus_m <= f:
-            raise ParameterError("optics.defocus.focus_m", f"must be farther than the focal length, {f:g} m", self.defocus.focus_m)
+            raise ParameterError.bound("optics.defocus.focus_m", "farther than", f"the focal length, {f:g} m", self.defocus.focus_m)
 
 
 FINE_PX, COARSE = 0.5, 0.1  # discs of one layer differ by at most FINE_PX + COARSE of their diameter [px]

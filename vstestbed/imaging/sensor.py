@@ -89,7 +89,7 @@ class SensorNoise:
 
     def __post_init__(self) -> None:
         if self.black_level_dn > self.largest_dn / 2:
-            raise ParameterError("black_level_dn", f"must be at most half of the largest number, {self.largest_dn}", self.black_level_dn)
+            raise ParameterError.bound("black_level_dn", "at most", f"half of the largest number, {self.largest_dn}", self.black_level_dn)
 
     @property
     def largest_dn(self) -> int:

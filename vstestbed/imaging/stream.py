@@ -79,7 +79,7 @@ class H264Stream(VideoStream):
         """Refuse a picture with an odd side [px] where colours have half the size."""
         if self.colours == "half" and (width % 2 or height % 2):
             field, size = ("width", width) if width % 2 else ("height", height)
-            raise ParameterError(field, "must be even for stream h264 with colours: half", size)
+            raise ParameterError.fixed(field, "even", size, where="for stream h264 with colours: half")
 
 
 STREAMS = Registry("stream", JpegStream, H264Stream, fields={"quality": "jpeg", "crf": "h264", "bitrate_kbps": "h264", "group": "h264"})

@@ -119,7 +119,7 @@ class IBVS(ErrorLaw):
     def __post_init__(self) -> None:
         """Refuse a projection without a use."""
         if self.projection != Classical() and not self.redundant:
-            raise ParameterError("projection", "is for law.redundant: true, which leaves motions to the robot", self.projection.kind)
+            raise ParameterError.only_for("projection", "law.redundant: true, which leaves motions to the robot", self.projection.kind)
 
     @property
     def inputs(self) -> tuple[str, ...]:

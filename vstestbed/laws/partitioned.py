@@ -85,9 +85,9 @@ class Partitioned(ErrorLaw):
     def __post_init__(self) -> None:
         """Refuse bounds that exclude the start, and an axis named twice."""
         if len(set(self.axes)) < len(self.axes):
-            raise ParameterError("axes", "must name each motion once", list(self.axes))
+            raise ParameterError.twice("axes", "a motion", list(self.axes))
         if self.turn_limits_deg is not None and not self.turn_limits_deg[0] <= 0 <= self.turn_limits_deg[1]:
-            raise ParameterError("turn_limits_deg", "must be [low, high] with low <= 0 <= high", self.turn_limits_deg)
+            raise ParameterError.form("turn_limits_deg", "[low, high] with low <= 0 <= high", self.turn_limits_deg)
 
     def check(self, points: Array, goal: Goal) -> None:
         """Refuse fewer than four markers, and a goal view without an area (`Polygon.check_goal`).

@@ -370,7 +370,7 @@ class Photometric(Law[PhotometricState]):
         """Refuse a lens that is not perspective, and a border or levels that leave no picture."""
         camera = goal.camera
         if not isinstance(camera, Perspective):
-            raise ParameterError("camera", "must be of kind perspective for law photometric", kind_of(type(camera)))
+            raise ParameterError.fixed("camera", "of kind perspective", kind_of(type(camera)), where="for law photometric")
         least = min(camera.width, camera.height)
         inner = (least - 2 * self.margin_px) / 2 ** (self.levels - 1) / self.stride
         if inner < LEAST_SIDE:
@@ -439,7 +439,7 @@ class Photometric(Law[PhotometricState]):
     def _pyramid(self, goal: Goal) -> tuple[GoalLevel, ...]:
         """The goal's picture, level by level. Raises ParameterError: the goal has no picture."""
         if goal.image is None or not isinstance(goal.camera, Perspective):
-            raise ParameterError("goal", "has no picture, which law photometric compares with; give goal_images to the Controller")
+            raise ParameterError.missing("goal.image", "law photometric compares with it; give goal_images to the Controller")
         made, grey = [], luminance(goal.image.image, self.smooth_px)
         for number in range(self.levels):
             light = self.light if number == 0 else "same"
@@ -462,7 +462,7 @@ class Photometric(Law[PhotometricState]):
 def _inverse(sight: Sight | None, level: GoalLevel, number: int) -> Grey:
     """1/Z of the pixels of a level by a depth picture [1/m], 0 in its holes."""
     if sight is None or sight.depth is None:
-        raise ParameterError("law.depth", "may be sensor only with a depth camera, camera.depth_sensor; else use goal or constant")
+        raise ParameterError.excluded("law.depth", "sensor without camera.depth_sensor", works="goal or constant")
     depth = sight.depth[:: 2**number, :: 2**number][level.at]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(depth > 0, 1 / depth, 0).astype(np.float32)

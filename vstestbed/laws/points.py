@@ -162,8 +162,9 @@ class Visibility:
         if self.margin_px == 0:
             return
         if len(goal.camera.panels) > 1:
-            words = "must be 0 with a camera that sees all round: its image has no border"
-            raise ParameterError("law.visibility.margin_px", words, self.margin_px)
+            raise ParameterError.fixed(
+                "law.visibility.margin_px", "0", self.margin_px, where="with a camera that sees all round", why="its image has no border"
+            )
         check_margin("law.visibility.margin_px", self.margin_px, goal, marker_radius_m, called)
 
     def push(self, observation: Observation, goal: Goal, basis: Array) -> Array:

@@ -85,7 +85,7 @@ class Policy(Law[Act]):
     def __post_init__(self) -> None:
         """Load the policy, so that a mistake in `file` is told before anything runs."""
         if not re.search(r"\.onnx$|\.py:\w+$", self.file):
-            raise ParameterError("file", "must be FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file)
+            raise ParameterError.form("file", "FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file)
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its policy is
         _loaded(self.file, self.agent_pos)
 
@@ -130,7 +130,7 @@ class Policy(Law[Act]):
         n = basis.shape[1]
         if action.shape != (n,):
             found = f"shape {np.shape(given)}" if isinstance(given, np.ndarray | list | tuple) else type(given).__name__
-            raise ParameterError("law.file", f"{Path(self.file).name}: an action must be {n} numbers for this robot's motions, got {found}")
+            raise ParameterError.returned("law.file", f"act of {Path(self.file).name}", f"{n} numbers for this robot's motions", found)
         if not action.any() and not observation.seen.all():
             return state, Command.rest(basis, "the policy rests while a marker is out of sight")
         return state, self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
@@ -168,7 +168,7 @@ def _network(path: Path, written: int, agent_pos: bool) -> Act:
     try:
         network = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's exceptions have no common class of their own
-        raise ParameterError("file", f"{path} is no ONNX network ({' '.join(str(error).split())[:120]})") from error
+        raise ParameterError.unreadable("file", " ".join(str(error).split())[:120], "an ONNX network", str(path)) from error
     known = ("markers", "seen", "goal", *(("agent_pos",) if agent_pos else ()))
     inputs = network.get_inputs()
     for wanted in inputs:

@@ -114,11 +114,11 @@ class PoseController(Law[PoseState]):
     def __post_init__(self) -> None:
         """Refuse gains that make the loop unstable."""
         if not self.k_rho > 0:
-            raise ParameterError("k_rho", "must be > 0 [1/s]: otherwise the vehicle drives away from the goal", self.k_rho)
+            raise ParameterError.bound("k_rho", ">", "0 [1/s]", self.k_rho, why="otherwise the vehicle drives away from the goal")
         if not self.k_beta < 0:
-            raise ParameterError("k_beta", "must be < 0 [1/s]: otherwise it turns away from the goal's heading", self.k_beta)
+            raise ParameterError.bound("k_beta", "<", "0 [1/s]", self.k_beta, why="otherwise it turns away from the goal's heading")
         if not self.k_alpha > self.k_rho:
-            raise ParameterError("k_alpha", f"must be > rho = {self.k_rho:g} [1/s]: otherwise it circles the goal", self.k_alpha)
+            raise ParameterError.bound("k_alpha", ">", f"rho = {self.k_rho:g} [1/s]", self.k_alpha, why="otherwise it circles the goal")
 
     def markers_needed(self, basis: Array) -> int:
         """Three landmarks for a pose; on a known floor two determine the place."""

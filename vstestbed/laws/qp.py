@@ -277,8 +277,8 @@ class QP(Law[ErrorState]):
         if self.margin_px is not None and len(goal.camera.panels) == 1:
             check_margin("law.margin_px", self.margin_px, goal, marker_radius_m, called)
         if self.plane_m is not None and (distance := float(goal.normal @ goal.middle)) <= self.plane_m:
-            words = f"must be under {distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
-            raise ParameterError("law.plane_m", words, self.plane_m)
+            words = f"{distance:.4g} m, the distance of the goal from the target's plane, which it would keep the camera off"
+            raise ParameterError.bound("law.plane_m", "under", words, self.plane_m)
 
     def init(self, goal: Goal) -> ErrorState:
         """The state of the law within."""

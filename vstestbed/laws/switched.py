@@ -212,8 +212,8 @@ class Switched(Law[SwitchedState]):
         """Refuse laws that cannot work in turn."""
         for i, part in enumerate(self.laws):
             if "view" not in part.law.tasks:
-                words = f"may not be {part.law.kind}, which takes {' or '.join(part.law.tasks)}: laws that are switched take a view"
-                raise ParameterError(f"laws.{i}.law.kind", words)
+                words = f"{part.law.kind}, which takes {' or '.join(part.law.tasks)}"
+                raise ParameterError.excluded(f"laws.{i}.law.kind", words, why="laws that are switched take a view")
             if not part.until.limits and i < len(self.laws) - 1:
                 words = "needs a condition, such as {border_under_px: 30}: without one no law after it in the list ever works"
                 raise ParameterError(f"laws.{i}.until", words)
@@ -288,8 +288,13 @@ class Switched(Law[SwitchedState]):
         for i, part in enumerate(self.laws):
             part.law.check(points, goal)
             if part.until.border_under_px is not None and len(goal.camera.panels) > 1:
-                words = "must be left out with a camera that sees all round: its image has no border"
-                raise ParameterError(f"law.laws.{i}.until.border_under_px", words, part.until.border_under_px)
+                raise ParameterError.fixed(
+                    f"law.laws.{i}.until.border_under_px",
+                    "left out",
+                    part.until.border_under_px,
+                    where="with a camera that sees all round",
+                    why="its image has no border",
+                )
 
     def init(self, goal: Goal) -> SwitchedState:
         """The first law is to begin."""

@@ -346,7 +346,7 @@ class LiveRun:
         """ParameterError where the target is carried, so that nobody else can move it."""
         target = self.scenario.target
         if target.on_gripper or target.carrier is not None:
-            raise ParameterError("target", "is carried, and goes where its carrier goes")
+            raise ParameterError.excluded("target", "moved", why="it goes where its carrier goes")
 
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Hold the plate at a pose (4, 4), or take it away."""

@@ -29,7 +29,7 @@ from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.arm import Arm
 from vstestbed.scenario.randomise import NOISE_STREAM
-from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
 from vstestbed.vision import Detector, Observer
 
@@ -190,8 +190,7 @@ class Controller:
     """
 
     def __init__(self, scenario: Scenario, goal_images: Sequence[Sight] = ()):
-        if not isinstance(scenario, Scenario):
-            raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+        check_scenario(scenario)
         self.scenario = scenario = scenario.resolved
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.

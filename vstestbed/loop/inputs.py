@@ -38,7 +38,7 @@ class Inputs:
         """A reading of this robot of float64, in arrays of its own: a driver may write the next one into the same arrays."""
         n = len(self._robot.joints)
         if not isinstance(reading, self._reading):
-            raise ParameterError("readings", f"must be {self._reading.__name__}s for this robot", type(reading).__name__)
+            raise ParameterError.fixed("readings", f"{self._reading.__name__}s", type(reading).__name__, where="for this robot")
         joints = f"must be {n} finite numbers: {', '.join(self._robot.joints)}"
         q, qd = (_finite(f"readings.{name}", joints, values, (n,)) for name, values in (("q", reading.q), ("qd", reading.qd)))
         body = self._robot.body
@@ -56,11 +56,11 @@ class Inputs:
             _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
         if isinstance(reading, FlightReading):  # a craft's failsafe lives by these numbers
             if not reading.range_m >= 0:  # infinite over nothing
-                raise ParameterError("readings.range_m", "must be a distance in metres, infinite over nothing", reading.range_m)
+                raise ParameterError.bound("readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m)
             for name in ("velocity", "rates"):
                 _finite(f"readings.estimate.{name}", "must be three finite numbers", getattr(reading.estimate, name), (3,))
             if reading.tilt is None:
-                raise ParameterError("readings.tilt", "must be roll and pitch in radians", "None")
+                raise ParameterError.missing("readings.tilt", "roll and pitch in radians")
         return replace(copy.deepcopy(reading), q=q, qd=qd)
 
     def depth(self, image: DepthImage | None) -> DepthImage | None:
@@ -70,14 +70,14 @@ class Inputs:
         wanted = self._camera.height, self._camera.width
         if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype.kind != "f":
             found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise ParameterError("depth", f"must be {wanted} of floats, in metres, NaN or 0 where nothing was measured", found)
+            raise ParameterError.count("depth", wanted, "floats, in metres, NaN or 0 where nothing was measured", found)
         return np.where(image > 0, image, np.nan).astype(np.float32)
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""
         t = _seconds("t", "must be the time now in seconds", t)
         if self._t is not None and t < self._t:
-            raise ParameterError("t", f"goes back: the last picture was taken at {self._t:g} s", t)
+            raise ParameterError.bound("t", "at least", f"{self._t:g} s, when the last picture was taken", t)
         return t
 
     def given(
@@ -96,10 +96,10 @@ class Inputs:
             wanted = panel.lens.height, panel.lens.width, 3
             if not isinstance(image, np.ndarray) or image.shape != wanted or image.dtype != np.uint8:
                 found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
-                raise ParameterError("picture", f"must be {wanted} uint8, RGB, as the scenario's camera has it", found)
+                raise ParameterError.count("picture", wanted, "uint8, RGB, as the scenario's camera has it", found)
         pair = readings if isinstance(readings, tuple) else (readings, readings)
         if len(pair) != 2:
-            raise ParameterError("readings", "must be one, or two: at the exposure and now", f"{len(pair)}")
+            raise ParameterError.count("readings", "one or two", "readings", len(pair), why="at the exposure and now")
         at_exposure = self.reading(pair[0])
         both = at_exposure, at_exposure if pair[1] is pair[0] else self.reading(pair[1])
         t = _seconds("t", "must be the time of exposure in seconds", t)
@@ -112,7 +112,7 @@ class Inputs:
         before = self._t
         if before is not None and t < before:
             if not self._refuses:
-                raise ParameterError("t", f"goes back: the last picture was taken at {before:g} s", t)
+                raise ParameterError.bound("t", "at least", f"{before:g} s, when the last picture was taken", t)
             return (f"the picture of {t:g} s is older than the last one, of {before:g} s: it is refused",)
         if before is not None and t == before:
             return (f"the picture of {t:g} s came again",)
@@ -129,7 +129,7 @@ class Inputs:
         if _seconds("arrived", words, arrived) < t:
             raise ParameterError("arrived", words, arrived)
         if self._arrived is not None and arrived < self._arrived:
-            raise ParameterError("arrived", f"goes back: the last picture arrived at {self._arrived:g} s", arrived)
+            raise ParameterError.bound("arrived", "at least", f"{self._arrived:g} s, when the last picture arrived", arrived)
         return (f"the picture is {arrived - t:.2g} s old: the robot is told to stop",) if arrived - t > self._latest_s else ()
 
 

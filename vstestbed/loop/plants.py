@@ -106,7 +106,7 @@ def with_images(scenario: Scenario, images: Sequence[Sight]) -> tuple[Goal, ...]
         raise ParameterError("goal_images", words, len(images))
     for sight in images:
         if sight.image.shape != (camera.height, camera.width, 3):
-            raise ParameterError("goal_images", f"must be of shape {(camera.height, camera.width, 3)}", sight.image.shape)
+            raise ParameterError.count("goal_images", "of shape", f"{(camera.height, camera.width, 3)}", sight.image.shape)
     return tuple(replace(view, image=sight) for view, sight in zip(views, images, strict=True))
 
 

@@ -20,7 +20,7 @@ from vstestbed.loop.episode import Episode
 from vstestbed.loop.recording import Recording, Watcher
 from vstestbed.robots import Mount
 from vstestbed.scenario.load import seeded
-from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Frame
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ class Session:
     """
 
     def __init__(self, scenario: Scenario, *, pictures: bool = False, watch: Iterable[Watcher] = (), plate_m: float = 0.0):
-        if not isinstance(scenario, Scenario):
-            raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+        check_scenario(scenario)
         self._plate_m = plate_m
         self._given, self._pictures, self._watchers = scenario, pictures, tuple(watch)
         self.episode: Episode | None = None
@@ -97,7 +96,7 @@ class Session:
                 words = "must be a camera twist (6,)" + ("" if n == 6 else f", or {n} velocities along the robot's motions")
                 raise ParameterError("command", words, command)
             if not np.isfinite(numbers).all():
-                raise ParameterError("command", "must be finite", command)
+                raise ParameterError.infinite("command", command)
         return (episode.advance(numbers) or episode.ended()).protected()
 
     def take_pictures(self, on: bool) -> None:
@@ -175,8 +174,7 @@ def run(scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None =
     watch: receive every frame; a KeyboardInterrupt ends the run with the outcome `interrupted`. folder: where `log.part` grows with the
     run; in memory alone by default. pictures: take whole pictures for those who watch, see `Session`, whose errors it raises.
     """
-    if not isinstance(scenario, Scenario):
-        raise ParameterError("scenario", "must be a Scenario: vstestbed.run(vstestbed.load('arm_ibvs'))", scenario)
+    check_scenario(scenario)
     episode = Episode(scenario, pictures, tuple(watch), folder)
     with contextlib.closing(episode), contextlib.suppress(KeyboardInterrupt):
         while episode.outcome is None:

@@ -106,7 +106,7 @@ def gain_limit(delay_frames: float, shares: tuple[float, ...] = NO_LAG) -> float
     Raises ParameterError: the loop is stable at no gain, since the shares do not add up to more than 0.
     """
     if sum(shares) <= 0:
-        raise ParameterError("shares", "must add up to more than 0: else no gain makes the error smaller", list(shares))
+        raise ParameterError.bound("shares", ">", "0 in sum", list(shares), why="else no gain makes the error smaller")
 
     def unstable(g: float) -> bool:
         return bool(np.abs(roots(g, delay_frames, shares)[0]) > 1)

@@ -141,12 +141,11 @@ def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[P
     """
     out = out or Path(f"flow_{name}.png")
     if name not in PLANES:
-        problem = f"must be one of {', '.join(PLANES)}: only these have two coordinates per point, which span a plane"
-        raise ParameterError("feature", problem, name)
+        raise ParameterError.choice("feature", PLANES, name, why="only these have two coordinates per point, which span a plane")
     if not (math.isfinite(depth) and depth > 0):
-        raise ParameterError("depth", "must be a finite number > 0 m", depth)
+        raise ParameterError.bound("depth", ">", "0 m, and finite", depth)
     if out.suffix.lower() not in FORMATS:
-        raise ParameterError("--out", f"must end in {', '.join(FORMATS[:-1])} or {FORMATS[-1]}", str(out))
+        raise ParameterError.choice("ending of --out", FORMATS, str(out))
     with style():
         paths = [save(draw_plane(name, depth), out)]
         if name == "spherical":

@@ -216,22 +216,22 @@ class Arm(Realistic):
     def _check(self) -> None:
         """Refuse effects that do not fit the joints or the actuation, and a start outside of the limits."""
         if self.realism != "none" and self.actuation == "ideal":
-            raise ParameterError("realism", "must be none with `actuation: ideal`; works: another actuation", self.realism)
+            raise ParameterError.fixed("realism", "none", self.realism, where="with actuation: ideal", works="another actuation")
         given, chain = self.start.nominal.q_deg, self.chain
         if len(given) != len(chain.names):
-            raise ParameterError("start.nominal.q_deg", f"must be {len(chain.names)} positions, of {', '.join(chain.names)}", list(given))
+            raise ParameterError.count("start.nominal.q_deg", len(chain.names), f"positions, of {', '.join(chain.names)}", list(given))
         # Beyond a limit MuJoCo's constraint would push the joint back before the first command.
         for i, (q, (low, high), slides) in enumerate(zip(self.configuration(), chain.limits, chain.slides, strict=True)):
             if not low <= q <= high:
                 size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
-                words = f"must be within {chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
-                raise ParameterError(f"start.nominal.q_deg.{i}", words, given[i])
+                words = f"{chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
+                raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
         self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(given)), np.zeros(len(given)), chain.slides)
         for field in ("drives", "ripple", "gravity_error"):
             if self.actuation == "ideal" and getattr(self, field) is not None:
-                raise ParameterError(field, "is for actuators with limits, and `actuation: ideal` has none; works: another actuation")
+                raise ParameterError.only_for(field, "actuators with limits, and `actuation: ideal` has none; works: another actuation")
 
     @property
     def body(self) -> BodyFile:

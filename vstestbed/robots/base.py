@@ -352,7 +352,7 @@ def faded(setpoint: Array, elapsed_s: float, stop_s: float) -> Array:
 def random_of(start: Any, example: str) -> Any:
     """The block of random starts. ParameterError where a robot has none."""
     if start.random is None:
-        raise ParameterError("robot.start.random", f"is missing: a seed draws the start from it, e.g. {example}")
+        raise ParameterError.missing("robot.start.random", f"a seed draws the start from it, e.g. {example}")
     return start.random
 
 

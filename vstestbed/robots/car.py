@@ -176,13 +176,13 @@ class CarParameters:
     def __post_init__(self) -> None:
         L, track, r = self.wheelbase_m, self.track_m, self.wheel_radius_m
         if 2 * r + 0.1 > L:
-            words = f"must be at least {2 * r + 0.1:.3g} m at wheel_radius_m {r:g}: front and rear wheels would meet"
-            raise ParameterError("wheelbase_m", words, L)
+            words = f"{2 * r + 0.1:.3g} m at wheel_radius_m {r:g}"
+            raise ParameterError.bound("wheelbase_m", "at least", words, L, why="front and rear wheels would meet")
         height = 0.264 + 1.8 * (r - 0.15)  # of the centre of mass over the floor: four fifths of the mass are sprung
         least = max(2 * r, 2 * GRIP * height)
         if track < least:
-            words = f"must be at least {least:.3g} m at wheel_radius_m {r:g}: a narrower car tips in a bend before its tyres slide"
-            raise ParameterError("track_m", words, track)
+            why = "a narrower car tips in a bend before its tyres slide"
+            raise ParameterError.bound("track_m", "at least", f"{least:.3g} m at wheel_radius_m {r:g}", track, why=why)
 
     @property
     def slant(self) -> float:
@@ -372,9 +372,9 @@ class Car(Vehicle, Onboard):
         resistance = 1.32 / 0.15 * (body.mass_kg / 60.0) if rolling is None else rolling * body.mass_kg * GRAVITY
         if (need := (body.mass_kg * limits.acceleration_mps2 + resistance) * body.wheel_radius_m) > body.motor_torque_nm:
             most = limits.acceleration_mps2 - (need - body.motor_torque_nm) / (body.mass_kg * body.wheel_radius_m)
-            words = f"must be at least {need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g}"
             other = f"; or lower that acceleration to {most:.2g} m/s^2" if most > 0.01 else ""
-            raise ParameterError("parameters.motor_torque_nm", f"{words} with mass_kg {body.mass_kg:g}{other}", body.motor_torque_nm)
+            words = f"{need:.3g} Nm for limits.acceleration_mps2 {limits.acceleration_mps2:g} with mass_kg {body.mass_kg:g}{other}"
+            raise ParameterError.bound("parameters.motor_torque_nm", "at least", words, body.motor_torque_nm)
 
     @property
     def body(self) -> BodyFile:

@@ -99,7 +99,7 @@ class Mjcf(Arm):
                 object.__setattr__(self, field, given * n)  # frozen, as above
             elif given and len(given) != n:
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
-                raise ParameterError(field, f"must be {n} {words}, of {', '.join(chain.names)}, or one for all", list(given))
+                raise ParameterError.count(field, n, f"{words}, of {', '.join(chain.names)}, or one for all", list(given))
         self._check()
         if self.actuation == "file":
             for name, drive in zip(chain.names, chain.drives, strict=True):

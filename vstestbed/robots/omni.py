@@ -73,13 +73,13 @@ class OmniParameters:
     def __post_init__(self) -> None:
         for field, least in (("wheelbase_m", 2.4 * self.wheel_radius_m), ("track_m", 2.0 * self.wheel_radius_m)):
             if getattr(self, field) < least:
-                words = f"must be at least {least:.3g} m at wheel_radius_m {self.wheel_radius_m:g}: the wheels would meet"
-                raise ParameterError(field, words, getattr(self, field))
+                words = f"{least:.3g} m at wheel_radius_m {self.wheel_radius_m:g}"
+                raise ParameterError.bound(field, "at least", words, getattr(self, field), why="the wheels would meet")
         # m a = 4 T / R; under 1 m/s^2 it neither follows a law's changes nor stops within half a second.
         most = 4 * self.motor_torque_nm / self.wheel_radius_m / 1.0
         if self.mass_kg > most:
-            words = f"must be at most {most:.3g} kg: motor_torque_nm {self.motor_torque_nm:g} accelerates more by under 1 m/s^2"
-            raise ParameterError("mass_kg", words, self.mass_kg)
+            why = f"motor_torque_nm {self.motor_torque_nm:g} accelerates more by under 1 m/s^2"
+            raise ParameterError.bound("mass_kg", "at most", f"{most:.3g} kg", self.mass_kg, why=why)
 
     def wheel_matrix(self, rollers: float = ROLLERS) -> Array:
         """Wheel speeds of a motion without slip, shape (4, 3): q_dot = W @ (vx, vy, wz), in the order of WHEELS.
@@ -206,8 +206,8 @@ class Omni(Vehicle, Onboard):
     def __post_init__(self) -> None:
         for name in ("wheel_spread", "rolling_resistance", "uneven_floor"):
             if self.wheels == "planar" and getattr(self, name) is not None:
-                words = "must be rollers with realism, wheel_spread, rolling_resistance or uneven_floor"
-                raise ParameterError("wheels", f"{words}: planar wheels do not touch the floor", self.wheels)
+                words = "with realism, wheel_spread, rolling_resistance or uneven_floor"
+                raise ParameterError.fixed("wheels", "rollers", self.wheels, where=words, why="planar wheels do not touch the floor")
 
     @property
     def onboard(self) -> Onboard | None:

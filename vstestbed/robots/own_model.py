@@ -94,5 +94,5 @@ class OwnModel:
     def positions(self, given: tuple[float, ...]) -> Array:
         """Positions (n,) given in degrees, in metres where a joint slides. Raises ParameterError: another number of them."""
         if len(given) != len(self.names):
-            raise ParameterError("law.secondary.q_deg", f"must be {len(self.names)} positions, of {', '.join(self.names)}", list(given))
+            raise ParameterError.count("law.secondary.q_deg", len(self.names), f"positions, of {', '.join(self.names)}", list(given))
         return np.where(self.slides, given, np.radians(given)) if len(self.slides) else np.radians(given)

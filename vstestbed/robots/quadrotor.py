@@ -200,10 +200,10 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
     def __post_init__(self) -> None:
         low = self.start.nominal.xyz[2]
         if low < LOWEST_M:
-            raise ParameterError("start.nominal.xyz.2", f"must leave the centre {LOWEST_M:g} m or more above the ground", low)
+            raise ParameterError.bound("start.nominal.xyz.2", "at least", f"{LOWEST_M:g} m above the ground", low)
         if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
-            words = f"must be at most {lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
-            raise ParameterError("gains.rotor_s", words, self.gains.rotor_s)
+            words = f"{lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
+            raise ParameterError.bound("gains.rotor_s", "at most", words, self.gains.rotor_s)
         # With its battery and listed motors it must hover at its start; motors that are drawn are not known yet.
         craft = self.parameters
         share = self.battery.share_at_start(craft) if self.battery else 1.0

@@ -63,8 +63,13 @@ class QuadrotorParameters:
     def __post_init__(self) -> None:
         most = self.arm_m / math.sqrt(2)
         if self.rotor_radius_m >= most:
-            words = f"must be under {most:.3g} m at arm_m {self.arm_m:g}: neighbouring rotors would meet"
-            raise ParameterError("rotor_radius_m", words, self.rotor_radius_m)
+            raise ParameterError.bound(
+                "rotor_radius_m",
+                "under",
+                f"{most:.3g} m at arm_m {self.arm_m:g}",
+                self.rotor_radius_m,
+                why="neighbouring rotors would meet",
+            )
         a, b, c = sorted(self.inertia)
         if a + b < c:
             words = f"must have no moment over the sum of the two others, as any body has; {c:g} is over {a + b:.4g}"

@@ -168,7 +168,7 @@ def _top_or_only(name: str, entries: Mapping[str, Entry]) -> FieldPlace:
     if held:
         shown = ", ".join(list(held)[:MOST_NAMED])
         raise ParameterError(name, f"is a field of {len(held)} blocks; give its path, such as {shown}")
-    raise ParameterError(name, f"is no kind, block or field of a scenario; {_nearest_of_all(name, entries)}")
+    raise ParameterError.unknown(name, "kind, block or field of a scenario", _nearest_of_all(name, entries))
 
 
 def _scenario(entries: Mapping[str, Entry]) -> type:
@@ -186,7 +186,7 @@ def _begun(word: str, entries: Mapping[str, Entry]) -> list[type]:
         e.cls for e in entries.values() if e.cls is not None and (word == named(e) or (e.registry is not None and e.registry.what == word))
     ]
     if not found:
-        raise ParameterError(word, f"is no kind and no block of a scenario; {_nearest_of_all(word, entries)}")
+        raise ParameterError.unknown(word, "kind and no block of a scenario", _nearest_of_all(word, entries))
     return found
 
 
@@ -214,8 +214,8 @@ def _settable(before: Iterable[str], entries: Mapping[str, Entry]) -> bool:
 def _none_in(path: str, name: str, before: Sequence[str], holders: Iterable[type]) -> ParameterError:
     inside = {inner for cls in holders for inner in fields(cls) if inner != "kind"}
     if name in inside:
-        return ParameterError(path, f"is no field of a scenario: {'.'.join((*before, name))} is no block, and has no fields")
-    return ParameterError(path, f"is no field of a scenario: {'.'.join(before)} has no {name}; {nearest(name, inside)}")
+        return ParameterError.unknown(path, "field of a scenario", f"{'.'.join((*before, name))} is no block, and has no fields")
+    return ParameterError.unknown(path, f"field of a scenario: {'.'.join(before)} has no {name}", nearest(name, inside))
 
 
 def _nearest_of_all(word: str, entries: Mapping[str, Entry]) -> str:

@@ -61,12 +61,11 @@ def check_times(robot: Robot, camera: Camera, timing: Timing, stop: Stop, step_s
         words = f"stamps a robot's sensor readings, and robot {robot.kind} has none; errors of the pictures' stamps: timing.camera_clock"
         raise ParameterError("timing.robot_clock", words)
     if step_s > (1 + 1e-9) * (most_s := needed_step(robot)):
-        words = f"must be at most {most_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
-        raise ParameterError("physics.step_s", words, step_s)
+        words = f"{most_s:.4g} s with these gears and drives; without step_s the longest that works is taken"
+        raise ParameterError.bound("physics.step_s", "at most", words, step_s)
     if stop.duration_s * camera.rate_hz > MOST_FRAMES:
         most = f"{MOST_FRAMES / camera.rate_hz:g} s, {MOST_FRAMES} pictures at {camera.rate_hz:g} Hz"
-        words = f"must be at most {most}: a longer log is a table of more than 10 GB"
-        raise ParameterError("stop.duration_s", words, stop.duration_s)
+        raise ParameterError.bound("stop.duration_s", "at most", most, stop.duration_s, why="a longer log is a table of more than 10 GB")
     if not pictures:
         return
     each = 3 if camera.depth_sensor is None else 7  # bytes of a pixel
@@ -89,9 +88,9 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         raise ParameterError("robot.kind", words)
     flies = robot.base == "floating"
     if not flies and derotation != "none":
-        raise ParameterError("derotation", "is for a craft that tilts (robot quadrotor); here it must be none", derotation)
+        raise ParameterError.only_for("derotation", "a craft that tilts (robot quadrotor); here it must be none", derotation)
     if not (flies or world.wind.still):
-        raise ParameterError("world.wind", f"acts only on a craft that flies (robot quadrotor), not on robot {robot.kind}")
+        raise ParameterError.only_for("world.wind", "a craft that flies (robot quadrotor)", robot.kind)
     if level_trim_s and (derotation == "none" or target.moves):  # the target's own motion would be taken for a tilt
         words = "corrects the tilt for a derotation by a target that stands still; here it must be 0"
         raise ParameterError("level_trim_s", words, level_trim_s)
@@ -99,7 +98,7 @@ def check_robot(robot: Robot, target: Target, world: World, derotation: str, lev
         words = "is not felt by wheels: planar, which never slip; use wheels: rollers"
         raise ParameterError("world.floor_friction", words, world.floor_friction)
     if target.on_gripper and not (robot.body and robot.body.gripper):
-        raise ParameterError("target.motion", f"held is for an arm's hand; robot {robot.kind} has none, use puma560")
+        raise ParameterError.excluded("target.motion", f"held with robot {robot.kind}", why="it has no hand; use puma560")
 
 
 def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any]) -> None:
@@ -126,8 +125,8 @@ def check_carrier(target: Target) -> None:
         words = f"has a bend of {route.least_radius_m:.3g} m, and the car that carries the target turns no tighter than"
         raise ParameterError("target.motion.route", f"{words} {leader.turning_radius_m:.3g} m; make it wider, or use by: omni")
     if speed > leader.top_speed_mps:
-        words = f"must be at most {leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
-        raise ParameterError("target.motion.speed_mps", words, speed)
+        words = f"{leader.top_speed_mps:g} m/s, the top speed of the {by} that carries the target"
+        raise ParameterError.bound("target.motion.speed_mps", "at most", words, speed)
 
 
 def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any], detector: Detector[Any]) -> None:
@@ -140,7 +139,8 @@ def check_goal_pictures(goal: Task, camera: Camera, needed: bool, law: Law[Any],
         if said.file is None:
             continue
         if law.depth.measured and "image" in law.inputs:
-            raise ParameterError("law.depth", "may not be sensor with goal.picture, a file without depth; use goal or constant", "sensor")
+            words = "sensor with goal.picture, a file without depth"
+            raise ParameterError.excluded("law.depth", words, "sensor", works="goal or constant")
         try:
             said.read(camera)
         except ParameterError as error:
@@ -196,7 +196,9 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     _check_marker_count(robot, camera, target, detector, law)
     sized = is_sized(target)
     if law.depth.needs_size and not sized:
-        raise ParameterError("law.depth", "may be size only with target ball, whose outline tells its distance; use pnp, goal or estimate")
+        raise ParameterError.excluded(
+            "law.depth", "size without target ball", why="its outline tells its distance", works="pnp, goal or estimate"
+        )
     if runs_along(target) and (law.depth.needs_pose or needs_pose):
         words = f"may not be {law.depth.kind}: the outline of {called(target)} does not tell how it is turned, and so has no pose"
         remedy = f"; use {'size or ' if sized else ''}goal" if _has_depth(law) else f", which law {law.kind} needs"
@@ -214,7 +216,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     # Only what this robot and task would accept: `floor` needs a vehicle, a task with a pose needs a source that estimates one.
     depths = "floor" if needs_pose else "floor, goal or estimate" if robot.base == "planar" else "goal or estimate"
     which = "all markers lie on one line" if len(points) > 1 else "there is a single marker"
-    raise ParameterError("law.depth", f"may not be pnp: {which}, which leaves the pose open; use {depths}")
+    raise ParameterError.excluded("law.depth", "pnp", why=f"{which}, which leaves the pose open; use {depths}")
 
 
 def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[Any], views: Sequence[Goal]) -> None:
@@ -222,11 +224,11 @@ def check_own_points(robot: Robot, camera: Camera, detector: Detector[Any], law:
     if not detector.needs_goal:
         return
     if len(camera.panels) > 1:
-        words = f"may not be {detector.kind} with a camera that sees all round: it compares single pictures; use perspective or fisheye"
-        raise ParameterError("detector", words)
+        why = "it compares single pictures; use perspective or fisheye"
+        raise ParameterError.excluded("detector", f"{detector.kind} with a camera that sees all round", why=why)
     if len(views) > 1:
-        words = f"may not be {detector.kind} with {len(views)} goal views in turn: it compares with the picture of one; use goal: view"
-        raise ParameterError("detector", words)
+        words = f"{detector.kind} with {len(views)} goal views in turn"
+        raise ParameterError.excluded("detector", words, why="it compares with the picture of one; use goal: view")
     if detector.fleeting and law.depth.estimator is not None:
         words = f"estimates each point's depth from its motion, and detector {detector.kind} shows other points in every picture"
         raise ParameterError("law.depth", f"{words}; use pnp or goal, or let it follow its points (track: klt)")
@@ -249,10 +251,10 @@ def _check_changing(law: Any, detector: str) -> None:
     for place, part in (("law.law", getattr(law, "law", None)), ("law", law)):
         feature = getattr(part, "feature", None)
         if law.needs_same_markers and part is not None and feature is not None and part.needs_same_markers:
-            words = f"may not be {feature.kind}: it is made of several markers together, which takes {wanted}"
-            raise ParameterError(f"{place}.feature", f"{words}; use point, polar or spherical")
+            why = f"it is made of several markers together, which takes {wanted}; use point, polar or spherical"
+            raise ParameterError.excluded(f"{place}.feature", feature.kind, why=why)
     if law.needs_same_markers:
-        raise ParameterError("law", f"may not be {law.kind}: it needs {wanted}; use ibvs, pbvs or hybrid")
+        raise ParameterError.excluded("law", law.kind, why=f"it needs {wanted}; use ibvs, pbvs or hybrid")
     if "radius_px" not in inputs_of(law):
         return
     given = {name: "null" for name in ("margin_px", "plane_m") if getattr(law, name, None) is not None}
@@ -273,11 +275,11 @@ def check_judged(stop: Stop, target: Target, detector: Detector[Any], law: Law[A
         raise ParameterError("stop.converged.error_grey", words)
     field = next((name for name in ("error_px", *BY_ESTIMATE) if getattr(goal, name) is not None), None)
     if detector.rows == 0 and field:
-        words = f"needs markers, and detector {detector.kind} finds none; use stop: {{converged: {{error_grey: 1}}}}"
-        raise ParameterError(f"stop.converged.{field}", words)
+        words = f"markers, and detector {detector.kind} finds none"
+        raise ParameterError.needs(f"stop.converged.{field}", words, works="stop: {converged: {error_grey: 1}}")
     for name in BY_ESTIMATE:
         if getattr(goal, name) is not None and (words := _untold_pose(target, law)):
-            raise ParameterError(f"stop.converged.{name}", f"needs the target's pose, {words}", getattr(goal, name))
+            raise ParameterError.needs(f"stop.converged.{name}", f"the target's pose, {words}", getattr(goal, name))
 
 
 def _untold_pose(target: Target, law: Law[Any]) -> str:
@@ -295,22 +297,22 @@ def _check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> N
     of_markers = {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
     marker, shown = target.marker.kind, kind_of(type(target))
     if detector.markers and marker not in detector.markers:
-        words = f"may not be {marker}: detector {detector.kind} sees {', '.join(detector.markers)}; with {marker} use"
         able = [kind for kind, member in of_markers.items() if not member.markers or marker in member.markers]
-        raise ParameterError("target.marker", f"{words} detector {' or '.join(able)}")
+        why = f"detector {detector.kind} sees {', '.join(detector.markers)}; with {marker} use detector {' or '.join(able)}"
+        raise ParameterError.excluded("target.marker", marker, why=why)
     if set(law.inputs) == {"image"} and detector.needs_goal:
-        words = f"may not be {detector.kind}: law {law.kind} works on the whole picture, and reads no points of it; use none"
-        raise ParameterError("detector", words)
+        why = f"law {law.kind} works on the whole picture, and reads no points of it; use none"
+        raise ParameterError.excluded("detector", detector.kind, why=why)
     if set(law.inputs) == {"image"} and detector.markers and not target.draw_markers:
-        words = f"may not be {detector.kind}: no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
-        raise ParameterError("detector", words)
+        why = f"no markers are drawn (target.draw_markers: false), and law {law.kind} needs none; use none"
+        raise ParameterError.excluded("detector", detector.kind, why=why)
     if detector.needs_sheet and target.sheet is None:
         words = f"must be a picture for detector {detector.kind}, which tracks it"
         raise ParameterError("target", f"{words}: `target: {{kind: picture, file: poster.png, width: 0.6}}`", shown)
     if detector.markers and not target.draw_markers and target.sheet is None:
         able = [kind for kind, member in of_markers.items() if not member.markers]
-        words = f"may not be false with detector {detector.kind}: a {shown} without markers shows it nothing to detect"
-        raise ParameterError("target.draw_markers", f"{words}; use true, or detector {' or '.join(able)}", False)
+        why = f"a {shown} without markers shows it nothing to detect; use true, or detector {' or '.join(able)}"
+        raise ParameterError.excluded("target.draw_markers", f"false with detector {detector.kind}", False, why=why)
 
 
 def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], law: Law[Any]) -> None:
@@ -318,8 +320,8 @@ def _check_marker_count(robot: Robot, camera: Camera, target: Target, detector: 
     # One at least: a robot whose motions need none would still have nothing to look at.
     needed = max(law.markers_needed(basis), 1)
     if detector.rows is not None and detector.rows < law.markers_needed(basis):
-        words = f"may not be {detector.kind}: it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use"
-        raise ParameterError("detector", f"{words} another one, or law photometric")
+        why = f"it reports {detector.rows} points, and law {law.kind} needs {needed} or more; use another one, or law photometric"
+        raise ParameterError.excluded("detector", detector.kind, why=why)
     if detector.rows is None and len(points) < needed:
         markers = f"{len(points)} marker{'s' * (len(points) != 1)}"
         words = f"has {markers}, and law {law.kind} needs {needed} or more for this robot's motions"

@@ -35,7 +35,7 @@ class Distribution:
 
     def __post_init__(self) -> None:
         if self.field.split(".")[0] in NOT_DRAWN:
-            raise ParameterError("field", f"may not be in {', '.join(NOT_DRAWN)}; works: world.light.brightness", self.field)
+            raise ParameterError.excluded("field", f"in {', '.join(NOT_DRAWN)}", self.field, works="world.light.brightness")
         if self._bounds and getattr(self, self._bounds) is not None:
             check_range(self, self._bounds, equal=False)
 
@@ -85,7 +85,7 @@ class Gaussian(Distribution):
         super().__post_init__()
         mean, sigma = self.normal
         if sigma < 0:
-            raise ParameterError("normal", "must be the mean and a standard deviation of 0 or more", list(self.normal))
+            raise ParameterError.form("normal", "[mean, standard deviation of 0 or more]", list(self.normal))
         if self.within is not None and not (self.within[0] <= mean + 3 * sigma and self.within[1] >= mean - 3 * sigma):
             words = f"must reach into three standard deviations about the mean, {mean - 3 * sigma:g} to {mean + 3 * sigma:g}"
             raise ParameterError("within", words, list(self.within))

@@ -19,7 +19,7 @@ from vstestbed.core.registry import brief_mapping, to_mapping
 from vstestbed.robots import Robot
 from vstestbed.scenario.load import GIVEN, RESOLVED, load, parse
 from vstestbed.scenario.plugins import HOMES, absolute, absolute_files, is_file_name, relative_files
-from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.scenario.yaml_marks import plain_mapping, text_of
 
 WIDTH, ON_ONE_LINE = 120, 110  # columns of a line, and of a block that stands on one line
@@ -33,8 +33,7 @@ def dump(scenario: Scenario, path: str | Path | None = None, *, defaults: bool =
     Raises ParameterError: `scenario` is not a Scenario, or has a kind of your own that is in no file of `plugins`. OutputError,
     EnvironmentLackError: the file cannot be written.
     """
-    if not isinstance(scenario, Scenario):
-        raise ParameterError("scenario", "must be a Scenario: vstestbed.load('arm_ibvs')", scenario)
+    check_scenario(scenario)
     if defaults:
         plain = to_mapping(scenario)
     else:

@@ -68,4 +68,4 @@ def check_randomise(randomise: Sequence[Distribution]) -> None:
     for i, one in enumerate(randomise):
         for j, other in enumerate(randomise[:i]):
             if f"{one.field}.".startswith(f"{other.field}.") or f"{other.field}.".startswith(f"{one.field}."):
-                raise ParameterError(f"randomise.{i}.field", f"is drawn by randomise.{j} already, as {other.field}", one.field)
+                raise ParameterError.conflict(f"randomise.{i}.field", f"randomise.{j}.field: {other.field}", one.field)

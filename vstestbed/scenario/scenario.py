@@ -61,6 +61,12 @@ DISPLACEMENT_STEPS = 12
 """Parts of the way from the goal view to a displaced start: of a half turn 15 degrees each, within which Newton's steps keep a posture."""
 
 
+def check_scenario(given: object) -> None:
+    """Refuse what is no Scenario, such as the name of one."""
+    if not isinstance(given, Scenario):
+        raise ParameterError.fixed("scenario", "a Scenario", given, why="vstestbed.load('arm_ibvs') returns one")
+
+
 @spec
 class Scenario:
     """One experiment: robot, camera, target, detector, law, goal, nuisances, end.
@@ -130,10 +136,11 @@ class Scenario:
         checks.check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         checks.check_carrier(self.target)
         if self.world.floor.mirror and self.camera.renderer == "rays":
-            raise ParameterError("camera.renderer", "must be gl or auto: a floor that mirrors needs OpenGL", self.camera.renderer)
+            raise ParameterError.fixed("camera.renderer", "gl or auto", self.camera.renderer, why="a floor that mirrors needs OpenGL")
         self.noise.target.check(self.target)
         if self.stop.duration_s < self.camera.period:
-            raise ParameterError("stop.duration_s", f"must be at least one camera period, {self.camera.period:g} s", self.stop.duration_s)
+            words = f"one camera period, {self.camera.period:g} s"
+            raise ParameterError.bound("stop.duration_s", "at least", words, self.stop.duration_s)
         checks.check_markers(self.robot, self.camera, self.target, self.detector, self.law, self.goal.needs_pose)
         checks.check_goal_pictures(self.goal, self.camera, self.needs_goal_image, self.law, self.detector)
         checks.check_judged(self.stop, self.target, self.detector, self.law)

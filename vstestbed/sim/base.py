@@ -195,12 +195,12 @@ class Plant(ABC):
 
     def push(self, force: Array, duration_s: float) -> None:
         """Push the robot with a force (3,) along world axes [N] for a while. ParameterError where it has no mass."""
-        raise ParameterError("push", "needs a robot with a mass; this camera follows its twist exactly")
+        raise ParameterError.needs("push", "a robot with a mass", why="this camera follows its twist exactly")
 
     def move_target(self, T_world_target: Array) -> None:
         """Put the target at a pose (4, 4); one that moves goes on from there. ParameterError where it is carried."""
         if self._target.on_gripper or self._parts.leader is not None:
-            raise ParameterError("target", "is carried, and goes where its carrier goes")
+            raise ParameterError.excluded("target", "moved", why="it goes where its carrier goes")
         start = self._parts.T_world_target
         own = self._own_path or (lambda _: start)
         shift = T_world_target @ inverse(own(self._t))
@@ -209,7 +209,7 @@ class Plant(ABC):
     def hold_plate(self, T_world_plate: Array | None) -> None:
         """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
         if self._stage is None or self._stage.hand_plate is None:
-            raise ParameterError("plate", "is not in this scene; a session has one with plate_m=0.1")
+            raise ParameterError.missing("plate", "a session has one with plate_m=0.1")
         T = np.eye(4) if T_world_plate is None else T_world_plate
         self._stage.data.mocap_pos[self._stage.hand_plate] = AWAY if T_world_plate is None else T[:3, 3]
         self._stage.data.mocap_quat[self._stage.hand_plate] = quaternion_wxyz(T[:3, :3])

@@ -456,9 +456,9 @@ class MujocoPlant(Plant):
         """
         given = np.asarray(force, dtype=float)
         if given.shape != (3,) or not np.isfinite(given).all():
-            raise ParameterError("force", "must be three finite numbers [N]", force)
+            raise ParameterError.count("force", "three", "finite numbers [N]", force)
         if not 0 < duration_s <= LONGEST_PUSH_S:
-            raise ParameterError("duration_s", f"must be more than 0 and at most {LONGEST_PUSH_S:g} s", duration_s)
+            raise ParameterError.bound("duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s)
         self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
         self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
 

@@ -107,7 +107,7 @@ class Replay:
         are in sight. Raises ParameterError: there is no such camera.
         """
         if camera not in self.cameras:
-            raise ParameterError("--camera", f"must be one of {', '.join(self.cameras)}", camera)
+            raise ParameterError.choice("--camera", self.cameras, camera)
         if camera == "eye":
             stage, view = self._servo_camera()
             stage.place(t, T_world_target, q, T_world_camera)

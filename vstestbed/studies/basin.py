@@ -73,11 +73,11 @@ class Axis:
     def __post_init__(self) -> None:
         """Refuse an unknown coordinate, and an empty range."""
         if self.name not in COORDINATES:
-            raise ParameterError("axis", f"must be one of {', '.join(COORDINATES)}", self.name)
+            raise ParameterError.choice("axis", COORDINATES, self.name)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ParameterError(self.name, "must have a range low:high with low < high", f"{self.low:g}:{self.high:g}")
+            raise ParameterError.form(self.name, "low:high with low < high", f"{self.low:g}:{self.high:g}")
         if self.n < 2:
-            raise ParameterError("n", "must be 2 or more places along an axis", self.n)
+            raise ParameterError.count("n", "2", "or more places along an axis", self.n)
 
     @property
     def values(self) -> Array:
@@ -175,14 +175,14 @@ class Basin:
 def fixed(scenario: Scenario, x: Axis, y: Axis, at: Mapping[str, float]) -> dict[str, float]:
     """The coordinates that are not on the map, by name [m or deg]: from `at`, else those of the scenario's start."""
     if x.name == y.name:
-        raise ParameterError("--y", "must be another coordinate than --x", y.name)
+        raise ParameterError.twice("--x and --y", y.name)
     others = [name for name in COORDINATES if name not in (x.name, y.name)]
     for name in at:
         if name not in others:
-            raise ParameterError("--at", f"must be one of {', '.join(COORDINATES)} that is not on the map", name)
+            raise ParameterError.choice("--at", others, name)
     for name, value in at.items():
         if not math.isfinite(value):
-            raise ParameterError("--at", f"{name} must be a finite number", value)
+            raise ParameterError.infinite(f"--at {name}", value)
     own = Pose.of(scenario.goal_view.T_camera_target @ inverse(start_of(scenario)))
     values = dict(zip(COORDINATES, (*own.xyz, *own.rpy_deg), strict=True)) | dict(at)
     return {name: values[name] for name in others}

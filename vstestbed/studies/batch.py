@@ -119,7 +119,7 @@ def ideal(scenario: Scenario, field_of_view: str | None = None) -> Scenario:
     robot, camera, detector = scenario.resolved.robot, scenario.camera, scenario.detector
     field_of_view = field_of_view or (detector.field_of_view if isinstance(detector, Oracle) else "limited")
     if scenario.target.moves:
-        raise ParameterError("target.motion", "must be still in a batch", scenario.target.motion.kind)
+        raise ParameterError.fixed("target.motion", "still", scenario.target.motion.kind, where="in a batch")
     if (motions := robot.motion_basis(Mount.of(camera.mount.T), robot.start_joints()).shape[1]) != 6:
         words = f"moves its camera in {motions} directions, and the ideal camera of a batch in all six; use free or puma560"
         raise ParameterError("robot.kind", words, robot.kind)

@@ -79,7 +79,7 @@ class IdealBench:
 def measure_ideal(repeats: int = 5, steps: int = 3000, runs: int = 1000) -> IdealBench:
     """Measure both loops in turn, `repeats` times; steps: of the single run, which stays at its goal to the end; runs: in the batch."""
     if min(repeats, steps, runs) < 1:
-        raise ParameterError("repeats, steps and runs", "must be 1 or more", (repeats, steps, runs))
+        raise ParameterError.count("repeats, steps and runs", "1", "or more", (repeats, steps, runs))
     scenario, start = endless(steps), _starts(runs)
     with _one_core():
         alone, together = _one_run(scenario), _batch(scenario, start)  # warms up
@@ -260,7 +260,7 @@ class BesideFloor:
     def __post_init__(self) -> None:
         """Refuse times without their floor."""
         if len(self.seconds) != len(self.floor_seconds):
-            raise ParameterError("floor_seconds", f"must be {len(self.seconds)}, one for each of seconds", len(self.floor_seconds))
+            raise ParameterError.count("floor_seconds", len(self.seconds), "numbers, one for each of seconds", len(self.floor_seconds))
 
     @property
     def ratios(self) -> tuple[float, ...]:

@@ -110,7 +110,7 @@ class Study:
         """Refuse a comparison that makes no map."""
         c = self.comparison
         if len(c.axes) != 2:
-            raise ParameterError("axes", "must be two, x and y of each map: give --vary a.b=v1,v2 twice", list(c.axes))
+            raise ParameterError.count("axes", "two,", "x and y of each map", list(c.axes), why="give --vary a.b=v1,v2 twice")
         if c.tasks or c.seeds is None:
             raise ParameterError("seeds", "must be given in a convergence map, which has no tasks")
         must_be_few(c, self.force)

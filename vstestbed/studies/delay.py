@@ -271,8 +271,8 @@ def prepared(scenario: Scenario) -> Scenario:
         T = scenario.T_world_goal @ inverse(scenario.camera.mount.T)
         return replace(settled, robot=settled.robot.started_at(T.ravel()))
     if settled.robot.base != "fixed":
-        words = "must be free or puma560: the limit of a loop that answers in all six directions alike is what is found"
-        raise ParameterError("robot.kind", words, settled.robot.kind)
+        why = "the limit of a loop that answers in all six directions alike is what is found"
+        raise ParameterError.fixed("robot.kind", "free or puma560", settled.robot.kind, why=why)
     robot = settled.robot.idealised() if isinstance(settled.robot, Arm) else settled.robot
     flown = uninterrupted(run(replace(settled, robot=robot)))
     if not flown.outcome.success:
@@ -398,12 +398,12 @@ def _theory(at_goal: Scenario, delay_frames: float) -> float:
 def delays_of(scenario: Scenario, frames: Sequence[int]) -> list[float]:
     """The delays [frames] of a study: the scenario's own latency first, where it has one, then those of `frames` that differ from it."""
     if bad := [d for d in frames if not 0 <= d <= MOST_FRAMES]:
-        raise ParameterError("--frames", f"must be whole numbers from 0 to {MOST_FRAMES}", bad[0])
+        raise ParameterError.bound("--frames", "within", f"0 to {MOST_FRAMES}", bad[0])
     latency, period = scenario.camera.latency_s, scenario.camera.period
     own = round(latency / period, 9)
     if own > MOST_FRAMES:
         most = f"{MOST_FRAMES * period:g} s, which are {MOST_FRAMES} frames at {1 / period:g} Hz"
-        raise ParameterError("camera.latency_s", f"must be at most {most}", latency)
+        raise ParameterError.bound("camera.latency_s", "at most", most, latency)
     return [own, *(d for d in frames if d != own)] if own else list(frames)
 
 

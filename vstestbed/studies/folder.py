@@ -41,7 +41,7 @@ def resumed_folder(kind: str, out: Path | None, plan: str) -> Iterator[Path]:
     Raises RunFolderError: there is no plan.
     """
     if out is None:
-        raise ParameterError("--resume", f"needs the folder that `vstestbed {kind}` has made: --out DIR")
+        raise ParameterError.needs("--resume", f"the folder that `vstestbed {kind}` has made", why="--out DIR")
     if not (out / plan).is_file():
         found = f"has no {plan}, so that no `vstestbed {kind}` was here" if out.is_dir() else "no such folder"
         raise RunFolderError(out, found, f"`vstestbed {kind} --out DIR` makes one")

@@ -385,7 +385,7 @@ def must_not_be_worker(function: str) -> None:
 def workers(requested: int | None, runs: int) -> int:
     """Number of worker processes: as requested, else one per core; never more than there are runs."""
     if requested is not None and requested < 1:
-        raise ParameterError("--jobs", "must be 1 or more", requested)
+        raise ParameterError.count("--jobs", "1", "or more", requested)
     # the cores that this process may use, which in a container can be fewer than the machine has
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(requested or cores, runs))
@@ -405,4 +405,4 @@ def pool_of(executor: str, workers: int, folder: Path) -> Pool:
 def must_be_known(executor: str) -> None:
     """Refuse any other value of `--executor`."""
     if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
-        raise ParameterError("--executor", "must be local or dask://HOST:PORT", executor)
+        raise ParameterError.fixed("--executor", "local or dask://HOST:PORT", executor)

@@ -128,7 +128,7 @@ def parameter(path: str, given: object) -> Parameter:
     if least is None or most is None or scale not in ("", "log"):
         raise ParameterError(OPTION, f"{path}: is no range of numbers; it {FORM}", given)
     if least >= most:
-        raise ParameterError(OPTION, f"{path}: must have its low end first, and below the high one", given)
+        raise ParameterError.form(f"{OPTION} {path}:", "LOW:HIGH with LOW < HIGH", given)
     if scale and least <= 0:
         raise ParameterError(OPTION, f"{path}: must begin above 0 where it is logarithmic", given)
     return Range(path, least, most, scale == "log")

@@ -88,9 +88,9 @@ class Tuning:
     def __post_init__(self) -> None:
         """Refuse a search over nothing, and a metric that no run has."""
         if not self.vary:
-            raise ParameterError(OPTION, "is missing: it names what is tuned, such as --vary law.gain=0.2:2")
+            raise ParameterError.missing(OPTION, "it names what is tuned, such as --vary law.gain=0.2:2")
         if self.metric not in (known := (*FIGURES, *own_metrics())):
-            raise ParameterError("--metric", f"must be a figure of summary.json: {', '.join(known)}", self.metric)
+            raise ParameterError.choice("--metric", known, self.metric)
 
     @property
     def shown(self) -> Metric:
@@ -493,7 +493,7 @@ def planned(
 ) -> Tuning:
     """The plan of a search; arguments and errors as of `tune`, the others by the names of `Tuning`."""
     if scenario is None:
-        raise ParameterError("SCENARIO", "is missing: name the scenario that is to be tuned")
+        raise ParameterError.missing("SCENARIO", "name the scenario that is to be tuned")
     loaded, here = load_plugins(plugins), Path.cwd()  # first: a metric may be one of theirs
     asked = [parameter(path, given) for path, given in vary.items()]
     varied = {p.path: [block_of(value) for value in p.values] if isinstance(p, Choice) else str(p) for p in asked}

@@ -213,10 +213,10 @@ class Target:
 
     def _check_names(self) -> None:
         if self.names and len(self.names) != len(self.points):
-            raise ParameterError("names", f"must be {len(self.points)} names, one for each marker, or none", list(self.names))
+            raise ParameterError.count("names", len(self.points), "names, one for each marker, or none", list(self.names))
         name, times = Counter(self.names).most_common(1)[0] if self.names else ("", 1)
         if times > 1:
-            raise ParameterError("names", f"must be different: {name} stands there {times} times", list(self.names))
+            raise ParameterError.twice("names", name, list(self.names))
 
 
 BOARD_MARGIN = 1.5  # the board behind a square reaches this many marker radii beyond the markers' edges

@@ -59,18 +59,18 @@ class GroundLines(Target):
 
     def __post_init__(self) -> None:
         if self.moves:
-            raise ParameterError("motion", "must be still: lines are painted on the floor")
+            raise ParameterError.fixed("motion", "still", why="lines are painted on the floor")
         if abs(self.pose.T[2, 2] - 1) > 1e-9 or abs(self.pose.T[2, 3]) > 1e-9:
-            raise ParameterError("pose", "must be flat on the floor: z = 0, and a turn about z only", self.pose.xyz)
+            raise ParameterError.fixed("pose", "flat on the floor", self.pose.xyz, why="z = 0, and a turn about z only")
         if self.look_m[1] - self.look_m[0] < 0.02:
-            raise ParameterError("look_m", "must be [near, far], far 0.02 m or more beyond near", self.look_m)
+            raise ParameterError.form("look_m", "[near, far], far 0.02 m or more beyond near", self.look_m)
         width = self.marker.width_m
         if len(self.offsets_m) == 2 and abs(self.offsets_m[0] - self.offsets_m[1]) < 2 * width:
-            raise ParameterError("offsets_m", f"must be 2 stripe widths or more apart, {2 * width:g} m", self.offsets_m)
+            raise ParameterError.bound("offsets_m", "at least", f"2 stripe widths, {2 * width:g} m, apart", self.offsets_m)
         # Beyond the centre of curvature a parallel line runs backwards and crosses itself.
         tightest = 1 / max(float(np.abs(self.route.samples[3]).max()), 1e-9)
         if max(map(abs, self.offsets_m)) + width >= tightest:
-            raise ParameterError("offsets_m", f"must be smaller than the way's tightest radius, {tightest:.4g} m", self.offsets_m)
+            raise ParameterError.bound("offsets_m", "smaller than", f"the way's tightest radius, {tightest:.4g} m", self.offsets_m)
         self._check_names()
 
     @property

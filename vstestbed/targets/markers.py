@@ -80,7 +80,7 @@ class RoundMarker(Marker):
     def check_spacing(self, gap: float, count: int) -> None:
         """Refuse markers that overlap."""
         if gap <= 2 * self.radius:
-            raise ParameterError("marker.radius", f"must be under half of the smallest gap between markers, {gap:.4g} m", self.radius)
+            raise ParameterError.bound("marker.radius", "under", f"half of the smallest gap between markers, {gap:.4g} m", self.radius)
 
 
 @spec
@@ -170,11 +170,11 @@ class Tag(Marker):
         """Refuse tags that overlap, and numbers beyond the family's last."""
         if gap <= 2 * self.radius:
             most = gap / 2 / self.radius * self.size
-            words = f"must be under {most:.4g} m: with its quiet zone a tag takes the room of a circle round it, and markers"
-            raise ParameterError("marker.size", f"{words} are {gap:.4g} m apart", self.size)
+            why = f"with its quiet zone a tag takes the room of a circle round it, and markers are {gap:.4g} m apart"
+            raise ParameterError.bound("marker.size", "under", f"{most:.4g} m", self.size, why=why)
         if self.first_id + count > self.count:
-            words = f"must be at most {self.count - count}: family {self.family} has {self.count} tags, and {count} are needed"
-            raise ParameterError("marker.first_id", words, self.first_id)
+            why = f"family {self.family} has {self.count} tags, and {count} are needed"
+            raise ParameterError.bound("marker.first_id", "at most", self.count - count, self.first_id, why=why)
 
     @property
     def radius(self) -> float:
@@ -209,7 +209,7 @@ class Stripe(Marker):
     @property
     def solid(self) -> Solid:
         """None: paint follows the line (`sim.scene.compose`), and no other target has stripes."""
-        raise ParameterError("target.marker", "may be stripe only with target: {kind: lines}")
+        raise ParameterError.excluded("target.marker", "stripe without target lines")
 
     @property
     def radius(self) -> float:

@@ -35,15 +35,17 @@ def read_triangles(path: Path, written_ns: int) -> Triangles:
     try:
         found = _obj(raw) if path.suffix.lower() == ".obj" else _stl(raw)
     except (ValueError, IndexError) as error:
-        raise ParameterError("file", f"cannot be read ({error}); works: an STL or OBJ file", str(path)) from None
+        raise ParameterError.unreadable("file", error, "an STL or OBJ file", str(path)) from None
     if not np.isfinite(found).all():
-        raise ParameterError("file", "has corners that are not finite", str(path))
+        raise ParameterError.unreadable("file", "it has corners that are not finite", "an STL or OBJ file", str(path))
     area = np.linalg.norm(np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0]), axis=1)
     found = found[area > 1e-12 * max(float(np.ptp(found.reshape(-1, 3), axis=0).max()), 1e-30) ** 2] if len(found) else found
     if not len(found):
-        raise ParameterError("file", "has no faces with an area; export the part as triangles", str(path))
+        raise ParameterError.unreadable("file", "it has no faces with an area", "a part that is exported as triangles", str(path))
     if len(found) > MOST_FACES:
-        raise ParameterError("file", f"has {len(found)} faces; {MOST_FACES} are the most: reduce (decimate) it", str(path))
+        raise ParameterError.unreadable(
+            "file", f"it has {len(found)} faces", f"at most {MOST_FACES}, of a part that is reduced (decimated)", str(path)
+        )
     return found
 
 
@@ -140,9 +142,9 @@ class MeshTarget(Target):
     def __post_init__(self) -> None:
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its solid is
         if not self.file.lower().endswith((".stl", ".obj")):
-            raise ParameterError("file", "must be a solid, FILE.stl or FILE.obj", self.file)
+            raise ParameterError.form("file", "FILE.stl or FILE.obj, a solid", self.file)
         if self.pad:
-            raise ParameterError("pad", "has no place on a solid; works: target square or points")
+            raise ParameterError.only_for("pad", "target square or points")
         size = float(np.linalg.norm(np.ptp(self._triangles.reshape(-1, 3), axis=0)))  # the diagonal of its box
         if not 1e-4 <= size <= 100:  # a part of 0.1 m or more whose millimetres were taken for metres is larger
             words = f"makes the solid {size:.3g} m large; give the metres of one unit of the file, 0.001 for millimetres"

@@ -41,7 +41,7 @@ def picture_name(file: str) -> str:
     if file.startswith(TEXTURE):
         if file.removeprefix(TEXTURE) not in textures():
             names = ", ".join(f"{TEXTURE}{name}" for name in textures())
-            raise ParameterError("file", f"names no bundled texture; there are {names}", file)
+            raise ParameterError.unknown("file", "bundled texture", f"there are {names}", file)
         return file
     if not file.lower().endswith(KINDS):
         raise ParameterError("file", f"must be a picture, FILE.png or FILE.jpg, or {TEXTURE}NAME ({', '.join(textures())})", file)
@@ -127,7 +127,7 @@ def decoded(path: Path) -> NDArray[np.uint8]:
     except cv2.error as error:  # empty, or more pixels than OpenCV reads
         plain, full, why = None, None, " ".join(str(error.err).split())
     if plain is None:
-        raise ParameterError("file", f"cannot be read as a picture ({why}); works: a PNG or JPEG file", str(path))
+        raise ParameterError.unreadable("file", why, "a PNG or JPEG file", str(path))
     image = np.asarray(plain, np.uint8)
     if full is None or full.ndim < 3 or full.shape[2] != 4:
         return image
@@ -170,13 +170,13 @@ class PictureTarget(Target):
     def __post_init__(self) -> None:
         object.__setattr__(self, "file", picture_name(self.file))  # frozen; a run remembers where its picture is
         if self.pad:
-            raise ParameterError("pad", "has no place behind a picture, which has a board of its own; works: target square or points")
+            raise ParameterError.only_for("pad", "target square or points; a picture has a board of its own")
         width, height = self._texture[1]
         for i, (u, v) in enumerate(self.at_px):
             if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
-                raise ParameterError(f"at_px.{i}", f"must be in the picture, which has {width} x {height} px", [u, v])
+                raise ParameterError.bound(f"at_px.{i}", "within", f"the picture, which has {width} x {height} px", [u, v])
         if self.gloss and not self.lit:
-            raise ParameterError("gloss", "must be 0 with lit: false, where no light acts on the picture", self.gloss)
+            raise ParameterError.fixed("gloss", "0", self.gloss, where="with lit: false, where no light acts on the picture")
         self._check_markers()
 
     @cached_property

@@ -316,9 +316,9 @@ class OneRegion(Target):
 
     def __post_init__(self) -> None:
         if self.names:
-            raise ParameterError("names", "are for markers; the points of an outline have none", list(self.names))
+            raise ParameterError.only_for("names", "markers; the points of an outline have none", list(self.names))
         if self.pad:
-            raise ParameterError("pad", f"has no place behind a {self.kind}; works: target square or points")  # type: ignore[attr-defined] # each subclass has it
+            raise ParameterError.only_for("pad", "target square or points")
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:

@@ -138,7 +138,7 @@ class CircularRoute(Route):
 
     def __post_init__(self) -> None:
         if abs(self.radius_m) < 0.1:
-            raise ParameterError("radius_m", "must be 0.1 m or more in size (negative: to the right)", self.radius_m)
+            raise ParameterError.bound("radius_m", "at least", "0.1 m in size (negative: to the right)", self.radius_m)
 
     def _local(self) -> Samples:
         return _joined([(2 * np.pi * abs(self.radius_m), 1 / self.radius_m)])
@@ -219,7 +219,7 @@ class Track(Route):
     def __post_init__(self) -> None:
         length = sum(piece.length_and_curvature[0] for piece in self.pieces)
         if length > LONGEST_M:
-            raise ParameterError("pieces", f"are {length:.5g} m long together; {LONGEST_M:g} m are the most")
+            raise ParameterError.bound("pieces", "at most", f"{LONGEST_M:g} m long together", round(length, 2))
 
     @cached_property
     def closed(self) -> bool:

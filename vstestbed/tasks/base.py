@@ -113,8 +113,10 @@ class GoalPicture:
             return
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its picture is
         if self.other_light:
-            words = "is for a picture that the simulated camera takes; leave it out, or the file"
-            raise ParameterError("brightness" if self.brightness != 1 else "contrast" if self.contrast != 1 else "image_sigma", words)
+            words = "a picture that the simulated camera takes; leave it out, or the file"
+            raise ParameterError.only_for(
+                "brightness" if self.brightness != 1 else "contrast" if self.contrast != 1 else "image_sigma", words
+            )
 
     @property
     def other_light(self) -> bool:
@@ -192,18 +194,19 @@ class Task:
 
     def _check_law(self, law: Law[Any]) -> None:
         if self.asks not in law.tasks:
-            words = f"may not be of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}"
-            raise ParameterError("goal", words)
+            raise ParameterError.excluded("goal", f"of kind {self.kind} with law {law.kind}, which takes {' or '.join(law.tasks)}")
         if self.needs_pose and not law.depth.needs_pose:
-            words = f"may not be {law.depth.kind} with law {law.kind}, which needs the pose itself; use floor or pnp"
-            raise ParameterError("law.depth", words)
+            words = f"{law.depth.kind} with law {law.kind}, which needs the pose itself"
+            raise ParameterError.excluded("law.depth", words, works="floor or pnp")
 
     def _check_base(self, robot: Robot) -> None:
         if robot.base in self.bases:
             return
         if self.bases == {"floating"}:
-            raise ParameterError("goal", f"of kind {self.kind} is for a craft that flies (robot quadrotor)")
-        raise ParameterError("goal", f"of kind {self.kind} is for a vehicle; robot {robot.kind} takes T_camera_target")
+            raise ParameterError.excluded(
+                "goal", f"{self.kind} with robot {robot.kind}", why="it is for a craft that flies (robot quadrotor)"
+            )
+        raise ParameterError.excluded("goal", f"{self.kind} with robot {robot.kind}", why="it is for a vehicle", works="T_camera_target")
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:

@@ -60,8 +60,9 @@ class GoalGap(Continuing):
             rear, front = VEHICLES[target.carrier.by]().ends_m[0], robot.ends_m[1]
             least = target.pose.xyz[0] - rear + front
             if self.gap_m <= least:
-                words = f"must be over {least:.4g} m: there the front of robot {robot.kind}, {front:g} m before its origin, touches the"
-                raise ParameterError("goal.gap_m", f"{words} {target.carrier.by} that carries the target", self.gap_m)
+                front_m = f"the front of robot {robot.kind}, {front:g} m before its origin,"
+                why = f"there {front_m} touches the {target.carrier.by} that carries the target"
+                raise ParameterError.bound("goal.gap_m", "over", f"{least:.4g} m", self.gap_m, why=why)
         # Points above one another do not determine the target's heading: they must lie over the origin to which the gap is measured.
         p: Array = target.points @ target.pose.T[:3, :3].T  # from the target's origin, in the axes of what carries it
         if not setup.law.depth.on_floor or np.ptp(p[:, :2], axis=0).max() > ONE_PLACE_M:
@@ -156,8 +157,8 @@ class GoalLine(Continuing):
             return
         most = min(robot.top_speed_mps, law.limits.speed_mps or np.inf)
         if law.cruise_mps > most:
-            words = f"must be at most {most:g} m/s, which the limits of robot and law allow"
-            raise ParameterError("law.cruise_mps", words, law.cruise_mps)
+            words = f"{most:g} m/s, which the limits of robot and law allow"
+            raise ParameterError.bound("law.cruise_mps", "at most", words, law.cruise_mps)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """On a straight line all measured points must be in the picture."""
@@ -193,7 +194,7 @@ class GoalLine(Continuing):
 def _lines(target: Target) -> GroundLines:
     """The target as lines on the floor. Raises ParameterError: it is another kind of target."""
     if not isinstance(target, GroundLines):  # the one task that needs more of its target than markers: a route
-        raise ParameterError("goal", "of kind line needs a line on the floor; use target: {kind: lines}")
+        raise ParameterError.needs("goal", "a line on the floor for kind line", works="target: {kind: lines}")
     return target
 
 

@@ -61,7 +61,7 @@ class GoalLanding(Task):
         """The target must have a pad."""
         super().check(setup)
         if setup.target.pad is None:
-            raise ParameterError("target.pad", "is missing: goal of kind landing needs one, e.g. {side: 0.9}")
+            raise ParameterError.missing("target.pad", "goal of kind landing needs one, e.g. {side: 0.9}")
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
         """The view from which the descent starts."""

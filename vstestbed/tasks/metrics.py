@@ -301,6 +301,6 @@ def own_figures(metrics: Sequence[MetricContract], log: Log, setup: Setup) -> Fi
         for name in metric.titles:
             value = found[name]
             if isinstance(value, bool) or not isinstance(value, Real | None):
-                raise ParameterError(f"metrics: {metric.kind}", f"{name} must be a number or None", str(value))
+                raise ParameterError.returned(f"metrics: {metric.kind}", "figures", f"{name} as a number or None", str(value))
             figures[name] = None if value is None else float(value)
     return figures

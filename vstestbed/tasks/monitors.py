@@ -83,7 +83,8 @@ class Settles:
     def __post_init__(self) -> None:
         """Refuse half of the alternative, and an end before the beginning."""
         if (self.or_position_m is None) != (self.or_rotation_deg is None):
-            raise ParameterError("or_position_m", "goes with or_rotation_deg: give both, or neither", self.or_position_m)
+            lacking = "or_position_m" if self.or_position_m is None else "or_rotation_deg"
+            raise ParameterError.missing(lacking, "the alternative has a distance and an angle; give both, or neither")
         check_ordered(self, "least", "most")
 
     def monitor(self, setup: Setup) -> _Settles:
@@ -249,4 +250,4 @@ def checked(kind: str, verdict: Verdict | None) -> Verdict | None:
     match verdict:
         case None | (Outcome(), str()):
             return verdict
-    raise ParameterError(f"monitors: {kind}", "update must return None or (Outcome, reason)", repr(verdict))
+    raise ParameterError.returned(f"monitors: {kind}", "update", "None or (Outcome, reason)", repr(verdict))

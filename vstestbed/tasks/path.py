@@ -220,7 +220,9 @@ class GoalViews(Task):
 
     def _check_base(self, robot: Robot) -> None:
         if any(robot.base not in view.bases for view in self.views):
-            raise ParameterError("goal", f"of kind {self.kind} is for a vehicle; robot {robot.kind} takes T_camera_target")
+            raise ParameterError.excluded(
+                "goal", f"{self.kind} with robot {robot.kind}", why="it is for a vehicle", works="T_camera_target"
+            )
 
     def check(self, setup: Setup) -> None:
         """Also the checks of each view."""

@@ -66,7 +66,7 @@ class GoalView(Task):
         if self.markers is None:
             return
         if setup.target.outlined:
-            raise ParameterError(field, "must be left out: the points of an outline count together", list(self.markers))
+            raise ParameterError.fixed(field, "left out", list(self.markers), why="the points of an outline count together")
         robot, n = setup.robot, len(setup.target.points)
         needed = setup.law.markers_needed(robot.motion_basis(Mount.of(setup.camera.mount.T), robot.start_joints()))
         numbers = [setup.target.number(marker) for marker in self.markers]
@@ -75,7 +75,7 @@ class GoalView(Task):
             words = f"must be numbers of markers, 0 to {n - 1}{', or names: ' * bool(names)}{', '.join(names)}"
             raise ParameterError(field, words, list(self.markers))
         if len(set(numbers)) < needed:
-            raise ParameterError(field, f"must name {needed} markers or more for law {setup.law.kind}", list(self.markers))
+            raise ParameterError.count(field, f"{needed} or more", f"markers for law {setup.law.kind}", list(self.markers))
 
 
 @spec
@@ -138,8 +138,8 @@ class GoalPlace(Task):
             words = "must have position_m or rotation_deg for a goal of kind pose, where some of the target may be out of the picture"
             raise ParameterError("stop.converged", words)
         if near is not None and law.rest_m >= near:
-            words = f"must be under stop.converged.position_m = {near:g} m: nearer than rest_m the vehicle stands for good"
-            raise ParameterError("law.rest_m", words, law.rest_m)
+            why = "nearer than rest_m the vehicle stands for good"
+            raise ParameterError.bound("law.rest_m", "under", f"stop.converged.position_m = {near:g} m", law.rest_m, why=why)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
         """Nothing: the goal is a place, and markers may be out of the picture there."""

@@ -97,7 +97,7 @@ QUICK: dict[str, tuple[str, dict[str, object]]] = {
 def quick(task: str) -> Scenario:
     """The closed loop for a kind of task. Raises ParameterError: there is none of this kind."""
     if task not in QUICK:
-        raise ParameterError("tasks", f"has no closed loop to be tested in; valid: {', '.join(QUICK)}", task)
+        raise ParameterError.choice("tasks", QUICK, task, why="these have closed loops to be tested in")
     name, changes = QUICK[task]
     return load(name, {"detector": {"kind": "oracle"}, **changes})
 

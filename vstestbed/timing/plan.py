@@ -125,20 +125,20 @@ class Timing:
         clock has not got, or that are too low for what they are to do. Raises ParameterError: with the limit.
         """
         if self.exposure_s and camera.blurring is not None:
-            words = "must be 0: with camera.exposure.blurs the camera's exposure has the time"
-            raise ParameterError("timing.exposure_s", words, self.exposure_s)
+            why = "with camera.exposure.blurs the camera's exposure has the time"
+            raise ParameterError.fixed("timing.exposure_s", "0", self.exposure_s, why=why)
         if self.exposure_s and round(self.exposure_s / step_s) < 2 and not camera.readout_s:
             words = f"must be 0 or at least two physics steps, {2 * step_s:g} s, whose pictures are averaged; or give physics.step_s"
             raise ParameterError("timing.exposure_s", words, self.exposure_s)
         if self.exposure_s > camera.period:
-            raise ParameterError("timing.exposure_s", f"must be at most the camera's period, {camera.period:g} s", self.exposure_s)
+            raise ParameterError.bound("timing.exposure_s", "at most", f"the camera's period, {camera.period:g} s", self.exposure_s)
         room = self._room(camera, step_s)
         if self.exposure_jitter_s > room / 2:
-            words = f"must be at most {room / 2:g} s, half of what the exposure leaves of the camera's period"
-            raise ParameterError("timing.exposure_jitter_s", words, self.exposure_jitter_s)
+            words = f"{room / 2:g} s, half of what the exposure leaves of the camera's period"
+            raise ParameterError.bound("timing.exposure_jitter_s", "at most", words, self.exposure_jitter_s)
         if self.out_of_order and self.latency_jitter_s == 0:
-            words = "needs latency_jitter_s: with one and the same latency no picture overtakes another; or set out_of_order to false"
-            raise ParameterError("timing.out_of_order", words, self.out_of_order)
+            why = "with one and the same latency no picture overtakes another; or set out_of_order to false"
+            raise ParameterError.needs("timing.out_of_order", "latency_jitter_s", self.out_of_order, why=why)
         if self.command_hz is None:
             return
         steps = 1 / (self.command_hz * step_s)
@@ -151,7 +151,7 @@ class Timing:
         least = 1 / self.order_s(camera) if held else 2 * camera.rate_hz
         if self.command_hz < least * (1 - 1e-9):
             why = "a command would end before it reaches the robot" if held else "two setpoints a camera period"
-            raise ParameterError("timing.command_hz", f"must be at least {least:.6g} Hz here ({why})", self.command_hz)
+            raise ParameterError.bound("timing.command_hz", "at least", f"{least:.6g} Hz here ({why})", self.command_hz)
 
     def _room(self, camera: _Shot, step_s: float) -> float:
         """What the longest exposure leaves of the camera's period [s]; refuses one that does not fit into it."""
@@ -162,13 +162,10 @@ class Timing:
         most, longest = 2 * math.floor(camera.period / step_s / 2 + 1e-9) * step_s, self.longest_s(camera)
         if camera.blurring is not None and longest > most - camera.readout_s:
             less = f" less camera.readout_s = {camera.readout_s:g} s" if camera.readout_s else ""
-            words = f"must be at most {max(0.0, most - camera.readout_s):g} s, the camera's period in pairs of physics steps{less}"
-            raise ParameterError(f"camera.{camera.blurring.most_field}", words, longest)
-        words = (
-            f"must be at most {max(most - longest, 0):.6g} s: readout and timing.exposure_s ({longest:g} s) together "
-            f"must fit into the {camera.period:g} s from one picture to the next (camera.rate_hz {camera.rate_hz:g})"
-        )
-        raise ParameterError("camera.readout_s", words, camera.readout_s)
+            words = f"{max(0.0, most - camera.readout_s):g} s, the camera's period in pairs of physics steps{less}"
+            raise ParameterError.bound(f"camera.{camera.blurring.most_field}", "at most", words, longest)
+        why = f"readout and timing.exposure_s, {longest:g} s, must fit into the camera's period, {camera.period:g} s"
+        raise ParameterError.bound("camera.readout_s", "at most", f"{max(most - longest, 0):.6g} s", camera.readout_s, why=why)
 
     def half_steps(self, camera: _Shot, step_s: float, exposure_s: float | None = None) -> int:
         """Half the time from the first row's exposure to the last one's end, in physics steps; 0 for a picture of an instant.

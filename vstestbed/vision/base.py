@@ -97,7 +97,7 @@ class Detector(Generic[M]):
 
     def _given(self, picture: Picture | None) -> Picture:
         if picture is None or picture.empty:
-            raise ParameterError("picture", f"is missing: detector {self.kind} needs one; use detector oracle where there is none")
+            raise ParameterError.missing("picture", f"detector {self.kind} needs one; use detector oracle where there is none")
         return picture
 
 

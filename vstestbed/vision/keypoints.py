@@ -332,7 +332,7 @@ class Keypoints(DetectorBase):
     def __post_init__(self) -> None:
         check_ordered(self, "least", "best")
         if isinstance(self.track, Klt) and (self.track.keep or 0) > self.best:
-            raise ParameterError("track.keep", f"must be at most best = {self.best}", self.track.keep)
+            raise ParameterError.bound("track.keep", "at most", f"best = {self.best}", self.track.keep)
         if self.ratio is not None and self._extractor is None:
             words = f"compares descriptors, and features {self.features.kind} match pictures by themselves; leave it out"
             raise ParameterError("ratio", words, self.ratio)
@@ -355,9 +355,10 @@ class Keypoints(DetectorBase):
     def begin(self, goal: Goal, camera: Camera, target: Target) -> KeypointsState:
         """The goal picture's key points. Raises ParameterError: it has no picture, or too few key points; or the target has no board."""
         if goal.image is None:
-            raise ParameterError("goal.image", "is missing: detector keypoints compares with the picture taken at the goal")
+            raise ParameterError.missing("goal.image", "detector keypoints compares with the picture taken at the goal")
         if self.within == "board" and target.board_half_m is None:
-            raise ParameterError("detector.within", f"may not be board with target {kind_of(type(target))}, which has none; use picture")
+            words = f"board with target {kind_of(type(target))}, which has none"
+            raise ParameterError.excluded("detector.within", words, works="picture")
         learned = None
         if self._extractor is not None:
             uv, descriptors = extracted(self._extractor, goal.image.image)
@@ -406,9 +407,9 @@ class Keypoints(DetectorBase):
         """Matched pixels (K, 2), NaN in empty rows, and the goal's view of the same points."""
         image = None if picture is None else picture.completed().image
         if image is None:
-            raise ParameterError("picture", "is missing: detector keypoints needs one whole picture")
+            raise ParameterError.missing("picture", "detector keypoints needs one whole picture")
         if not isinstance(state, KeypointsState):
-            raise ParameterError("state", "must be that of `begin`, which learns the goal's picture")
+            raise ParameterError.fixed("state", "that of `begin`, which learns the goal's picture")
         dim = grey(image)
         slots = self._followed(state, dim, camera)
         since, why = state.since + 1, ""

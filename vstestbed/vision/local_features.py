@@ -123,8 +123,8 @@ class Akaze(Extractor):
 
     def __post_init__(self) -> None:
         if self._create is None:
-            words = "may not be akaze: this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless in place of"
-            raise ParameterError("", f"{words} opencv-python-headless")
+            why = "this OpenCV lacks it; use sift or orb, or install opencv-contrib-python-headless in place of opencv-python-headless"
+            raise ParameterError.excluded("", "akaze", why=why)
 
     def extract(self, image: Image) -> tuple[Array, Descriptors]:
         """Key points (M, 2) [px] and descriptors (M, 61) uint8."""
@@ -189,7 +189,7 @@ def _points(features: Features, method: str, name: str, uv: NDArray[Any]) -> Arr
 
 
 def _refuse(features: Features, method: str, words: str, got: object) -> None:
-    raise ParameterError("detector.features", f"must give {words}, from {method} of {features.kind}", got)
+    raise ParameterError.returned("detector.features", f"{method} of {features.kind}", words, got)
 
 
 KEYPOINTS = Registry("keypoint", Sift, Orb, Akaze, contract=_Either(Extractor))

@@ -501,7 +501,7 @@ class PatchDetector(DetectorBase):
 
     def _template(self, target: Target) -> Template:
         if target.sheet is None or target.source is None:
-            raise ParameterError("target", "must be a picture for detector patch, which tracks it")
+            raise ParameterError.fixed("target", "a picture", where="for detector patch, which tracks it")
         return template_of(target.source, target.source.stat().st_mtime_ns, target.sheet.width, self.texels)
 
     def _tracked(self, state: PatchState, picture: Picture, template: Template, camera: Camera, target: Target) -> Array | None:

@@ -224,7 +224,7 @@ class Perturbed:
         for kind, state, rng in self._pixels:
             after = np.asarray(kind.pixels(state, uv.copy(), t, rng), dtype=float)
             if after.shape != uv.shape:
-                raise ParameterError(f"noise.perturb: {kind.kind}", f"pixels must return an array {uv.shape}", after.shape)
+                raise ParameterError.returned(f"noise.perturb: {kind.kind}", "pixels", f"an array {uv.shape}", after.shape)
             uv = after
         return uv
 
@@ -233,5 +233,5 @@ def _picture(kind: PerturbationBase, state: Any, image: Image, t: float, rng: np
     shape, after = image.shape, kind.picture(state, image, t, rng)
     if not isinstance(after, np.ndarray) or after.shape != shape or after.dtype != np.uint8:
         found = f"{after.shape} {after.dtype}" if isinstance(after, np.ndarray) else type(after).__name__
-        raise ParameterError(f"noise.perturb: {kind.kind}", f"picture must return an image {shape} uint8", found)
+        raise ParameterError.returned(f"noise.perturb: {kind.kind}", "picture", f"an image {shape} uint8", found)
     return after

@@ -382,7 +382,7 @@ class RegionDetector(DetectorBase):
         """Points of the outline (M, 2) [px] in one picture; all NaN where the region is not found whole."""
         picture = self._given(picture)
         if not target.outlined:
-            raise ParameterError("target", "must be a shape or a ball for detector region")
+            raise ParameterError.fixed("target", "a shape or a ball", where="for detector region")
         window, image = self._window(state, camera, self.window_margin_px), picture.images[0]
         found = None if window is None or image is None else self._largest(image, 0, window, state, camera, target)
         for panel, whole in enumerate(picture.completed().images if found is None else ()):

@@ -84,7 +84,7 @@ class TestDraws:
         assert s.robot == vs.load("arm_ibvs", {"detector": "oracle"}, 4).resolved.robot
 
     def test_sizes_in_the_wrong_order_are_refused(self):
-        with pytest.raises(ScenarioError, match=r"world.clutter.radius_m: must be the smallest and the largest"):
+        with pytest.raises(ScenarioError, match=r"world.clutter.radius_m: needs the form .smallest, largest"):
             vs.load("arm_ibvs", {"world.clutter": {"pose": {}, "radius_m": [0.3, 0.1]}})
 
 

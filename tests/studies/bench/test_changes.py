@@ -51,7 +51,7 @@ def test_a_file_that_is_no_measurement(tmp_path: Path):
         ),
         (
             '{"machine": {},\n "timings": {"a": {"floor": "f", "seconds": [1, 2], "floor_seconds": [1]}}}',
-            "must be 2, one for each of seconds",
+            "must be 2 numbers, one for each of seconds",
         ),
     ):
         (tmp_path / "old.json").write_text(text, encoding="utf-8")

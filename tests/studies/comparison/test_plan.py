@@ -76,12 +76,12 @@ def test_names_that_folders_cannot_have_and_values_that_look_alike(quick: Path):
 
 def test_what_is_refused():
     for words, changes in (
-        ("base must name each scenario once", {"base": ("arm_ibvs", "arm_ibvs")}),
+        ("base has a scenario, or a file name, twice", {"base": ("arm_ibvs", "arm_ibvs")}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (1, 1)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": (3, 3.0)}}),
         ("axes.law.gain must be a list of different values", {"axes": {"law.gain": ()}}),
         ("axes.law replaces the whole block, so that law.gain of", {"axes": {"law": ("ibvs", "pbvs")}, "set": {"law.gain": 1}}),
-        ("axes.law.gain is also in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
+        ("axes.law.gain excludes the same field in `set`", {"axes": {"law.gain": (1, 2)}, "set": {"law.gain": 1}}),
         ("metrics must be one of sim_time_s, .*got 'speed'", {"metrics": ("speed",)}),
     ):
         with pytest.raises(ParameterError, match=words):

@@ -127,5 +127,5 @@ def test_names_of_cases_and_tasks_lead_nowhere_else(quick: Path, tmp_path: Path)
 
 
 def test_two_scenarios_of_one_folder_are_refused():
-    with pytest.raises(ParameterError, match="no two of one file name"):
+    with pytest.raises(ParameterError, match="base has a scenario, or a file name, twice"):
         Comparison(base=("a/Arm.yaml", "b/arm.yaml"))

@@ -273,7 +273,7 @@ def refuse(camera: Camera, mirror: float = 0.0) -> None:
     """
     what = "shadows need OpenGL" if camera.shadows else "a floor that mirrors needs OpenGL" if mirror else ""
     if what and camera.renderer == "rays":
-        raise ParameterError("camera.renderer", f"must be gl or auto: {what}", camera.renderer)
+        raise ParameterError.fixed("camera.renderer", "gl or auto", camera.renderer, why=what)
     if what:
         raise EnvironmentLackError(what, gl.remedy())
 

@@ -40,7 +40,7 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         there = [model.site(i).name for i in range(model.nsite)] or [model.body(i).name for i in range(1, model.nbody)]
         kind, known = "sites" if model.nsite else "bodies", ", ".join(filter(None, there))
         known = f"its {kind}: {known}" if known else f"its {kind} have no names" if there else "it has none"
-        raise ParameterError("flange", f"is no site and no body of the file; {known}", flange)
+        raise ParameterError.unknown("flange", "site and no body of the file", known, flange)
     body, T_body_flange = at
     joints = _joints_to(model, body)
     found = tuple(model.joint(i).name for i in joints)
@@ -133,7 +133,7 @@ def _check(model: mujoco.MjModel, flange: str, joints: list[int], found: tuple[s
         words = f"must be those between the root and {flange}, in their order: {', '.join(found)}"
         raise ParameterError("joints", words, list(names))
     if not 2 <= len(found) <= MOST_JOINTS:
-        raise ParameterError("flange", f"must have 2 to {MOST_JOINTS} joints before it, and {flange} has {len(found)}")
+        raise ParameterError.count("flange", f"after 2 to {MOST_JOINTS}", f"joints, and {flange} is after {len(found)}")
     if not all(found):
         raise ParameterError("file", f"must name each joint before {flange}; joint {found.index('') + 1} of them has no name")
     for i, name in zip(joints, found, strict=True):

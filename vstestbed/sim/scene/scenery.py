@@ -67,7 +67,7 @@ def _checked(path: str, mtime_ns: int) -> mujoco.MjModel:
             why = "nothing would drive it" if what == "actuator" else "scenery stands still, as a run's log has no place for its motion"
             raise ParameterError("file", f"has the {what} {name}{line}, and {why}; remove it from the file", path)
     if not model.ngeom:
-        raise ParameterError("file", "has no geoms; works: an MJCF file with geoms in its worldbody", path)
+        raise ParameterError.unreadable("file", "it has no geoms", "an MJCF file with geoms in its worldbody", path)
     return model
 
 

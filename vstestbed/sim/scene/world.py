@@ -195,7 +195,7 @@ class Light:
 
     def __post_init__(self) -> None:
         if not 1e-6 < math.hypot(*self.direction) < 1e6:
-            raise ParameterError("direction", "must be a vector along the lamp's rays, not zero", list(self.direction))
+            raise ParameterError.bound("direction", ">", "0 in length", list(self.direction))
         if self.xyz is None and self.motion.moves:
             path = self.path()
             if all(np.allclose(path(t)[:3, :3], np.eye(3), atol=1e-9) for t in SAMPLES_S):
@@ -253,7 +253,7 @@ class Plate:
 
     def __post_init__(self) -> None:
         if self.until_s <= self.from_s:
-            raise ParameterError("until_s", f"must be after from_s = {self.from_s:g} s", self.until_s)
+            raise ParameterError.bound("until_s", "after", f"from_s = {self.from_s:g} s", self.until_s)
 
 
 @spec

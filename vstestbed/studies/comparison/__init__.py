@@ -167,7 +167,7 @@ def prepared(
             must_be_unchanged(folder, plugins)
             comparison, found = _resumed(folder, requested, force, plugins)
         elif requested is None:
-            raise ParameterError("SCENARIO", "is missing: name scenarios to compare, or a comparison")
+            raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
             _check_workers_find(found)

@@ -36,7 +36,7 @@ class StartLists(NamedTuple):
     target_from_goal: tuple[Pose, ...] = ()
 
 
-MUST_BE = 'must be JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
+STARTS = 'JSON like {"camera_from_goal": [{"xyz": [0, 0, 0.1], "rpy_deg": [0, 0, 20]}]}'
 
 
 @spec
@@ -74,7 +74,7 @@ class StartTable:
             raise ParameterError("each", f"{words}; give one of the five, or each beside one of the two displacements")
         self._check_lists()
         if self.amounts and len(self.amounts) != self.runs:
-            raise ParameterError("amounts", f"must name each of the {self.runs} runs", list(self.amounts))
+            raise ParameterError.count("amounts", self.runs, "names, one for each run", list(self.amounts))
 
     def _check_lists(self) -> None:
         found = self.lists
@@ -129,11 +129,11 @@ def _read_lists(file: str) -> StartLists:
         poses = {name: tuple(Pose(**pose) for pose in found.get(name, ())) for name in StartLists._fields[1:]}
         each = {str(key): tuple(values) for key, values in found.get("each", {}).items()}
     except (OSError, UnicodeDecodeError) as error:
-        raise ParameterError("file", f"cannot be read ({getattr(error, 'strerror', None) or error})", file) from None
+        raise ParameterError.unreadable("file", getattr(error, "strerror", None) or error, STARTS, file) from None
     except RecursionError:
-        raise ParameterError("file", f"is nested too deeply; {MUST_BE}", file) from None
+        raise ParameterError.unreadable("file", "it is nested too deeply", STARTS, file) from None
     except (ValueError, TypeError, AttributeError) as error:  # a Pose of something else raises a ValueError, too
-        raise ParameterError("file", f"{MUST_BE}; reading it failed: {error}", file) from None
+        raise ParameterError.unreadable("file", error, STARTS, file) from None
     return StartLists(each, **poses)
 
 
@@ -188,20 +188,19 @@ class Comparison:
         """Refuse controllers that could not be distinguished, and metrics that no run has."""
         # the stem is the folder of the scenario's runs
         if len({Path(name).stem.casefold() for name in self.base}) < len(self.base):
-            raise ParameterError("base", "must name each scenario once, and no two of one file name", list(self.base))
+            raise ParameterError.twice("base", "a scenario, or a file name,", list(self.base))
         self._check_axes()
         for name, cases in self.cases.items():
             if name in (*self.axes, *OWN_COLUMNS, *own_metrics(), "") or not cases:
                 raise ParameterError(f"cases.{name}", "must have a name of its own, and one case or more")
         if self.tasks and self.seeds is not None:
-            words = "may not be given together with `tasks`, which say themselves how many runs there are; leave one of the two out"
-            raise ParameterError("seeds", words, self.seeds)
+            raise ParameterError.conflict("seeds", "tasks, which say themselves how many runs there are,", self.seeds)
         if (self.seeds or 0) + self.first_seed > TUNED:
             raise ParameterError.bound(
                 "seeds", "at most", TUNED - self.first_seed, self.seeds, "the seeds from there on are those of searches"
             )
         if self.limit is not None and not self.tasks:
-            raise ParameterError("limit", "is for a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
+            raise ParameterError.only_for("limit", "a comparison with `tasks`; of random starts `seeds` says how many", self.limit)
         for place, name in (*(("metrics", name) for name in self.metrics), *([("primary", self.primary)] if self.primary else [])):
             if name not in (known := comparable()):
                 raise ParameterError.choice(place, known, name)
@@ -211,7 +210,7 @@ class Comparison:
             if not values or any(_same(a, b) for a, b in itertools.combinations(values, 2)):
                 raise ParameterError(f"axes.{path}", "must be a list of different values", list(values))
             if path in self.set:
-                raise ParameterError(f"axes.{path}", "is also in `set`; leave one of the two out")
+                raise ParameterError.conflict(f"axes.{path}", "the same field in `set`")
             for inner in (own for own in self.set if own.startswith(f"{path}.")):
                 words = f"replaces the whole block, so that {inner} of `set` has no effect; vary {inner} as well (one value will do)"
                 raise ParameterError(f"axes.{path}", words)

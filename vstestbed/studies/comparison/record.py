@@ -255,4 +255,4 @@ def must_be_comparison(place: Path) -> None:
     """Refuse a folder without the plan and the table of a comparison."""
     for name in (PLAN, "comparison.parquet"):
         if not is_there(place / name):
-            raise ParameterError.missing("--again", f"a comparison's folder with {name}", str(place))
+            raise ParameterError.needs("--again", f"a comparison's folder with {name}", str(place))
