@@ -194,7 +194,7 @@ def grid_of(name: str, folder: Path) -> Image:
     """The grid of a comparison of effects and laws, of its kept results."""
     rows = Kept(may_run=False)(f"compare {name}")
     comparison = ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), ("effect", "law"))
-    with style(paper=True):
+    with style():
         drawn = effects.grid(Data(comparison), COLUMN_IN[2])
         assert drawn is not None, name
         save(drawn, folder / f"{name}.png", DPI)

@@ -16,14 +16,14 @@ from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DPI = 300  # of pictures for papers
+DPI = 200  # of pictures
 _STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib; the names behind `sans-serif` would be looked up for every word
-    "font.size": 9.5,
-    "axes.labelsize": 9.5,
+    "font.size": 8,
+    "axes.labelsize": 8,
     "axes.edgecolor": RULE,
     "axes.labelcolor": INK,
-    "axes.titlesize": 9.5,
+    "axes.titlesize": 8,
     "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -37,10 +37,12 @@ _STYLE: Any = {
     "ytick.color": RULE,
     "xtick.labelcolor": INK,
     "ytick.labelcolor": INK,
-    "lines.linewidth": 1.4,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "lines.linewidth": 1.2,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
-    "legend.fontsize": 9,
+    "legend.fontsize": 7.5,
     "legend.handlelength": 1.4,
     "legend.columnspacing": 1.2,
     "figure.facecolor": "none",
@@ -51,22 +53,13 @@ _STYLE: Any = {
     "pdf.fonttype": 42,  # embedded TrueType: journals refuse Type 3 fonts, matplotlib's default
     "path.simplify_threshold": 0.2,
 }
-_PAPER: Any = {
-    "font.size": 8,
-    "axes.labelsize": 8,
-    "axes.titlesize": 8,
-    "legend.fontsize": 7.5,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "lines.linewidth": 1.2,
-}
 
 
-def style(paper: bool = False) -> Any:
-    """A context manager in which figures are drawn and saved in the project's style; `paper`: with the smaller text of a paper."""
+def style() -> Any:
+    """A context manager in which figures are drawn and saved in the project's style, that of a paper."""
     import matplotlib  # all matplotlib imports are inside functions: commands that draw nothing start faster
 
-    return matplotlib.rc_context(_STYLE | (_PAPER if paper else {}))
+    return matplotlib.rc_context(_STYLE)
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
@@ -87,22 +80,30 @@ def panels(figure: Figure, n: int, columns: int, **shared: Any) -> list[Any]:
     return found[:n]
 
 
-def to_svg(figure: Figure, key: str, label: str) -> str:
-    """The figure as an `<svg>` element for HTML; `key`: prefix of its identifiers, `label`: text for screen readers."""
+def publish(figure: Figure, key: str, label: str, place: Path | None = None) -> str:
+    """The figure as an `<svg>` element for HTML and, in the folder `place`, as KEY.pdf with embedded fonts, KEY.svg and KEY.png, all alike.
+    key: also the prefix of the element's identifiers. label: text for screen readers.
+    """
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     sink = io.StringIO()
-    # not `savefig`, which draws everything once before, to find a renderer
+    figure.set_facecolor("white")
     # without matplotlib's warnings, which are for who writes the figure: of a script that its font lacks, a reader can mend nothing
     with warnings.catch_warnings(action="ignore", category=UserWarning):
+        figure.draw_without_rendering()
+        figure.set_layout_engine(None)  # keep this layout: to compute it again would take as long
         FigureCanvasSVG(figure).print_svg(sink, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = sink.getvalue()
+    if place is not None:
+        write_whole(place / f"{key}.svg", text.encode())
+        save(figure, place / f"{key}.pdf")
+        save(figure, place / f"{key}.png", DPI)
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     # several figures share a page, and with one hash salt matplotlib would give their clip paths the same identifiers
     text = re.sub(r'\bid="', f'id="{key}-', text)
     text = re.sub(r'(href="|url\()#', rf"\1#{key}-", text)
     # the page's colours, which follow light and dark mode
-    text = text.replace(INK, paint(INK)).replace(RULE, paint(RULE))
+    text = text.replace("fill: #ffffff", "fill: none", 1).replace(INK, paint(INK)).replace(RULE, paint(RULE))
     return re.sub(r"<svg\b", f'<svg role="img" aria-label="{html.escape(label)}"', text, count=1).strip()
 
 
@@ -113,14 +114,6 @@ def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         figure.savefig(sink, format=kind, dpi=dpi, facecolor="white", metadata=undated)
     return write_whole(path, sink.getvalue())
-
-
-def save_paper(figure: Figure, place: Path, key: str, dpi: int = DPI) -> None:
-    """Write the figure as PDF with embedded fonts, as SVG and as PNG."""
-    save(figure, place / f"{key}.pdf")
-    figure.set_layout_engine("none")  # keep the layout of the PDF: to compute it again would take as long
-    save(figure, place / f"{key}.svg")
-    save(figure, place / f"{key}.png", dpi)
 
 
 def plain(name: str) -> str:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from vstestbed.core.files import make_folder
 from vstestbed.core.geometry import Array
-from vstestbed.report.canvas import new_figure, panels, save_paper, style, to_svg
-from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, WIDTH_IN, number
+from vstestbed.report.canvas import new_figure, panels, publish, style
+from vstestbed.report.marks import FAILED, GOAL, INK, LINE_COLORS, number
 from vstestbed.report.pages import NO_CELL, Cell, data_url, write_page
 from vstestbed.tasks.metrics import Metric
 
@@ -37,7 +37,6 @@ readers can distinguish them, also in a grey print; blues are reserved for the c
 OTHER: Final = "#000000"
 """Colour of any other outcome."""
 SOON, LATE = np.array([0.86, 0.94, 1.0]), np.array([0.02, 0.22, 0.42])  # Blues (r, g, b) of the earliest and the latest starts to converge
-DPI: Final = 200
 PANEL_IN, BASIN_COLUMNS = 2.0, 5
 
 BasinMap = tuple[str, Array, Array]  # Law, outcome of each start by name, time to converge [s] (NaN if it did not), both (n_y, n_x)
@@ -110,8 +109,8 @@ def write_basin(
 
 def _plate(folder: Path, name: str, draw: Callable[[], Figure]) -> str:
     """The figure of a study as PDF and PNG in its folder; returns the picture for its page."""
-    with style(paper=True):
-        save_paper(draw(), folder, name, DPI)
+    with style():
+        publish(draw(), name, name, folder)
     return data_url("image/png", (folder / f"{name}.png").read_bytes())
 
 
@@ -384,10 +383,8 @@ def write_tuning(folder: Path, found: TuningPage) -> Path:
     """Write `report.html`, and the figures as PDF and PNG into `figures/`; returns the page's path."""
     place, plots = make_folder(folder / "figures"), []
     for key, title, draw, caption in PLOTS:
-        with style(paper=True):
-            save_paper(draw(found, 7.16), place, key, DPI)
         with style():
-            plots.append((title, to_svg(draw(found, 2 * WIDTH_IN), key, title), caption))
+            plots.append((title, publish(draw(found, 7.16), key, title, place), caption))
     return write_page(
         folder,
         "study.html",

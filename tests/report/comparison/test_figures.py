@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 
 from tests.report.comparison.comparisons import build
-from vstestbed.report.canvas import save, style, to_svg
+from vstestbed.report.canvas import publish, save, style
 from vstestbed.report.comparison.figures import Data, distributions, each_run, medians, read_series
 from vstestbed.report.comparison.page import _measured
 from vstestbed.report.comparison.results import ComparisonResults
@@ -82,7 +82,7 @@ def test_names_that_no_font_has_are_drawn_without_a_warning(tmp_path: Path) -> N
     with style(), warnings.catch_warnings():
         warnings.simplefilter("error")
         assert save(medians(data, 3.5), tmp_path / "names.pdf").is_file()
-        assert "中" in to_svg(medians(data, 3.5), "m", "medians")
+        assert "中" in publish(medians(data, 3.5), "m", "medians")
 
 
 def test_a_metric_that_no_run_has_makes_no_panel(tmp_path: Path) -> None:

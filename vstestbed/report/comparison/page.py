@@ -16,7 +16,7 @@ from vstestbed.core.errors import VstestbedError
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.registry import to_mapping
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.canvas import save_paper, style, to_svg
+from vstestbed.report.canvas import publish, style
 from vstestbed.report.comparison import baseline, figures, tables
 from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.figures import PANELS, Data, read_series
@@ -29,7 +29,7 @@ from vstestbed.report.comparison.results import (
     value_text,
     write_records,
 )
-from vstestbed.report.marks import WIDTH_IN, counted
+from vstestbed.report.marks import counted
 from vstestbed.report.pages import cell, data_url, film_of, page, text_of, write_page
 from vstestbed.report.run.tracks import MeasuredError, Setting
 from vstestbed.scenario.dump import load_run
@@ -119,6 +119,7 @@ PLOTS: Final[tuple[Plot, ...]] = (
     ("matrix", "Who is better", 1, figures.matrix),
     ("differences", "Paired differences", 2, figures.differences),
 )
+MANY: Final = 5  # Controllers from which figures take longer than other processes take to import what draws them
 GRID: Final = next((i for i, plot in enumerate(PLOTS) if plot[0] == "grid"), 0)
 
 
@@ -189,20 +190,12 @@ def _found(folder: Path, comparison: ComparisonResults, means: Means, all_pairs:
     return found | tables.sections(comparison, means, all_pairs)
 
 
-def _paper(data: Data, plot: int, place: Path) -> None:
-    """A figure in the size and style of a paper."""
-    key, _, columns, draw = PLOTS[plot]
-    with style(paper=True):
-        drawn = draw(data, COLUMN_IN[columns])
-        if drawn is not None:
-            save_paper(drawn, place, key)
-
-
-def _on_page(data: Data, plot: int) -> str:
+def _drawn(data: Data, plot: int, place: Path | None) -> str:
+    """A figure for the page and, into the folder `place`, for a paper; "" for one without content."""
     key, title, columns, draw = PLOTS[plot]
     with style():
-        drawn = draw(data, columns * WIDTH_IN)
-        return "" if drawn is None else to_svg(drawn, key, title)
+        figure = draw(data, COLUMN_IN[columns])
+        return "" if figure is None else publish(figure, key, title, place)
 
 
 def _figures(
@@ -220,11 +213,11 @@ def _figures(
         notes = [f"The figures show the first {PANELS} of {n} controllers."] if n > PANELS else []
         if data.sampled:
             notes.append(f"Errors over time are of the first {data.sampled:,} runs of each controller, all else of all runs.")
-    on_page, papers = [call(_on_page, data, i) for i in numbers], [call(_paper, data, i, place) for i in numbers if place is not None]
-    drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(made))) for i, made in zip(numbers, on_page, strict=True)]
+    if n < MANY:
+        call = at_once
+    made = [call(_drawn, data, i, place) for i in numbers]
+    drawn = [(PLOTS[i][2], (*PLOTS[i][:2], result_of(one))) for i, one in zip(numbers, made, strict=True)]
     narrow, broad = ([f for columns, f in drawn if columns == wanted and f[2]] for wanted in (1, 2))
-    for paper in papers:
-        result_of(paper)
     return {"notes": notes, "narrow": narrow, "broad": broad}
 
 

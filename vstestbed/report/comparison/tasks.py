@@ -13,7 +13,7 @@ import polars as pl
 
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.shares import Call, at_once, result_of
-from vstestbed.report.canvas import new_figure, save_paper, style, to_svg
+from vstestbed.report.canvas import new_figure, publish, style
 from vstestbed.report.comparison import baseline, tables
 from vstestbed.report.comparison.page import failures, write_tables
 from vstestbed.report.comparison.results import TASK, TIME, ComparisonResults, ControllerResults, interquartiles, pairs, write_records
@@ -30,7 +30,6 @@ DRAWN: Final = (TIME.name, "max_retreat_m")  # Metrics that are drawn where a co
 MOST_ROWS: Final = 3  # Metrics that are drawn: the first ones; all have tables
 MOST_AMOUNTS: Final = 20  # Most failed runs of a cell that are named
 ROUNDING: Final = 1e-6  # Values below this are rounding errors in the unit of any metric
-DPI: Final = 200
 
 Cell = tuple[str, str, ControllerResults]  # A cell of the table: a law, a task, and its runs in it
 
@@ -174,15 +173,13 @@ def write_task_report(folder: Path, comparison: ComparisonResults, command: str,
     """
     table, metrics, laws = comparison.table, comparison.metrics, over_all_tasks(comparison)
     found = cells(laws)
-    drawn = call(_on_page, found, metrics), call(_paper, make_folder(folder / "figures"), found, metrics) if paper else None
+    drawn = call(_drawn, found, metrics, make_folder(folder / "figures") if paper else None)
     write_whole(folder / "tasks.md", markdown(found, metrics))
     all_pairs, means = pairs(laws), interquartiles(laws)
     write_records(folder, laws, means, all_pairs)
     (verdict, look, sentences, others), sections = tables.headline(laws, all_pairs), tables.sections(laws, means, all_pairs, every=False)
     write_tables(folder, verdict, sections["sections"])
     heading = " and ".join(dict.fromkeys(map(str, table["scenario"].to_list())))
-    if drawn[1] is not None:
-        result_of(drawn[1])
     return write_page(
         folder,
         "tasks.html",
@@ -193,7 +190,7 @@ def write_task_report(folder: Path, comparison: ComparisonResults, command: str,
         reached=(int(table["success"].cast(pl.Boolean, strict=False).fill_null(False).sum()), len(table)),
         overview=_grid(found, _summary_cell),
         baseline=baseline.section(folder),
-        figure=result_of(drawn[0]),
+        figure=result_of(drawn),
         numbers=[(title, *_grid(found, text)) for title, text in _spreads(metrics)],
         **sections,
         failures=failures(folder, comparison),
@@ -201,11 +198,6 @@ def write_task_report(folder: Path, comparison: ComparisonResults, command: str,
     )
 
 
-def _paper(folder: Path, found: Sequence[Cell], metrics: Sequence[str]) -> None:
-    with style(paper=True):
-        save_paper(draw(found, metrics, 8.2), folder, "tasks", DPI)
-
-
-def _on_page(found: Sequence[Cell], metrics: Sequence[str]) -> str:
+def _drawn(found: Sequence[Cell], metrics: Sequence[str], place: Path | None) -> str:
     with style():
-        return to_svg(draw(found, metrics, 13.0), "tasks", "Each law over the amounts of each task")
+        return publish(draw(found, metrics, 8.2), "tasks", "Each law over the amounts of each task", place)
