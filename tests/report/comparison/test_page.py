@@ -15,6 +15,7 @@ import pytest
 from tests.report.comparison.comparisons import build
 from tests.report.html import Reader, checked
 from vstestbed.core.errors import OutputError
+from vstestbed.report.canvas import DPI
 from vstestbed.report.comparison import page as comparison_page
 from vstestbed.report.comparison.figures import read_series
 from vstestbed.report.comparison.page import write_comparison_report
@@ -153,7 +154,7 @@ def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None
         box = re.search(rb"/MediaBox \[\s*0 0 ([\d.]+) ([\d.]+)", pdf)
         assert box is not None and float(box[1]) == pytest.approx(72 * comparison_page.COLUMN_IN[columns])
         assert float(box[2]) < 72 * 9  # as high as a page at most
-        assert png.startswith(b"\x89PNG") and int.from_bytes(png[16:20], "big") == round(300 * comparison_page.COLUMN_IN[columns])
+        assert png.startswith(b"\x89PNG") and int.from_bytes(png[16:20], "big") == round(DPI * comparison_page.COLUMN_IN[columns])
         assert b"/XObject << >>" in pdf or not re.search(rb"/Subtype /Image", pdf)  # vectors, no picture of them
 
 
@@ -219,11 +220,11 @@ def test_of_many_controllers_the_page_has_the_grid_or_the_first(
     """Two values of an axis make no grid. No log is read for the grid: there is none here."""
     drawn: list[tuple[str, int]] = []
 
-    def note(data: comparison_page.Data, plot: int) -> str:
+    def note(data: comparison_page.Data, plot: int, place: None) -> str:
         drawn.append((comparison_page.PLOTS[plot][0], len(data.labels)))
         return ""
 
-    monkeypatch.setattr(comparison_page, "_on_page", note)
+    monkeypatch.setattr(comparison_page, "_drawn", note)
     rows = [
         {"scenario": "s", "effect": f"e{effect}", "law": f"l{law}", "seed": seed, "folder": "none", "outcome": "converged", "success": True}
         | {"time_to_converge_s": 5.0 + effect + seed, "reason": "", "sim_time_s": 9.0, "attempts": 1}

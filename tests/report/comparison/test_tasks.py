@@ -37,7 +37,7 @@ def table() -> pl.DataFrame:
 
 
 def test_eleven_laws_have_eleven_marks_and_each_point_its_value() -> None:
-    with style(paper=True):
+    with style():
         figure = tasks.draw(tasks.cells(tasks.over_all_tasks(ComparisonResults(table(), ("law", "task")))), (), 8.2)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == LAWS
     for axes in figure.axes:
