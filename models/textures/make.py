@@ -11,7 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from drawing import leaves, page, poster, walls
+from drawing import leaves, page, poster, things, walls
 from drawing.canvas import Image
 
 HERE = Path(__file__).resolve().parent
@@ -26,6 +26,11 @@ DRAWN: dict[str, Callable[[np.random.Generator], Image]] = {
     "flat": walls.flat,
     "repetitive": walls.repetitive,
     "leaves": leaves.draw,
+    "alphabet": things.alphabet,
+    "objects": things.objects,
+    "faint": things.faint,
+    "small_print": things.small_print,
+    "clutter": things.clutter,
 }
 
 

@@ -148,7 +148,7 @@ def test_unknown_words_are_refused_in_attributes_and_properties(words: tuple[str
             return scale
 
     for member in (Plain, Computed):
-        with pytest.raises(ParameterError, match=rf"^{member.__name__}\.colours {sentence}"):
+        with pytest.raises(ParameterError, match=rf"^{member.__name__}\.colours:? {sentence}"):
             shapes().add(member)
 
 

@@ -42,7 +42,7 @@ def test_a_mistake_is_told_with_what_works() -> None:
             "world.floor.texture",
             "brick",
             "world.floor.texture: must be a picture, FILE.png or FILE.jpg, or texture:NAME "
-            "(brick, flat, leaves, poster, repetitive, text), got 'brick'",
+            "(alphabet, brick, clutter, faint, flat, leaves, objects, poster, repetitive, small_print, text), got 'brick'",
         ),
     ):
         with pytest.raises(ScenarioError) as refused:

@@ -12,6 +12,7 @@ import vstestbed as vs
 from vstestbed.camera import Image, Perspective
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.imaging.stream import H264Stream, JpegStream, VideoStream, round_trip
+from vstestbed.tasks.base import GoalPicture
 
 RATE = 25.0
 
@@ -155,3 +156,13 @@ def test_the_error_of_jpeg_is_that_of_its_quantisation(quality: int) -> None:
     steps = np.floor((np.array(LUMINANCE.split(), dtype=float) * (200 - 2 * quality) + 50) / 100)
     off = grey(round_trip(JpegStream(quality=quality), RATE)(picture)) - grey(picture)
     assert np.mean(off**2) == pytest.approx(np.mean(steps**2) / 12 + 1 / 12, rel=0.05)
+
+
+def test_a_picture_of_the_goal_may_be_kept_as_jpeg():
+    image, rng = scene(), np.random.default_rng(0)
+    for quality in (95, 30):
+        kept = GoalPicture(jpeg_quality=quality).under_its_light(image, rng)
+        assert np.array_equal(kept, round_trip(JpegStream(quality=quality), RATE)(image))
+    assert np.array_equal(GoalPicture().under_its_light(image, rng), image)
+    with pytest.raises(ParameterError, match="jpeg_quality is for a picture that the simulated camera takes"):
+        GoalPicture(file="goal.png", jpeg_quality=95)

@@ -1,6 +1,6 @@
 """Depth cameras: what an RGB-D camera measures of the true depth of each pixel, with noise, steps, holes and limits of range.
 
-The depth picture has the pixels of the colour picture, as the maker's driver aligns it, and holds Z along the optical axis.
+The depth picture has the pixels of the colour picture, as the maker's driver aligns it (see `lens`), and holds Z along the optical axis.
 """
 
 from __future__ import annotations
@@ -25,6 +25,30 @@ STEEPEST = math.radians(89.9)  # Largest angle for which a noise is computed: th
 
 
 @spec
+class DepthLens:
+    """The pinhole lens of a depth camera whose pictures are not aligned with the colour camera's; both look from the same place.
+
+    Args:
+        width, height: of its picture, at least the colour picture's [px].
+        fovx_deg: its horizontal field of view [deg].
+    """
+
+    width: Annotated[int, Ge(8), Le(8192)] = 1280
+    height: Annotated[int, Ge(8), Le(8192)] = 720
+    fovx_deg: Annotated[float, Gt(1), Le(150)] = 85.0
+
+    @property
+    def f(self) -> float:
+        """Focal length [px]."""
+        return self.width / 2 / math.tan(math.radians(self.fovx_deg) / 2)
+
+    @property
+    def centre(self) -> Array:
+        """Principal point (2,) [px]."""
+        return np.array([self.width - 1.0, self.height - 1.0]) / 2
+
+
+@spec
 class DepthSensor(ABC):
     """What all depth cameras have in common. From the true depth Z of each pixel, inf where there is nothing, comes the measured one:
 
@@ -43,6 +67,8 @@ class DepthSensor(ABC):
         correlation_px: side of the square over which the noise is correlated [px]: the window that is matched.
         baseline_m: distance of the second view [m]; 0 for no shadows.
         quantum_px: step of the disparity [px]; 0 for no steps, and without a baseline.
+        lens: of a depth picture that nobody has aligned with the colour picture: its pixel (u, v) is taken for that of the colour
+            picture, though it looks elsewhere; None for an aligned one.
     """
 
     kind: Any
@@ -53,6 +79,7 @@ class DepthSensor(ABC):
     correlation_px: Annotated[int, Ge(1), Le(32)] = 1
     baseline_m: Annotated[Distance, Narrower(le=2)] = 0.0
     quantum_px: Annotated[Pixels, Narrower(le=4)] = 0.0
+    lens: DepthLens | None = None
     two_pictures: ClassVar[bool] = False
     """Both views are pictures of one size: what the second one does not hold is not measured (a band at the left border)."""
     flies: ClassVar[bool] = False  # Pixels at an edge see both surfaces, and measure a depth between

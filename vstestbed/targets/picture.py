@@ -147,7 +147,8 @@ class PictureTarget(Target):
     Args:
         file: a PNG or JPEG file, absolute, relative to the scenario's file, or `package:NAME/path`; or a bundled one: `texture:poster`
             (structure at all scales), `texture:leaves` (the same, and no part comes twice), `texture:brick`, `texture:text`, `texture:flat`
-            (hardly any structure) or `texture:repetitive` (tiles that are all the same). Above 2048 px a side it is reduced.
+            (hardly any structure), `texture:repetitive` (tiles that are all the same), `texture:alphabet`, `texture:objects` (one nut again
+            and again), `texture:faint`, `texture:small_print` or `texture:clutter`. Above 2048 px a side it is reduced.
         width: width of the picture [m]; its height follows from the file.
         at_px: marker points in the picture, (u, v) in pixels of the file [px], the centre of the first one (0, 0); none: its corners.
         draw_markers: draw markers over the picture; false: it shows them itself.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from annotated_types import Gt, Le
+from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Perspective
@@ -23,6 +23,7 @@ from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.quantity import Narrower, Sigma
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.imaging.stream import JpegStream, round_trip
 from vstestbed.laws import Law
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Base, Supervisor
@@ -84,6 +85,7 @@ def _not_visible(field: str, target: Target, bad: NDArray[np.bool_], where: str,
 
 
 # The picture of a goal: a file from a real camera, or one that the simulated camera takes there, also under other light.
+PLAIN: dict[str, float | None] = {"brightness": 1.0, "contrast": 1.0, "image_sigma": 0.0, "jpeg_quality": None}
 MID_GREY = 128.0  # the grey level that a change of contrast leaves as it is
 Factor = Annotated[float, Gt(0), Le(10)]
 
@@ -93,19 +95,21 @@ class GoalPicture:
     """The picture that was taken at the goal, for a law or a detector that compares with it.
 
     Without a file the simulated camera takes it there before the run, without noise. Under other light than the run's its grey levels I
-    become contrast (brightness I - 128) + 128.
+    become contrast (brightness I - 128) + 128; then it may be kept as a JPEG file.
 
     Args:
         file: a PNG or JPEG file of the camera's size, from a real camera at the goal; its name alone is enough; e.g. `goal.png`.
         brightness: factor on the grey levels [1].
         contrast: factor on their distance from mid-grey [1].
         image_sigma: standard deviation of Gaussian noise on each channel [grey levels].
+        jpeg_quality: of the JPEG file in which it is kept, 1 to 100; None: it is kept as it is; e.g. `95`.
     """
 
     file: str | None = None
     brightness: Factor = 1.0
     contrast: Factor = 1.0
     image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
+    jpeg_quality: Annotated[int, Ge(1), Le(100)] | None = None
 
     def __post_init__(self) -> None:
         """Make the name independent of the folder; refuse other light for a picture that is taken already."""
@@ -114,14 +118,16 @@ class GoalPicture:
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its picture is
         if self.other_light:
             words = "a picture that the simulated camera takes; leave it out, or the file"
-            raise ParameterError.only_for(
-                "brightness" if self.brightness != 1 else "contrast" if self.contrast != 1 else "image_sigma", words
-            )
+            raise ParameterError.only_for(next(name for name, value in self._changes.items() if value != PLAIN[name]), words)
 
     @property
     def other_light(self) -> bool:
         """Whether the picture that is taken is changed."""
-        return (self.brightness, self.contrast, self.image_sigma) != (1.0, 1.0, 0.0)
+        return self._changes != PLAIN
+
+    @property
+    def _changes(self) -> dict[str, float | None]:
+        return {name: getattr(self, name) for name in PLAIN}
 
     @property
     def draws(self) -> bool:
@@ -149,7 +155,8 @@ class GoalPicture:
             return image
         made = self.contrast * (self.brightness * image.astype(np.float32) - MID_GREY) + MID_GREY
         made += rng.standard_normal(image.shape, dtype=np.float32) * np.float32(self.image_sigma)
-        return np.clip(made + 0.5, 0, 255).astype(np.uint8)
+        kept = np.clip(made + 0.5, 0, 255).astype(np.uint8)
+        return round_trip(None if self.jpeg_quality is None else JpegStream(quality=self.jpeg_quality), 1.0)(kept)
 
 
 Log = Mapping[str, Array]  # the columns of a log by name, shape (frames,) each

@@ -9,6 +9,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.camera import DepthImage
+from vstestbed.core.errors import ScenarioError
+from vstestbed.loop.plants import plant_of
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.opengl import OpenGLRenderer
@@ -45,6 +47,32 @@ def test_opengl_measures_what_rays_do(changes: dict[str, object]):
     if not changes:
         far = ~sky & (rays > 5) & (rays < 20) & np.isfinite(gl)
         assert np.median(np.abs(gl[far] - rays[far]) / rays[far] ** 2) < 1e-5
+
+
+def test_an_unaligned_picture_is_that_of_its_own_lens():
+    """Z of the board, a plane at z = 0.01 m, along the rays of the depth camera's pixels; the colour picture stays as it is."""
+    lens = {"width": 1280, "height": 720, "fovx_deg": 85}
+    taken = []
+    for sensor in ({"kind": "ideal"}, {"kind": "ideal", "lens": lens}):
+        plant, _ = plant_of(vs.load("camera_vitvs", {"camera.depth_sensor": sensor}), pictures=True, plate_m=0.0)
+        with closing(plant):
+            picture, truth = plant.capture()
+            assert picture is not None and picture.depth is not None
+            taken.append((picture.image.copy(), picture.depth.copy()))
+    assert np.array_equal(taken[0][0], taken[1][0])
+    f = 640 / np.tan(np.radians(42.5))
+    v, u = np.mgrid[230:250, 310:330]
+    ray = np.stack([(u - 639.5) / f, (v - 359.5) / f, np.ones(u.shape)], axis=-1) @ truth.T_world_camera[:3, :3].T
+    on_board = (0.01 - truth.T_world_camera[2, 3]) / ray[..., 2]
+    floor = -truth.T_world_camera[2, 3] / ray[..., 2]
+    error = np.minimum(np.abs(taken[1][1][230:250, 310:330] - on_board), np.abs(taken[1][1][230:250, 310:330] - floor))
+    assert error.max() < 2e-5 and np.abs(taken[0][1] - taken[1][1])[230:250, 310:330].min() > 0.05
+    for changes, words in (
+        ({"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 320}}}, "depth_sensor.lens: must be at least 640 x 480 px"),
+        ({"camera.depth_sensor": {"kind": "ideal", "lens": lens}, "camera.renderer": "rays"}, "may not be rays with depth_sensor.lens"),
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            vs.load("camera_vitvs", changes)
 
 
 def test_a_distorted_edge_has_the_depth_of_one_surface():

@@ -126,18 +126,21 @@ class DepthCamera:
         self._camera, self._sensor, self._rng = camera, sensor, rng
 
     @cached_property
-    def _xy(self) -> Array:
-        grid = pixel_grid(self._camera.width, self._camera.height)
-        return self._camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape)
+    def _lens(self) -> tuple[Array, float]:
+        """Normalised coordinates of the pixels (H, W, 2), and the focal length [px], of the lens that measures."""
+        grid, lens = pixel_grid(self._camera.width, self._camera.height), self._sensor.lens
+        if lens is not None:
+            return (grid - lens.centre) / lens.f, lens.f
+        return self._camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape), self._camera.f
 
     def measured(self, true: DepthImage | None) -> DepthImage | None:
         """The depth picture (H, W) [m] of the true depths (H, W) [m] of the next picture, NaN in holes."""
         seed = int(self._rng.integers(2**63))
-        return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, np.random.default_rng(seed))
+        return None if true is None else self._sensor.measured(true, *self._lens, np.random.default_rng(seed))
 
     def clean(self, true: DepthImage | None) -> DepthImage | None:
         """The same without noise, as the mean of many pictures at rest would be; nothing is drawn for it."""
-        return None if true is None else self._sensor.measured(true, self._xy, self._camera.f, None)
+        return None if true is None else self._sensor.measured(true, *self._lens, None)
 
 
 @contextlib.contextmanager

@@ -19,10 +19,10 @@ from vstestbed.camera import Camera, DepthImage, Image, Perspective, Regions, Wi
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array, pixel_grid
 from vstestbed.core.lacks import lack_of
-from vstestbed.imaging.depth import EDGE
+from vstestbed.imaging.depth import EDGE, DepthLens
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
-from vstestbed.sim.render.cube_map import cube_of, drawn_for, resampling_maps
+from vstestbed.sim.render.cube_map import Pinhole, cube_of, drawn_for, resampling_maps
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 
@@ -44,6 +44,7 @@ class PartCamera(dm.Camera):
 
     window: Window | None = None
     reads_depth: bool = False
+    beyond: tuple[float, float, float, float] | None = None  # a part of the image plane, in pixels, that is drawn in place of the image
     _drawn: tuple[slice, slice] = (slice(None), slice(None))
 
     def update(self, scene_option: Any = None) -> None:
@@ -60,6 +61,9 @@ class PartCamera(dm.Camera):
         """As dm_control's, within the window. The buffer has the lowest row first, as OpenGL does."""
         if self.window is None:
             self._drawn = slice(None), slice(None)
+            if (part := self.beyond) is not None:
+                for camera in self._scene.ptr.camera:
+                    _narrow(camera, part, self._width, self._height)
             super()._render_on_gl_thread(depth, overlays)
             if not self.reads_depth:
                 return
@@ -92,8 +96,8 @@ class PartCamera(dm.Camera):
         return np.where(b > 0, near * far / (near + b * (far - near)), np.inf).astype(np.float32)
 
 
-def _narrow(camera: mujoco.MjvGLCamera, window: Window, width: int, height: int) -> None:
-    """Narrow a camera's frustum to a window of its image (width x height)."""
+def _narrow(camera: mujoco.MjvGLCamera, window: tuple[float, float, float, float], width: int, height: int) -> None:
+    """Narrow a camera's frustum to a window of its image (width x height), or widen it to one that reaches beyond."""
     left, top, right, bottom = window
     high = camera.frustum_top - camera.frustum_bottom
     half = camera.frustum_width or high * width / height / 2  # MuJoCo: 0 means "from the viewport's aspect ratio"
@@ -191,6 +195,17 @@ class SceneCamera:
         """Depth (H, W) [m] of the last image that was drawn with it; inf where there is nothing."""
         return self._camera.depth()
 
+    def depth_through(self, lens: DepthLens, own: Pinhole) -> DepthImage:
+        """Depth (H, W) [m] through another lens at the same place, its pixels from the upper left corner on; own: the camera's."""
+        low, high = (np.array(end, dtype=float) - 0.5 - lens.centre for end in ((0, 0), self.size))
+        (left, top), (right, bottom) = ((end / lens.f * own.f + own.centre + 0.5).tolist() for end in (low, high))
+        self._camera.beyond = left, top, right, bottom
+        try:
+            self.raw(None, with_depth=True)
+            return self.depth()
+        finally:
+            self._camera.beyond = None
+
 
 def _must_be_drawable(stage: Scene) -> None:
     """Refuse a scene of more materials or textures than MuJoCo draws by OpenGL, which would end the context.
@@ -222,6 +237,7 @@ class OpenGLRenderer:
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
         self._model, self._pinhole_lens = stage.model, drawn[0]
+        self._depth_lens = camera.depth_sensor.lens if camera.depth_sensor else None
         self._panels = len(camera.panels)
         self._size = camera.width, camera.height
         # Resampling needs pixels from beyond a window.
@@ -237,8 +253,8 @@ class OpenGLRenderer:
     @cached_property
     def _sky_m(self) -> Array:
         """Depth of the sky (H, W) [m], which MuJoCo draws as a solid; beyond it nothing is drawn."""
-        model, lens = self._model, self._pinhole_lens
-        xy = (pixel_grid(lens.width, lens.height) - lens.centre) / lens.f
+        model, lens = self._model, self._depth_lens or self._pinhole_lens
+        xy = (pixel_grid(*self._views[0].size) - lens.centre) / lens.f
         reach = SKY * float(model.vis.map.zfar * model.stat.extent)
         return reach / np.sqrt(1 + (xy**2).sum(axis=-1))
 
@@ -289,9 +305,11 @@ class OpenGLRenderer:
         self.whole = window is None
         image = self._views[0].raw(window, with_depth)
         if with_depth:
-            depth = self._views[0].depth()
+            lens = self._depth_lens
+            image = image if lens is None else np.ascontiguousarray(image)  # the same buffer is drawn into again
+            depth = self._views[0].depth() if lens is None else self._views[0].depth_through(lens, self._pinhole_lens)
             seen = np.where(depth < self._sky_m, depth, np.float32(np.inf))
-            self.depth = seen if self._maps is None else _resampled(seen, self._maps)
+            self.depth = seen if self._maps is None or lens is not None else _resampled(seen, self._maps)
         if self._maps is None:
             return (image,)
         still = np.ascontiguousarray(image)
