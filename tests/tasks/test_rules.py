@@ -15,7 +15,7 @@ from tests.tasks.frames import PERIOD_S, frame
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Pose
 from vstestbed.core.outcome import Outcome
-from vstestbed.tasks.frame import Frame
+from vstestbed.tasks.frame import Frame, ImageError
 from vstestbed.tasks.metrics import StartShares
 from vstestbed.tasks.monitors import EARLY_PICTURES, AfterPictures, Settles
 from vstestbed.tasks.stop import Stop
@@ -111,6 +111,18 @@ class TestAfterPictures:
 
     def test_ends_early_where_the_verdict_is_certain(self):
         assert ended(AfterPictures(early=0.1), frames([0.5, *[0.009] * 20])) == (Outcome.converged, 1 + EARLY_PICTURES)
+
+    def test_is_judged_once_the_points_have_come_to_rest(self):
+        """Under 5 px from picture 3 on, falling by more than a tenth until picture 5, and within noise of it from there on; a jump to 4 px
+        at picture 8 begins it anew.
+        """
+        px = [9.0, 6.0, 4.0, 3.0, 2.0, 2.1, 2.2, 4.0, *[2.05] * 30]
+        run = [replace(one, error=ImageError(False, True, e)) for one, e in zip(frames([0.05] * len(px)), px, strict=True)]
+        rest = math.floor(0.2 / PERIOD_S + 1e-9) + 1  # pictures over more than rest_s
+        assert ended(AfterPictures(rest_px=5, rest_s=0.2), run) == (Outcome.converged, 8 + rest)
+        assert ended(AfterPictures(rest_px=5, rest_s=0.2, pictures=9), run) == (Outcome.converged, 9)
+        gone = [replace(one, error=ImageError(True, False, math.nan)) for one in run]
+        assert ended(AfterPictures(rest_px=5, rest_s=0.2, pictures=30), gone) == (Outcome.converged, 30)
 
 
 def test_shares_of_the_start():

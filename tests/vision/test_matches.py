@@ -11,13 +11,28 @@ import pytest
 import vstestbed as vs
 from tests.vision.views import CAMERA, goal, homography_of, picture_by, places
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Pose, transform
 from vstestbed.core.registry import REGISTRIES, SPECS
-from vstestbed.vision.keypoints import Klt, Slots, followed, map_derivatives, planar_map, refined, smooth, spread_out
+from vstestbed.vision.keypoints import Klt, Slots, followed, map_derivatives, of_one_motion, planar_map, refined, smooth, spread_out
 from vstestbed.vision.local_features import Akaze, Orb, Sift, extracted, grey, matched, mutual_matches
 
 TURNED = homography_of((0.05, -0.04, -0.65), (6, -10, 120))
 ROUGH = {"sift": 0.25, "orb": 1.3}
 """Largest median error of a kind's matches [px]."""
+
+
+def test_of_one_motion_are_the_pairs_that_obey_its_epipolar_constraint():
+    """60 points in space that a camera sees from two places, and 20 pairs that are wrong: E = [t]x R is not given."""
+    rng = np.random.default_rng(3)
+    p = rng.uniform((-0.4, -0.3, 0.8), (0.4, 0.3, 1.6), (80, 3))
+    T = Pose(xyz=(0.1, -0.05, 0.02), rpy_deg=(4, -6, 20)).T
+    uv_goal, uv = CAMERA.project(p), CAMERA.project(transform(T, p))
+    uv[60:] += rng.choice([-1, 1], (20, 2)) * rng.uniform(30, 90, (20, 2))
+    agree = of_one_motion(CAMERA, uv_goal, uv, 1.0)
+    assert agree is not None and agree[:60].all() and np.count_nonzero(agree[60:]) <= 3  # a wrong pair may lie on its line by chance
+    again = of_one_motion(CAMERA, uv_goal, uv, 1.0)
+    assert again is not None and np.array_equal(agree, again)
+    assert of_one_motion(CAMERA, uv_goal[:4], uv[:4], 1.0) is None
 
 
 @pytest.mark.parametrize("features", [Sift(most=400), Orb(most=400)], ids=lambda f: f.kind)

@@ -12,7 +12,16 @@ from annotated_types import Ge, Gt, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import inverse, rigid_error
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import Position, PositiveAngle, PositiveLength, PositiveRateDeg, PositiveSpeed, check_ordered
+from vstestbed.core.quantity import (
+    Position,
+    PositiveAngle,
+    PositiveLength,
+    PositivePixels,
+    PositiveRateDeg,
+    PositiveSpeed,
+    PositiveTime,
+    check_ordered,
+)
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.tasks.frame import Frame
@@ -24,6 +33,7 @@ Away = tuple[float, float]  # distance [m] and angle [rad] of the camera from it
 EARLY_PICTURES = 10
 """In so many pictures in turn both errors must be under `early` of their limits: one alone may be there on its way through."""
 
+REST_PX = 0.3  # by which an error may grow while the camera rests [px]: noise
 NEARER = 0.98  # a run comes nearer where the larger of both errors falls under this share of its smallest value so far
 
 
@@ -157,6 +167,9 @@ class AfterPictures:
         share: of the distance between camera and target at the goal, within which the camera must be from its goal [1].
         rotation_deg: angle within which it must be [deg].
         early: as of `settles` [1]; e.g. `0.1`.
+        rest_px: the run is judged before, once the RMS error of the points that the law sees has been under this for `rest_s`, and
+            not above 1.1 times its least since then, plus 0.3 px [px]; None: it is not; e.g. `5.4`.
+        rest_s: for how long [s].
     """
 
     kind: Literal["after_pictures"] = "after_pictures"
@@ -164,6 +177,8 @@ class AfterPictures:
     share: Share = 0.1
     rotation_deg: PositiveAngle = 10.0
     early: Share | None = None
+    rest_px: PositivePixels | None = None
+    rest_s: PositiveTime = 0.5
 
     def monitor(self, setup: Setup) -> _AfterPictures:
         """By the true place of the camera."""
@@ -173,6 +188,15 @@ class AfterPictures:
 class _AfterPictures:
     def __init__(self, rule: AfterPictures):
         self._rule, self._early, self._pictures = rule, 0, 0
+        self._least_px, self._since = math.inf, 0.0
+
+    def _at_rest(self, t: float, error_px: float) -> bool:
+        """Whether the error in the image has stayed small, and fallen no further, for `rest_s`."""
+        if self._rule.rest_px is None or not error_px <= self._rule.rest_px:  # also where it is not known
+            self._least_px = math.inf
+        elif error_px < 0.9 * self._least_px or error_px > 1.1 * self._least_px + REST_PX:
+            self._least_px, self._since = min(error_px, self._least_px), t
+        return math.isfinite(self._least_px) and t - self._since > self._rule.rest_s
 
     def update(self, frame: Frame) -> Verdict | None:
         rule, (distance, angle) = self._rule, away_from_goal(frame)
@@ -180,7 +204,8 @@ class _AfterPictures:
         limit = rule.share * float(np.linalg.norm(frame.goal.T_camera_target[:3, 3]))
         near = max(distance / limit, math.degrees(angle) / rule.rotation_deg)
         self._early = near_in_turn(rule.early, near, self._early)
-        if self._early < EARLY_PICTURES and self._pictures < rule.pictures:
+        rests = self._at_rest(frame.t, frame.error.rms_px)
+        if self._early < EARLY_PICTURES and self._pictures < rule.pictures and not rests:
             return None
         at = f"{distance:.3g} m and {math.degrees(angle):.3g} deg from the goal after {self._pictures} pictures"
         words = f"{at}; the limits are {limit:.3g} m and {rule.rotation_deg:g} deg"

@@ -182,9 +182,7 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     distortion. Pairs agree if they are within `within_px` of the map there, at the scale of the picture's middle [px].
     Reference: Chum, Matas & Kittler 2003, doi:10.1007/978-3-540-45243-0_31; Torr & Zisserman 2000, doi:10.1006/cviu.1999.0832.
     """
-    # Pixels per unit of the normalised coordinates at the middle of the picture.
-    middle = camera.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [0.0, 0.01, 1.0]]))
-    f = float(np.linalg.norm(middle[1:] - middle[0], axis=1).mean() / 0.01)
+    f = _px_per_unit(camera)
     a, b = camera.normalise(uv_goal), camera.normalise(uv)
     usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
     if np.count_nonzero(usable) < LEAST_INLIERS:
@@ -201,6 +199,27 @@ def planar_map(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> t
     H = np.asarray(H, float) / np.array([[1, 1, f], [1, 1, f], [1 / f, 1 / f, 1]])
     ahead = np.column_stack([a[agree], np.ones(np.count_nonzero(agree))]) @ H[2]
     return H * np.sign(np.median(ahead)), agree
+
+
+def of_one_motion(camera: Camera, uv_goal: Array, uv: Array, within_px: float) -> NDArray[np.bool_] | None:
+    """Which pairs uv_goal (M, 2), uv (M, 2) obey r' E r* = 0 for one essential matrix E, to within_px of its lines; None with under five.
+    OpenCV's RANSAC over the five-point algorithm (Nister 2004, doi:10.1109/TPAMI.2004.17), confidence 0.999.
+    """
+    a, b = camera.normalise(uv_goal), camera.normalise(uv)
+    usable = np.isfinite(a[:, 0]) & np.isfinite(b[:, 0])
+    if np.count_nonzero(usable) < 5:
+        return None
+    f = _px_per_unit(camera)
+    _, mask = cv2.findEssentialMat(f * a[usable], f * b[usable], np.diag([f, f, 1.0]), cv2.RANSAC, 0.999, within_px)
+    agree = np.zeros(len(a), dtype=bool)
+    agree[usable] = False if mask is None else mask.ravel() > 0
+    return agree
+
+
+def _px_per_unit(camera: Camera) -> float:
+    """Pixels per unit of the normalised coordinates at the middle of the picture."""
+    middle = camera.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [0.0, 0.01, 1.0]]))
+    return float(np.linalg.norm(middle[1:] - middle[0], axis=1).mean() / 0.01)
 
 
 def spread_out(uv: Array, most: int, first: int = 0) -> NDArray[np.intp]:
@@ -291,7 +310,8 @@ class Keypoints(DetectorBase):
     Where fewer than `least` are found, nothing is reported, and the law rests, or coasts where it can.
 
     - Key points of both pictures (`features`) are matched by their descriptors, if each is the other's nearest.
-    - With `ransac: homography` those pairs count that agree with one plane.
+    - With `ransac: homography` those pairs count that agree with one plane, with `essential` those that agree with one motion of the
+    camera before a still scene.
     - The best of them, or well spread ones, are chosen.
     - With `subpixel` the patch round each point of the goal's picture is laid over this one, with its scale, turn and perspective from
     the homography: 0.02 px in place of 0.1 (SIFT) to 1 px (ORB). Patches that are not alike, or cut by a border, are replaced.
@@ -307,8 +327,9 @@ class Keypoints(DetectorBase):
         choose: which of the matched points: the `distance` of whose descriptors is least, or those that are `spread` over the picture.
         ratio: a match counts only if its distance is under this share of the distance to the second nearest [1]; none: all
             mutual matches count; e.g. `0.8`.
-        ransac: which matches count: those on one plane (`homography`), or all (`none`), as in a scene of several planes.
-        ransac_px: how far a match may be from where the homography maps it [px].
+        ransac: which matches count: those on one plane (`homography`), those that obey the epipolar constraint of one motion
+            (`essential`), or all (`none`).
+        ransac_px: how far a match may be from where the homography maps it, or from its epipolar line [px].
         subpixel: measure places below a pixel by patches; needs eight matches on one plane, without which places stay as they are.
         within: which part of the goal's picture is used: all of it (`picture`), or that which shows the target's board (`board`).
         track: whether points are followed from picture to picture, and matched again now and then: `none` or `klt`.
@@ -320,7 +341,7 @@ class Keypoints(DetectorBase):
     least: Annotated[int, Ge(3), Le(200)] = 4
     choose: Literal["distance", "spread"] = "spread"
     ratio: Annotated[float, Gt(0), Lt(1)] | None = None
-    ransac: Literal["homography", "none"] = "homography"
+    ransac: Literal["homography", "essential", "none"] = "homography"
     ransac_px: PositivePixels = 2.0
     subpixel: bool = True
     within: Literal["picture", "board"] = "picture"
@@ -426,7 +447,8 @@ class Keypoints(DetectorBase):
 
     def _why(self, matching: int, agreeing: int, measured: int) -> str:
         """Why nothing is reported though points match; "" where too few do, or enough are measured."""
-        words = f"detector keypoints: {matching} points match the goal's picture, of which {agreeing} agree with one plane"
+        plane = "motion" if self.ransac == "essential" else "plane"
+        words = f"detector keypoints: {matching} points match the goal's picture, of which {agreeing} agree with one {plane}"
         if measured >= self.least or matching < max(self.least, LEAST_INLIERS):
             return ""
         if agreeing < self.least:
@@ -473,8 +495,9 @@ class Keypoints(DetectorBase):
             new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
         found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
-        if self.ransac == "homography":
-            pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if found is None else found[1], first)
+        if self.ransac != "none":
+            agree = found and found[1] if self.ransac == "homography" else of_one_motion(camera, *pairs, self.ransac_px)
+            pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first)
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing
