@@ -148,3 +148,27 @@ def test_it_moves_as_commanded_and_trembles(tmp_path: Path) -> None:
         shakes.append(np.ptp(speeds))
         plant.close()
     assert shakes[1] > 5 * shakes[0]
+
+
+def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
+    """A servo of the gains kp and kv that turns a joint of the friction F at w is behind by (F + kv w) / kp. Before it breaks away, MuJoCo's
+    friction lets the joint creep: of the impedance d and the time constant c, under a torque T < F, at (1 - d)/d T / (M b), b = 2/(dmax c).
+    """
+    friction, w, kp, kv = 20.0, 0.02, 2000.0, 50.0
+    stage = stage_of(arm(tmp_path), 0.001)
+    model, data, at = stage.model, stage.data, stage.at
+    model.dof_frictionloss[at.qvel[0]] = friction
+    (d, dmax), (c, _) = model.dof_solimp[at.qvel[0], :2], model.dof_solref[at.qvel[0]]
+    data.ctrl[at.ctrl] = (w, 0.0)
+    log = []
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+        log.append((data.time, data.act[0] - data.qpos[at.qpos[0]], data.qvel[at.qvel[0]]))
+    stage.close()
+    t, behind, rate = np.array(log).T
+    assert behind[-1] == pytest.approx((friction + kv * w) / kp, rel=0.002) and rate[-1] == pytest.approx(w, rel=0.002)
+    creeps = (t > 0.25) & (t < 0.5)
+    torque = kp * behind - kv * rate
+    assert torque[creeps].max() < friction
+    expected = (1 - d) / d * torque / (inertia() + ROTOR) / (2 / (dmax * c))
+    assert rate[creeps] == pytest.approx(expected[creeps], rel=0.06)

@@ -166,3 +166,16 @@ def test_a_picture_of_the_goal_may_be_kept_as_jpeg():
     assert np.array_equal(GoalPicture().under_its_light(image, rng), image)
     with pytest.raises(ParameterError, match="jpeg_quality is for a picture that the simulated camera takes"):
         GoalPicture(file="goal.png", jpeg_quality=95)
+
+
+def test_six_steps_of_crf_double_the_error_of_h264():
+    """The step of its quantiser is 2^((crf - 4)/6), and the error of many small coefficients in proportion; a still scene stays as it is."""
+    rng = np.random.default_rng(0)
+    image = np.repeat(np.clip(rng.normal(128, 30, (240, 320, 1)), 0, 255), 3, axis=2).astype(np.uint8)
+    error = []
+    for crf in (18, 24, 30):
+        coded = round_trip(H264Stream(crf=crf, colours="full"), RATE)
+        pictures = [coded(image) for _ in range(3)]
+        assert np.array_equal(pictures[0], pictures[2])
+        error.append((grey(pictures[0]) - grey(image)).std())
+    assert [b / a for a, b in pairwise(error)] == pytest.approx([2.0, 2.0], rel=0.06)
