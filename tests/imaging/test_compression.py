@@ -169,7 +169,7 @@ def test_a_picture_of_the_goal_may_be_kept_as_jpeg():
 
 
 def test_six_steps_of_crf_double_the_error_of_h264():
-    """The step of its quantiser is 2^((crf - 4)/6), and the error of many small coefficients in proportion; a still scene stays as it is."""
+    """The step of its quantiser is 2^((crf - 4)/6), and the error of many coefficients in proportion; a still scene stays as it is."""
     rng = np.random.default_rng(0)
     image = np.repeat(np.clip(rng.normal(128, 30, (240, 320, 1)), 0, 255), 3, axis=2).astype(np.uint8)
     error = []
