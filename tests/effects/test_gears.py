@@ -151,8 +151,10 @@ def test_it_moves_as_commanded_and_trembles(tmp_path: Path) -> None:
 
 
 def test_dry_friction_winds_a_servo_up(tmp_path: Path) -> None:
-    """A servo of the gains kp and kv that turns a joint of the friction F at w is behind by (F + kv w) / kp. Before it breaks away, friction
-    of MuJoCo lets the joint creep: of the impedance d and the time constant c, under a torque T < F, at (1 - d)/d T / (M b), b = 2/(dmax c).
+    """A servo of the gains kp and kv that turns a joint of the friction F at w is behind by (F + kv w) / kp.
+
+    Before it breaks away, friction of MuJoCo lets the joint creep: of the impedance d and the time constant c, under a torque T < F, at
+    (1 - d)/d T / (M b), b = 2/(dmax c).
     """
     friction, w, kp, kv = 20.0, 0.02, 2000.0, 50.0
     stage = stage_of(arm(tmp_path), 0.001)
