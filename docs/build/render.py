@@ -21,11 +21,13 @@ import vstestbed as vs
 from docs.build import parameters
 from docs.build.kept import Kept, Row
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
+from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
 from vstestbed.report.comparison.results import TIME, ComparisonResults
 from vstestbed.report.comparison.statistics import IntervalEstimate, paired_difference, quartiles, success_rate
 from vstestbed.report.comparison.tasks import AMOUNT, cells, markdown, over_all_tasks
 from vstestbed.studies.bench import BesideFloor
+from vstestbed.tasks.metrics import KNOWN, RUN_COLUMNS, own_metrics
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = REPOSITORY / "docs" / "sources"
@@ -56,6 +58,8 @@ def rendered(page: Path, kept: Kept) -> str:
     )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.globals.update(preset=parameters.preset)
+    made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
+    made.globals.update(table_columns=RUN_COLUMNS.items)
     made.filters.update(judged=judged, g=parameters.plain)
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
     made.filters.update(
