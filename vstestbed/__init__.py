@@ -24,7 +24,7 @@ To extend it, a kind is one class and one registration:
         kind: Literal["mine"] = "mine"
         gain: float = 0.5
 
-        def step(self, memory, observation, goal, basis): ...
+        def step(self, state, observation, goal, basis): ...
 
 Public names are imported when first used, so that `import vstestbed` costs nothing.
 """

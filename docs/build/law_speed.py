@@ -43,10 +43,10 @@ def step_ms(law: Any) -> float:
     vs.run(replace(vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 3.0}), law=law), watch=[frames])
     basis, took = np.eye(6), []
     for _ in range(ROUNDS):
-        memory = law.init(frames.kept[0].goal)
+        state = law.init(frames.kept[0].goal)
         began = time.process_time()
         for frame in frames.kept:
-            memory, _ = law.step(memory, frame.observation, frame.goal, basis)
+            state, _ = law.step(state, frame.observation, frame.goal, basis)
         took.append(1e3 * (time.process_time() - began) / len(frames.kept))
     return float(np.median(took))
 

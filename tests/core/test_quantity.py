@@ -13,7 +13,7 @@ from annotated_types import Ge, Le, Len
 from tests.scenario.schemas import whole_schema
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
-from vstestbed.core.quantity import Length, Narrower, OneForAll, PositiveLength, PositiveTime, Seed
+from vstestbed.core.quantity import Broadcast, Length, PositiveLength, PositiveTime, Seed, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
@@ -26,7 +26,7 @@ class Things:
 
     at: Length = 0.0
     size: PositiveLength = 1.0
-    narrow: Annotated[PositiveTime, Narrower(le=60)] = 1.0
+    narrow: Annotated[PositiveTime, TighterBounds(le=60)] = 1.0
     seed: Seed = 0
 
 
@@ -34,8 +34,8 @@ class Things:
 class Joints:
     """A list with a value for each joint."""
 
-    most: Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()] = (1.0,)
-    counts: Annotated[tuple[Annotated[int, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()] = (1,)
+    most: Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), Broadcast()] = (1.0,)
+    counts: Annotated[tuple[Annotated[int, Ge(0), Le(10)], ...], Len(1, 7), Broadcast()] = (1,)
 
 
 def unbounded(part: Any, path: str = "") -> Iterator[str]:

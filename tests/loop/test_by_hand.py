@@ -53,12 +53,12 @@ class TestTheLaw:
         smooth = {"law__smooth_start_s": 1.0}
         with started("arm_ibvs", **smooth) as session, started("arm_ibvs", **smooth) as twin:
             law = session.episode.scenario.law
-            memory = session.episode.controller.law_memory
+            state = session.episode.controller.law_state
             session.retune(replace(law, gain=ConstantGain(value=0.9)))
-            assert session.episode.controller.law_memory is memory
+            assert session.episode.controller.law_state is state
             # u - u(0) exp(-t / tau): the first command in memory stays that of the old gain
             frame, other = session.step(), twin.step()
-            fade = memory.u0 * np.exp(-(frame.t - memory.t0))
+            fade = state.u0 * np.exp(-(frame.t - state.t0))
             np.testing.assert_allclose(frame.command.u, 1.8 * (other.command.u + fade) - fade, rtol=1e-9)
 
     def test_of_another_kind_feature_or_depth_is_refused(self):

@@ -20,13 +20,13 @@ def wild(value: Any) -> Any:
     """A step that goes well for three frames, and then gives or raises `value`."""
     step = IBVS.step
 
-    def stepped(self: IBVS, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
-        memory, command = step(self, memory, observation, goal, basis)
+    def stepped(self: IBVS, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
+        state, command = step(self, state, observation, goal, basis)
         if observation.t < 0.1:
-            return memory, command
+            return state, command
         if isinstance(value, BaseException):
             raise value
-        return (memory, value(command)) if callable(value) else value
+        return (state, value(command)) if callable(value) else value
 
     return stepped
 

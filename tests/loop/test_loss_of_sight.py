@@ -237,12 +237,12 @@ class TestLawThatFails:
         step = law.step
 
         def failing(self: Any, *given: Any) -> Any:
-            memory, command = step(self, *given)
+            state, command = step(self, *given)
             if next(asked) < BLACK_FRAME:
-                return memory, command
+                return state, command
             if fails == "raises":
                 raise ZeroDivisionError("float division by zero")
-            return memory, replace(command, twist=np.full(6, np.nan))
+            return state, replace(command, twist=np.full(6, np.nan))
 
         monkeypatch.setattr(law, "step", failing)
         r = vs.run(scenario)

@@ -284,7 +284,7 @@ class TestTruthFence:
         judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "KeepOut"}  # `rules.py` reads it in a function
         assert self.readers("tasks", "truth", "T_world_camera", "hidden") == judges
         for task in GOALS.members.values():
-            for name, arguments in (("reference", ["self", "memory", "seen"]), ("passed", ["self", "memory", "error"])):
+            for name, arguments in (("reference", ["self", "state", "seen"]), ("passed", ["self", "state", "error"])):
                 assert list(inspect.signature(getattr(task, name)).parameters) == arguments
 
     def test_of_a_robot_only_its_log_is_given_the_truth(self):

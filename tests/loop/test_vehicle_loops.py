@@ -98,13 +98,13 @@ def test_on_a_slippery_floor_rollers_hold_less_than_wheels() -> None:
 def straight(lag_s: float, from_m: float = 2.0, to_m: float = 0.05) -> float:
     """When a car on a line comes under a distance, by its servo alone: v = min(1, rho), a frame late and held; motors of one lag [s]."""
     car, dt, x, wheels = Car(drive_lag_s=lag_s), 0.01, from_m, 0.0
-    memory, orders, way = car.begin(), [0.0], [x]
+    state, orders, way = car.begin(), [0.0], [x]
     keep = math.exp(-dt / MOTOR_S)
     while x > to_m:
         if (len(way) - 1) % round(FRAME_S / dt) == 0:
             orders.append(min(1.0, x))
         reading = Reading(np.zeros(7), np.array([0, 0, 0, wheels, wheels, 0, 0]))
-        memory, ctrl = car.actuate(memory, np.array([orders[-2], 0.0]), reading, dt)
+        state, ctrl = car.actuate(state, np.array([orders[-2], 0.0]), reading, dt)
         rolled = ctrl[0] * dt + (wheels - ctrl[0]) * MOTOR_S * (1 - keep)
         wheels, x = ctrl[0] + (wheels - ctrl[0]) * keep, x - car.believed_radius * rolled
         way.append(x)

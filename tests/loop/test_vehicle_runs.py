@@ -188,7 +188,7 @@ class TestRefusals:
     def test_words(self):
         for name, settings, words in (
             ("arm_ibvs", {"goal": {"pose": {"x": 1}}}, "may not be of kind pose with law ibvs, which takes view"),
-            ("arm_ibvs", {"goal": {"view_from": {"x": 1}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
+            ("arm_ibvs", {"goal": {"view_from": {"x": 1}}}, "it is for a vehicle; works: T_camera_target"),
             ("car_pbvs", {"goal": {"gap_m": 2}}, "may not be of kind gap with law pose_controller, which takes pose"),
             ("car_pursuit", {"law": "pose_controller", "goal": {"pose": {"x": 1}}}, "needs a target that stands still"),
             ("omni_ibvs", {"law.depth": "pnp"}, "law.depth: may not be pnp: all markers lie on one line"),

@@ -43,7 +43,7 @@ class Driver:
 
     def __post_init__(self) -> None:
         self.data = mujoco.MjData(self.model)
-        self.memory = self.car.begin()
+        self.state = self.car.begin()
         self.q = [self.model.joint(f"robot/{name}").qposadr[0] for name in self.car.joints]
         self.qd = [self.model.joint(f"robot/{name}").dofadr[0] for name in self.car.joints]
         mujoco.mj_forward(self.model, self.data)
@@ -67,7 +67,7 @@ class Driver:
         assert period is not None
         for k in range(round(duration / period)):
             order = np.array(setpoint(k * period))
-            self.memory, self.data.ctrl[:] = self.car.actuate(self.memory, order, self.reading, period)
+            self.state, self.data.ctrl[:] = self.car.actuate(self.state, order, self.reading, period)
             mujoco.mj_step(self.model, self.data, nstep=round(period / self.model.opt.timestep))
             yield (k + 1) * period
 

@@ -39,7 +39,7 @@ class Log:
     rates: Array
     rpy: Array
     ctrl: Array
-    memory: list[Flight]
+    state: list[Flight]
 
     @property
     def tilt(self) -> Array:
@@ -51,7 +51,7 @@ class Flown:
     """A craft in flight; `fly` goes on from where it is."""
 
     def __init__(self, robot: Quadrotor, seed: int = 0):
-        self.robot, self.body, self.sense, self.memory = robot, robot.body, robot.instruments(np.random.default_rng(seed)), robot.begin()
+        self.robot, self.body, self.sense, self.state = robot, robot.body, robot.instruments(np.random.default_rng(seed)), robot.begin()
         world = mujoco.MjSpec.from_file(str(MODELS / "world.xml"))
         world.option.timestep, world.option.density = DT, AIR
         craft = mujoco.MjSpec.from_file(str(MODELS / robot.body.file))
@@ -80,7 +80,7 @@ class Flown:
         R = np.array([[cp, sp * s, sp * c], [0, c, -s], [-sp, cp * s, cp * c]])
         mujoco.mju_mat2Quat(self.data.qpos[3:7], R.ravel())
         mujoco.mj_forward(self.model, self.data)
-        self.memory = self.memory._replace(attitude=self.memory.attitude._replace(up=tuple(R[2].tolist())))
+        self.state = self.state._replace(attitude=self.state.attitude._replace(up=tuple(R[2].tolist())))
 
     def step(self) -> None:
         """One physics step, sensors of the new instant."""
@@ -89,16 +89,16 @@ class Flown:
 
     def fly(self, order: object, duration: float, wind: Callable[[float], object] | None = None) -> Log:
         """Fly for a time [s] under a setpoint (4,); wind (3,) [m/s] as a function of time."""
-        setpoint, rows, memory = np.asarray(order, dtype=float), [], []
+        setpoint, rows, state = np.asarray(order, dtype=float), [], []
         for k in range(round(duration / DT)):
             if wind is not None:
                 self.model.opt.wind[:] = wind(k * DT)
-            self.memory, self.data.ctrl[:] = self.robot.actuate(self.memory, setpoint, self.reading(), DT)
+            self.state, self.data.ctrl[:] = self.robot.actuate(self.state, setpoint, self.reading(), DT)
             self.step()
             rows.append(self._row())
-            memory.append(self.memory)
+            state.append(self.state)
         a = np.array(rows)
-        return Log(np.arange(1, len(a) + 1) * DT, a[:, :3], a[:, 3:6], a[:, 6:9], a[:, 9:12], a[:, 12:15], a[:, 15:], memory)
+        return Log(np.arange(1, len(a) + 1) * DT, a[:, :3], a[:, 3:6], a[:, 6:9], a[:, 9:12], a[:, 12:15], a[:, 15:], state)
 
     def _row(self) -> list[float]:
         R, (vx, vy, vz) = self.R, self.data.qvel[:3].tolist()

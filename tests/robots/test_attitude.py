@@ -18,17 +18,17 @@ def rotation(roll: float, pitch: float) -> np.ndarray:
     return np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def angle(memory: Attitude, up: np.ndarray) -> float:
+def angle(state: Attitude, up: np.ndarray) -> float:
     """Degrees between the estimated and the true up."""
-    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(memory.up, up))), float(np.dot(memory.up, up))))
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(state.up, up))), float(np.dot(state.up, up))))
 
 
-def still(memory: Attitude, up: np.ndarray, duration: float, filter: Filter, gyro=(0, 0, 0), bias=(0, 0, 0), rng=None) -> Attitude:
+def still(state: Attitude, up: np.ndarray, duration: float, filter: Filter, gyro=(0, 0, 0), bias=(0, 0, 0), rng=None) -> Attitude:
     """The filter on a body at rest."""
     for _ in range(round(duration / DT)):
         n = rng.standard_normal(6) * [0.002, 0.002, 0.002, 0.09, 0.09, 0.09] if rng else np.zeros(6)
-        memory = step(memory, tuple(np.add(gyro, n[:3])), tuple(GRAVITY * up + bias + n[3:]), STILL, filter, DT)
-    return memory
+        state = step(state, tuple(np.add(gyro, n[:3])), tuple(GRAVITY * up + bias + n[3:]), STILL, filter, DT)
+    return state
 
 
 class TestGeometry:
@@ -61,46 +61,46 @@ class TestFilter:
     def test_gyro_alone_follows_a_tumble(self):
         """An accelerometer in free fall says nothing: up turns as -w x up, here a cone whose end is known."""
         w, up = np.array([1.0, -2.0, 0.7]), rotation(0.4, -0.3)[2]
-        memory = Attitude(up=tuple(up.tolist()))
+        state = Attitude(up=tuple(up.tolist()))
         for _ in range(2000):
-            memory = step(memory, tuple(w.tolist()), STILL, STILL, Filter(), DT)
+            state = step(state, tuple(w.tolist()), STILL, STILL, Filter(), DT)
         a, k = np.linalg.norm(w) * 2.0, w / np.linalg.norm(w)
         end = up * np.cos(a) - np.cross(k, up) * np.sin(a) + k * (k @ up) * (1 - np.cos(a))
         # Second order in the step: |w|^3 dt^2 t / 6 = 4e-6 rad.
-        assert angle(memory, end) < 1e-3
+        assert angle(state, end) < 1e-3
 
     def test_error_decays_with_its_gain(self):
         up = rotation(0.2, 0.0)[2]
-        memory = still(Attitude(), up, 2.0, Filter(gain=0.5, bias_gain=0.0))
+        state = still(Attitude(), up, 2.0, Filter(gain=0.5, bias_gain=0.0))
         # Of first order for small angles; sin(.2) for .2 makes .3 %.
-        assert angle(memory, up) == pytest.approx(math.degrees(0.2) * math.exp(-1.0), rel=0.01)
+        assert angle(state, up) == pytest.approx(math.degrees(0.2) * math.exp(-1.0), rel=0.01)
 
     def test_converges_with_bias_and_noise(self):
         up, bias = rotation(-0.3, 0.25)[2], np.array([0.01, -0.02, 0.015])
-        memory = still(Attitude(), up, 40.0, Filter(), gyro=bias, rng=np.random.default_rng(1))
+        state = still(Attitude(), up, 40.0, Filter(), gyro=bias, rng=np.random.default_rng(1))
         # Noise .09 m/s^2 at 1 kHz through k_p = .5 leaves .01 deg.
-        assert angle(memory, up) < 0.1
+        assert angle(state, up) < 0.1
         across = bias - (bias @ up) * up  # about the vertical nothing is felt
-        found = np.array(memory.bias)
+        found = np.array(state.bias)
         np.testing.assert_allclose(found - (found @ up) * up, across, atol=5e-4)
 
     def test_accelerometer_bias_is_a_lean(self):
-        memory = still(Attitude(), np.array([0, 0, 1.0]), 60.0, Filter(), bias=(0.05, 0, 0))
+        state = still(Attitude(), np.array([0, 0, 1.0]), 60.0, Filter(), bias=(0.05, 0, 0))
         # No filter can tell: .05 / 9.81 rad.
-        assert math.degrees(memory.pitch) == pytest.approx(-math.degrees(0.05 / GRAVITY), abs=0.01)
+        assert math.degrees(state.pitch) == pytest.approx(-math.degrees(0.05 / GRAVITY), abs=0.01)
 
     @pytest.mark.parametrize(("known", "most"), [(True, 1e-6), (False, 60)])
     def test_a_known_acceleration_is_no_tilt(self, known, most):
         """Level, 3 m/s^2 forward for 2 s: unknown it is taken for a nose-up of up to 17 degrees."""
-        memory = Attitude()
+        state = Attitude()
         for _ in range(2000):
-            memory = step(memory, STILL, (3.0, 0.0, GRAVITY), (3.0, 0.0, 0.0) if known else STILL, Filter(bias_gain=0.0), DT)
-        off = abs(math.degrees(memory.pitch))
+            state = step(state, STILL, (3.0, 0.0, GRAVITY), (3.0, 0.0, 0.0) if known else STILL, Filter(bias_gain=0.0), DT)
+        off = abs(math.degrees(state.pitch))
         assert off <= most
         if not known:
             # (1 - exp(-k_p t)) of atan(3 / 9.81) = 17 deg
             assert off == pytest.approx(17.0 * (1 - math.exp(-1.0)), rel=0.03)
 
     def test_shocks_are_not_believed(self):
-        memory = still(Attitude(), np.array([0, 0, 1.0]), 0.1, Filter(gain=50.0), bias=(40.0, 0, 0))
-        assert memory.up == (0.0, 0.0, 1.0)
+        state = still(Attitude(), np.array([0, 0, 1.0]), 0.1, Filter(gain=50.0), bias=(40.0, 0, 0))
+        assert state.up == (0.0, 0.0, 1.0)

@@ -143,10 +143,10 @@ class TestOdometry:
 class TestServos:
     def run(self, car: Car, setpoint: list[float], periods: int, speed_share: float = 1.0) -> np.ndarray:
         """Controls (periods, 2) when the wheels follow at once, at a share of the speed told."""
-        memory, ctrl, out = car.begin(), np.zeros(2), []
+        state, ctrl, out = car.begin(), np.zeros(2), []
         for _ in range(periods):
             wheels = Reading(np.zeros(7), np.array([0, 0, 0, 1, 1, 0, 0]) * ctrl[0] * speed_share)
-            memory, ctrl = car.actuate(memory, np.array(setpoint), wheels, 0.01)
+            state, ctrl = car.actuate(state, np.array(setpoint), wheels, 0.01)
             out.append(ctrl)
         return np.array(out)
 

@@ -94,7 +94,7 @@ class TestSteps:
         aided = Flown(perfect()).fly([2.0, 0, 0, 0], 5.0)
 
         def worst(flight: Log) -> float:
-            estimated = np.array([m.attitude.pitch for m in flight.memory])
+            estimated = np.array([m.attitude.pitch for m in flight.state])
             return float(np.degrees(np.abs(estimated - flight.rpy[:, 1]).max()))
 
         assert worst(log) > 4.0 and worst(aided) < 0.2  # measured 5.4 and .09 degrees
@@ -139,9 +139,9 @@ class TestTilt:
         assert log.t[np.nonzero(np.degrees(log.tilt) > 15)[0][-1]] < seconds
         assert 40 - log.position[:, 2].min() < sinks
         assert np.linalg.norm(log.velocity[-1]) < 0.3
-        assert log.memory[0].loops.levelling == (degrees > 60)
-        assert log.memory[0].overturned == (degrees > 60)
-        assert not log.memory[-1].loops.levelling
+        assert log.state[0].loops.levelling == (degrees > 60)
+        assert log.state[0].overturned == (degrees > 60)
+        assert not log.state[-1].loops.levelling
 
     def test_aim(self):
         force, thrust = aim((0.0, 0.0, 0.0), 1.0, Gains(), X4.mass_kg)

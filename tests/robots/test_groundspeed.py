@@ -12,14 +12,14 @@ DT, STILL = 0.001, (0.0, 0.0, 0.0)
 FLAT = level((0.0, 0.0, 1.0))
 
 
-def run(source, velocity, force, duration, R=FLAT, yaw_rate=0.0, rng=None, memory=None):
+def run(source, velocity, force, duration, R=FLAT, yaw_rate=0.0, rng=None, state=None):
     """Estimates (n, 3) for a velocity of time, a constant reading of the accelerometer; both in body axes."""
-    memory, rows = memory or AT_REST, []
+    state, rows = state or AT_REST, []
     for k in range(round(duration / DT)):
         noise = rng.standard_normal(3) * source.sigma_mps * np.sqrt(READING_S / DT) if rng else np.zeros(3)
-        memory = step(memory, R, tuple(np.add(velocity((k + 1) * DT), noise)), force, yaw_rate, source, DT)
-        rows.append(memory[0])
-    return np.array(rows), memory
+        state = step(state, R, tuple(np.add(velocity((k + 1) * DT), noise)), force, yaw_rate, source, DT)
+        rows.append(state[0])
+    return np.array(rows), state
 
 
 @pytest.mark.parametrize("source", [Flow(), Filtered()])
@@ -29,10 +29,10 @@ def test_finds_a_constant_velocity(source):
 
 
 def test_flow_follows_an_acceleration_without_lag():
-    rows, memory = run(Flow(), lambda t: (2 * t, 0, -t), (2.0, 0, GRAVITY - 1.0), 2.0)
+    rows, state = run(Flow(), lambda t: (2 * t, 0, -t), (2.0, 0, GRAVITY - 1.0), 2.0)
     # The reading is that of the step's end: a step of dt, 2 mm/s.
     np.testing.assert_allclose(rows[-1], [4, 0, -2], atol=0.0025)
-    np.testing.assert_allclose(memory[2], [2, 0, -1], atol=0.002)
+    np.testing.assert_allclose(state[2], [2, 0, -1], atol=0.002)
 
 
 def test_filtered_lags_by_its_time_constant():
@@ -41,18 +41,16 @@ def test_filtered_lags_by_its_time_constant():
 
 
 def test_flow_learns_a_wrong_accelerometer():
-    _, memory = run(Flow(), lambda t: (0.3, 0, 0), (0.4, 0, GRAVITY + 0.1), 8.0)
-    np.testing.assert_allclose(memory[0], [0.3, 0, 0], atol=1e-4)
-    np.testing.assert_allclose(memory[1], [-0.4, 0, -0.1], atol=1e-3)
-    np.testing.assert_allclose(memory[2], 0, atol=1e-3)
+    _, state = run(Flow(), lambda t: (0.3, 0, 0), (0.4, 0, GRAVITY + 0.1), 8.0)
+    np.testing.assert_allclose(state[0], [0.3, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(state[1], [-0.4, 0, -0.1], atol=1e-3)
+    np.testing.assert_allclose(state[2], 0, atol=1e-3)
 
 
 def test_a_turning_level_frame():
     """A world-fixed velocity seen from a frame that turns at .8 rad/s."""
     r = 0.8
-    rows, _ = run(
-        Flow(), lambda t: (np.cos(r * t), -np.sin(r * t), 0), (0, 0, GRAVITY), 6.0, yaw_rate=r, memory=((1.0, 0, 0), *AT_REST[1:])
-    )
+    rows, _ = run(Flow(), lambda t: (np.cos(r * t), -np.sin(r * t), 0), (0, 0, GRAVITY), 6.0, yaw_rate=r, state=((1.0, 0, 0), *AT_REST[1:]))
     t = np.arange(1, len(rows) + 1) * DT
     # Forward Euler: r^2 dt / (4 w) or so.
     np.testing.assert_allclose(rows[:, 0], np.cos(r * t), atol=1e-3)

@@ -132,7 +132,7 @@ class TestSetpoints:
         """By what flies: against MuJoCo's own velocity of the craft, through the mount."""
         craft = Flown(Quadrotor())
         craft.fly([0.8, -0.3, 0.2, 0.4], 3.0)
-        before = craft.robot.reported(craft.memory, craft.reading())
+        before = craft.robot.reported(craft.state, craft.reading())
         true = DOWN.to_camera @ np.concatenate([craft.R.T @ craft.data.qvel[:3], craft.data.qvel[3:]])
         found = craft.robot.measured_twist(before, before, 0.04, np.zeros(6), DOWN)
         # The estimate's noise: 2 cm/s, and a gyro reading's .002 rad/s and what is left of its bias.
@@ -170,12 +170,12 @@ class TestHover:
         assert np.abs(late.mean(axis=0)).max() < 0.006
         assert late.std(axis=0).max() < 0.015
         assert np.degrees(log.tilt[10000:]).max() < 0.6
-        estimated = np.array([(m.attitude.roll, m.attitude.pitch) for m in log.memory[10000:]])
+        estimated = np.array([(m.attitude.roll, m.attitude.pitch) for m in log.state[10000:]])
         # The accelerometer's bias, .05 and .03 m/s^2: .3 and .17 degrees, and what noise adds.
         assert np.abs(np.degrees(estimated - log.rpy[10000:, :2])).max() < 0.6
         # Roll and pitch bias are learnt, yaw's is not: nothing tells of heading.
-        np.testing.assert_allclose(log.memory[-1].attitude.bias[:2], (0.003, -0.002), atol=0.0015)
-        assert not any(m.limited_s for m in log.memory)
+        np.testing.assert_allclose(log.state[-1].attitude.bias[:2], (0.003, -0.002), atol=0.0015)
+        assert not any(m.limited_s for m in log.state)
 
     def test_a_gust_of_five_metres_per_second(self):
         log = Flown(Quadrotor(), seed=1).fly(HOLD, 10.0, lambda t: (5, 0, 0) if 1 <= t < 5 else (0, 0, 0))
@@ -192,7 +192,7 @@ def test_overturned_is_told_until_it_is_level_again():
     craft = Flown(perfect(height=40.0))
     craft.tilt(roll=math.radians(62))
     log = craft.fly(HOLD, 2.0)
-    told = np.array([m.overturned for m in log.memory])
+    told = np.array([m.overturned for m in log.state])
     degrees = np.degrees(log.tilt)
     level = int(np.argmax(degrees < 14.5))  # from 15 degrees on, half a degree for what its estimate is off
     assert told[: level - 50].all() and not told[level:].any()
@@ -204,9 +204,9 @@ class TestDown:
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 1.0)))), seed=4)
         log = craft.fly(descend(0.3), 1.5)
         assert log.velocity[-1, 2] == pytest.approx(-0.3, abs=0.03)
-        assert not craft.robot.stands(craft.memory, craft.reading())
+        assert not craft.robot.stands(craft.state, craft.reading())
         log = craft.fly(descend(0.3), 3.0)
-        assert craft.robot.stands(craft.memory, craft.reading())
+        assert craft.robot.stands(craft.state, craft.reading())
         assert log.position[-1, 2] == pytest.approx(STANDING_M, abs=0.002)
         craft.fly(np.full(4, -np.inf), 0.1)
         log = craft.fly(descend(0.3), 2.0)  # off is off
@@ -222,7 +222,7 @@ class TestDown:
         craft, told, touched = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.4)))), seed=4), [], []
         for _ in range(200):
             craft.fly(descend(speed), 0.01, lambda t: (6, 0, 0))
-            told.append(craft.robot.stands(craft.memory, craft.reading()))
+            told.append(craft.robot.stands(craft.state, craft.reading()))
             touched.append(craft.data.ncon > 0)
         first = touched.index(True)
         assert not any(told[:first])  # 5 cm before, still sinking as told
@@ -231,12 +231,12 @@ class TestDown:
     def test_hovering_low_is_not_standing(self):
         craft = Flown(Quadrotor(start=FlightStart(nominal=FlightPose(xyz=(0, 0, 0.2)))))
         craft.fly(HOLD, 0.5)
-        assert not craft.robot.stands(craft.memory, craft.reading())
+        assert not craft.robot.stands(craft.state, craft.reading())
 
     def test_a_rotor_at_its_limit_is_told(self):
         craft = Flown(perfect())
         log = craft.fly([0, 0, 3.0, 0], 0.5)  # 7.5 m/s^2 up: 1.76 times the weight, rotors give 1.35
-        assert log.memory[99].limited_s == pytest.approx(0.1, abs=0.02)
-        assert craft.robot.reported(craft.memory, craft.reading()).estimate.rotor_limit_s > 0.0
+        assert log.state[99].limited_s == pytest.approx(0.1, abs=0.02)
+        assert craft.robot.reported(craft.state, craft.reading()).estimate.rotor_limit_s > 0.0
         log = craft.fly(HOLD, 1.0)
-        assert log.memory[-1].limited_s == 0.0
+        assert log.state[-1].limited_s == 0.0

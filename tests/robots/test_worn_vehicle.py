@@ -74,21 +74,21 @@ class TestDrawn:
 class TestDriveLag:
     def test_a_step_takes_the_time_constant(self) -> None:
         base = Omni(drive_lag_s=0.1)
-        memory, setpoint = base.begin(), np.array([1.0, 2.0, 3.0, -1.0])
+        state, setpoint = base.begin(), np.array([1.0, 2.0, 3.0, -1.0])
         period = base.control_period_s
         assert period is not None
         for _ in range(round(0.1 / period)):
-            memory, ctrl = base.actuate(memory, setpoint, Reading(np.zeros(4), np.zeros(4)), period)
+            state, ctrl = base.actuate(state, setpoint, Reading(np.zeros(4), np.zeros(4)), period)
         np.testing.assert_allclose(ctrl, setpoint * (1 - math.exp(-1)), rtol=1e-9)
 
     def test_a_ramp_is_followed_behind_by_the_time_constant(self) -> None:
         """The car's order rises by its acceleration; of a drive with lag it is late by drive_lag_s: a tau / r at the wheels."""
         car = Car(drive_lag_s=0.08, limits=CarLimits(speed_mps=3.0, acceleration_mps2=1.0))
-        memory, dt = car.begin(), 0.01
+        state, dt = car.begin(), 0.01
         for k in range(100):  # wheels that are as told: nothing for the integral
             told = min(3.0, (k + 1) * dt) / 0.15
-            memory, ctrl = car.actuate(memory, np.array([3.0, 0.0]), Reading(np.zeros(7), np.array([0, 0, 0, told, told, 0, 0])), dt)
-        behind = memory[0] / 0.15 - ctrl[0]
+            state, ctrl = car.actuate(state, np.array([3.0, 0.0]), Reading(np.zeros(7), np.array([0, 0, 0, told, told, 0, 0])), dt)
+        behind = state[0] / 0.15 - ctrl[0]
         # The lag acts from the period on in which it is told: half a period less than in continuous time.
         assert behind == pytest.approx(1.0 / 0.15 * (0.08 - dt / 2), rel=0.01)
 

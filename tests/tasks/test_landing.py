@@ -26,25 +26,25 @@ class TestReference:
 
     @pytest.mark.parametrize(("xyz", "turn"), [((0.3, 0, 1.5), 0), ((0, 0, 2.2), 0), ((0, 0, 1.5), 30)])
     def test_it_waits_while_the_craft_is_not_over_its_pad(self, xyz, turn):
-        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+        state = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
         for k in range(50):
-            memory, _ = TASK.reference(memory, self.seen(0.04 * k, xyz, turn))
-        assert memory.share == 1.0
+            state, _ = TASK.reference(state, self.seen(0.04 * k, xyz, turn))
+        assert state.share == 1.0
 
     def test_it_waits_while_the_pad_is_out_of_sight(self):
-        memory, nothing = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), np.full((4, 2), np.nan)
+        state, nothing = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), np.full((4, 2), np.nan)
         for k in range(50):
-            memory, _ = TASK.reference(memory, Observation(0.04 * k, nothing, nothing, np.full(4, np.nan)))
-        assert memory.share == 1.0
+            state, _ = TASK.reference(state, Observation(0.04 * k, nothing, nothing, np.full(4, np.nan)))
+        assert state.share == 1.0
 
     def test_it_comes_down_at_its_speed_and_goes_on_when_near(self):
-        memory, height = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), 1.5
+        state, height = TASK.begin(SCENARIO.setup, SCENARIO.goal_views), 1.5
         for k in range(26):
-            memory, goal = TASK.reference(memory, self.seen(0.04 * k, (0, 0, height * memory.share)))
+            state, goal = TASK.reference(state, self.seen(0.04 * k, (0, 0, height * state.share)))
         np.testing.assert_allclose(goal.T_camera_target[:3, 3], [0, 0, 1.25], atol=1e-9)  # .25 m/s for a second
         for k in range(26, 300):
-            memory, _ = TASK.reference(memory, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
-        assert memory.share == DEEPEST
+            state, _ = TASK.reference(state, self.seen(0.04 * k, (0.3, 0, 0.2)))  # off its pad, but too near to wait
+        assert state.share == DEEPEST
 
     def test_how_near_is_over_its_pad(self):
         for xyz, turn, descends in (
@@ -53,32 +53,32 @@ class TestReference:
             *(((0, 0, 1.5), 14, True), ((0, 0, 1.5), 16, False)),
             *(((0.3, 0, 0.39), 0, True), ((0.3, 0, 0.4), 0, False)),  # nearer than `commit_m` it waits for nothing
         ):
-            memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+            state = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
             for t in (0.0, 0.04):
-                memory, goal = TASK.reference(memory, self.seen(t, xyz, turn))
-            assert (memory.share < 1.0) is descends
+                state, goal = TASK.reference(state, self.seen(t, xyz, turn))
+            assert (state.share < 1.0) is descends
             assert goal.T_camera_target[2, 3] == pytest.approx(1.49 if descends else 1.5)
 
     def test_the_first_frame_has_no_duration(self):
-        memory = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
-        assert memory.share == 1.0 and np.isnan(memory.t)
-        memory, _ = TASK.reference(memory, self.seen(7.0, (0, 0, 1.5)))
-        assert memory.share == 1.0 and memory.t == 7.0
+        state = TASK.begin(SCENARIO.setup, SCENARIO.goal_views)
+        assert state.share == 1.0 and np.isnan(state.t)
+        state, _ = TASK.reference(state, self.seen(7.0, (0, 0, 1.5)))
+        assert state.share == 1.0 and state.t == 7.0
 
     @pytest.mark.parametrize("goal", ["told", "shown"])
     def test_it_comes_down_with_the_errors_of_the_calibration(self, goal):
         """At every height the view is the one that the robot would be given there, as the first one is."""
         scenario = vs.load("quadrotor_land", {"calibration": {"goal": goal, "depth_factor": 1.2}})
-        memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
-        memory, first = scenario.goal.reference(memory, self.seen(0.0, (0, 0, 1.5)))
+        state = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        state, first = scenario.goal.reference(state, self.seen(0.0, (0, 0, 1.5)))
         np.testing.assert_allclose(first.uv, scenario.goal_views[0].uv)
         np.testing.assert_allclose(first.depth, scenario.goal_views[0].depth)
         np.testing.assert_allclose(first.T_camera_target, scenario.goal_views[0].T_camera_target)
         # The estimate has the same error as the reference: it is over its pad, and comes down.
         at = Observation(0.04, np.zeros((4, 2)), np.zeros((4, 2)), np.ones(4), T_camera_target=first.T_camera_target)
-        memory, lower = scenario.goal.reference(memory, at)
-        assert memory.share == pytest.approx(1 - 0.25 * 0.04 / 1.5)
-        exact = TASK.reference(memory._replace(setup=SCENARIO.setup), self.seen(0.08, (9, 0, 2)))[1]
+        state, lower = scenario.goal.reference(state, at)
+        assert state.share == pytest.approx(1 - 0.25 * 0.04 / 1.5)
+        exact = TASK.reference(state._replace(setup=SCENARIO.setup), self.seen(0.08, (9, 0, 2)))[1]
         np.testing.assert_allclose(lower.depth, 1.2 * exact.depth)
 
 

@@ -108,7 +108,7 @@ class TestWhatATaskRefuses:
             ("car_pbvs", {"stop.converged": {"error_px": 1}}, "must have position_m or rotation_deg for a goal of kind pose"),
             ("car_pbvs", {"stop.converged.position_m": 0.02}, r"must be under stop\.converged\.position_m = 0\.02 m"),
             ("omni_ibvs", {"goal": {"above": {"xyz": [0, 0, 1]}}, "law": {"kind": "ibvs"}}, "is for a craft that flies"),
-            ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "is for a vehicle; robot puma560 takes T_camera_target"),
+            ("arm_ibvs", {"goal": {"view_from": {"x": 0}}}, "it is for a vehicle; works: T_camera_target"),
             (
                 "arm_ibvs",
                 {"goal": {"views": [{"view_from": {"x": 0}}, {"view_from": {"x": 1}}]}},

@@ -71,9 +71,9 @@ class TestReference:
     def test_the_law_is_told_the_view_of_this_time_with_its_velocity(self):
         scenario = vs.load("quadrotor_path")
         task, nothing = scenario.goal, np.zeros((4, 2))
-        memory = task.begin(scenario.setup, scenario.goal_views)
+        state = task.begin(scenario.setup, scenario.goal_views)
         for t in (0.0, task.settle_s + 1.0, task.end_s + 1.0):
-            memory, goal = task.reference(memory, Observation(t, nothing, nothing, np.ones(4)))
+            state, goal = task.reference(state, Observation(t, nothing, nothing, np.ones(4)))
             T, view = task.at(t)
             np.testing.assert_array_equal(goal.T_camera_target, T)
             np.testing.assert_array_equal(goal.twist, task.twist_at(t))
@@ -83,8 +83,8 @@ class TestReference:
     def test_it_has_the_errors_of_the_calibration_that_the_views_have(self):
         scenario = vs.load("quadrotor_path", {"calibration": {"depth_factor": 1.2}})
         nothing = np.zeros((4, 2))
-        memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
-        goal = scenario.goal.reference(memory, Observation(0.0, nothing, nothing, np.ones(4)))[1]
+        state = scenario.goal.begin(scenario.setup, scenario.goal_views)
+        goal = scenario.goal.reference(state, Observation(0.0, nothing, nothing, np.ones(4)))[1]
         np.testing.assert_allclose(goal.depth, scenario.goal_views[0].depth)
         np.testing.assert_allclose(goal.range, scenario.goal_views[0].range)
 

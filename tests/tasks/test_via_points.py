@@ -16,27 +16,27 @@ def test_a_view_is_passed_only_with_all_that_counts_in_sight():
     """An error over one marker of three says little: what the end asks for, all seen, a via point asks for too."""
     scenario = vs.load("omni_via_points")
     task = scenario.goal
-    memory = task.begin(scenario.setup, scenario.goal_views)
+    state = task.begin(scenario.setup, scenario.goal_views)
     for error in (ImageError(False, False, 0.1), ImageError(False, True, 3.1)):
-        memory, begun = task.passed(memory, error)
-        assert begun is None and memory.view == 0
-    memory, begun = task.passed(memory, ImageError(False, True, 2.9))
-    assert memory.view == 1 and begun is scenario.goal_views[1]  # the law begins anew with it
-    assert task.reference(memory, None)[1] is scenario.goal_views[1]
+        state, begun = task.passed(state, error)
+        assert begun is None and state.view == 0
+    state, begun = task.passed(state, ImageError(False, True, 2.9))
+    assert state.view == 1 and begun is scenario.goal_views[1]  # the law begins anew with it
+    assert task.reference(state, None)[1] is scenario.goal_views[1]
 
 
 def test_at_the_last_view_it_stays():
     scenario = vs.load("omni_via_points")
-    memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
+    state = scenario.goal.begin(scenario.setup, scenario.goal_views)
     for _ in scenario.goal_views:
-        memory, begun = scenario.goal.passed(memory, ImageError(False, True, 0.0))
-    assert memory.view == len(scenario.goal_views) - 1 and begun is None
+        state, begun = scenario.goal.passed(state, ImageError(False, True, 0.0))
+    assert state.view == len(scenario.goal_views) - 1 and begun is None
 
 
 def test_nothing_in_sight_passes_no_view():
     scenario = vs.load("omni_via_points")
-    memory = scenario.goal.begin(scenario.setup, scenario.goal_views)
-    assert scenario.goal.passed(memory, ImageError(True, False, np.nan)) == (memory, None)
+    state = scenario.goal.begin(scenario.setup, scenario.goal_views)
+    assert scenario.goal.passed(state, ImageError(True, False, np.nan)) == (state, None)
 
 
 def test_each_view_has_its_number_and_its_field():
@@ -111,13 +111,13 @@ class TestBlended:
         scenario = vs.load("omni_blended")
         task = scenario.goal
         seen = Observation(0, *(scenario.goal_views[0].xy[:0] for _ in range(2)), scenario.goal_views[0].depth[:0])
-        memory = task.begin(scenario.setup, scenario.goal_views)
-        memory, begun = task.passed(memory, ImageError(False, True, 1.0))
-        assert begun is None and memory.view == 1 and memory.moves  # the law goes on
+        state = task.begin(scenario.setup, scenario.goal_views)
+        state, begun = task.passed(state, ImageError(False, True, 1.0))
+        assert begun is None and state.view == 1 and state.moves  # the law goes on
 
         def place(t):
-            nonlocal memory
-            memory, goal = task.reference(memory, replace(seen, t=t))
+            nonlocal state
+            state, goal = task.reference(state, replace(seen, t=t))
             T = scenario.target.T_world_start @ inverse(goal.T_camera_target) @ inverse(scenario.camera.mount.T)
             return T[:2, 3], goal
 
@@ -126,12 +126,12 @@ class TestBlended:
             at, goal = place(7 + share * length / self.SPEED)
             assert at == pytest.approx(np.array([-1.2, -1.0]) + share * np.array([1.8, -0.2]), abs=1e-9)
             assert goal.moves and goal.view == 1
-            assert task.passed(memory, ImageError(False, True, 0.0)) == (memory, None)  # not while it moves
+            assert task.passed(state, ImageError(False, True, 0.0)) == (state, None)  # not while it moves
         at, goal = place(7 + length / self.SPEED + 1e-6)
-        assert goal is scenario.goal_views[1] and not memory.moves
+        assert goal is scenario.goal_views[1] and not state.moves
 
     def test_a_leg_that_turns_takes_as_long_as_its_turn(self):
         views = [{"view_from": {"x": 0, "heading_deg": heading}} for heading in (0, 90)]
         scenario = vs.load("omni_blended", {"goal.views": views, "goal.turn_degps": 30.0})
-        memory, _ = scenario.goal.passed(scenario.goal.begin(scenario.setup, scenario.goal_views), ImageError(False, True, 1.0))
-        assert scenario.goal._leg_s(memory) == pytest.approx(3)
+        state, _ = scenario.goal.passed(scenario.goal.begin(scenario.setup, scenario.goal_views), ImageError(False, True, 1.0))
+        assert scenario.goal._leg_s(state) == pytest.approx(3)

@@ -51,10 +51,10 @@ def test_vehicles_and_craft_get_as_many_setpoints_as_are_sent(
     s = vs.load(name, {"detector": "oracle", "timing.command_hz": hz, "timing.interpolation": "smooth", "camera.rate_hz": 25})
     got, actuate = [], getattr(type(s.robot), "actuate", None)
 
-    def overheard(self, memory, setpoint, reading, dt):
+    def overheard(self, state, setpoint, reading, dt):
         got.append(setpoint.copy())
         assert actuate is not None
-        return actuate(self, memory, setpoint, reading, dt)
+        return actuate(self, state, setpoint, reading, dt)
 
     if s.robot.onboard:
         monkeypatch.setattr(type(s.robot), "actuate", overheard)

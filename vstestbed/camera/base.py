@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, Image, Pose
-from vstestbed.core.quantity import Frequency, Narrower, Pixel, PositiveGain, Time
+from vstestbed.core.quantity import Frequency, Pixel, PositiveGain, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.chain import Imaging
 from vstestbed.imaging.depth import DEPTH_SENSORS, DepthSensor
@@ -110,8 +110,8 @@ class Camera(ABC):
     width: Annotated[int, Ge(8), Le(LARGEST_PX)] = 640
     height: Annotated[int, Ge(8), Le(LARGEST_PX)] = 480
     rate_hz: Frequency = 25.0
-    latency_s: Annotated[Time, Narrower(le=60)] = 0.0
-    readout_s: Annotated[Time, Narrower(le=60)] = 0.0
+    latency_s: Annotated[Time, TighterBounds(le=60)] = 0.0
+    readout_s: Annotated[Time, TighterBounds(le=60)] = 0.0
     mount: Pose = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     anisotropy: Literal[1, 2, 4, 8, 16] = 1
@@ -295,7 +295,7 @@ class Calibration:
     focal_error: Annotated[float, Gt(-0.9), Lt(9)] = 0.0
     principal_error_px: Pixel = (0.0, 0.0)
     ignores_distortion: bool = False
-    depth_factor: Annotated[PositiveGain, Narrower(le=100)] = 1.0
+    depth_factor: Annotated[PositiveGain, TighterBounds(le=100)] = 1.0
     depth_spread: Annotated[float, Ge(0), Le(3)] = 0.0
     goal: Literal["told", "shown"] = "told"
 

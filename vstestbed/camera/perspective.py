@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.camera.base import LARGEST_PX, Camera
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
-from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositiveLength
+from vstestbed.core.quantity import Coefficient, PositiveAngle, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 
 DEFAULT_FOVY_DEG = 64.0  # 8 mm lens on a 10.24 mm sensor, the textbook's default camera (Corke 2017, section 11.1.2) at 4:3
@@ -44,7 +44,7 @@ class Perspective(Camera):
     """
 
     kind: Literal["perspective"] = "perspective"
-    fovy_deg: Annotated[PositiveAngle, Narrower(lt=175)] | None = None
+    fovy_deg: Annotated[PositiveAngle, TighterBounds(lt=175)] | None = None
     focal_length_m: PositiveLength | None = None
     pixel_size_m: PositiveLength | None = None
     distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None

@@ -15,7 +15,7 @@ from vstestbed.camera.base import Camera, Panel
 from vstestbed.camera.perspective import Perspective, first_root
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, direction, joined
-from vstestbed.core.quantity import Coefficient, Narrower, PositiveAngle, PositivePixels
+from vstestbed.core.quantity import Coefficient, PositiveAngle, PositivePixels, TighterBounds
 from vstestbed.core.spec import spec
 
 
@@ -126,7 +126,7 @@ class Fisheye(Radial):
     """
 
     kind: Literal["fisheye"] = "fisheye"
-    fov_deg: Annotated[PositiveAngle, Narrower(le=360)] = 185.0
+    fov_deg: Annotated[PositiveAngle, TighterBounds(le=360)] = 185.0
     coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -196,7 +196,7 @@ class Catadioptric(Radial):
 
     kind: Literal["catadioptric"] = "catadioptric"
     xi: Annotated[float, Ge(0), Le(100)] = 1.0
-    fov_deg: Annotated[PositiveAngle, Narrower(lt=360)] = 200.0
+    fov_deg: Annotated[PositiveAngle, TighterBounds(lt=360)] = 200.0
     blind_deg: Annotated[float, Ge(0), Lt(180)] = 0.0
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from annotated_types import Ge, Gt, Le, Len, Lt
 
-from vstestbed.core.quantity import Narrower, Within
+from vstestbed.core.quantity import Bounded, TighterBounds
 from vstestbed.core.registry import Registry, to_mapping
 
 
@@ -54,18 +54,18 @@ class Node:
         return next((least for least, most in lengths if least == most), None)
 
     @property
-    def within(self) -> Within | None:
+    def within(self) -> Bounded | None:
         """The quantity that a number is, with its bounds and its unit."""
-        return next((bound for bound in self.bounds if isinstance(bound, Within)), None)
+        return next((bound for bound in self.bounds if isinstance(bound, Bounded)), None)
 
     @property
     def limits(self) -> tuple[float, float]:
         """The smallest and the largest value of a number."""
         lows, highs = [float("-inf")], [float("inf")]
         for bound in self.bounds:
-            if isinstance(bound, Within):
+            if isinstance(bound, Bounded):
                 lows, highs = [*lows, bound.low], [*highs, bound.high]
-            elif isinstance(bound, Narrower | Ge | Gt | Le | Lt):
+            elif isinstance(bound, TighterBounds | Ge | Gt | Le | Lt):
                 lows += [float(getattr(bound, name)) for name in ("gt", "ge") if getattr(bound, name, None) is not None]
                 highs += [float(getattr(bound, name)) for name in ("lt", "le") if getattr(bound, name, None) is not None]
         return max(lows), min(highs)

@@ -21,7 +21,7 @@ from vstestbed.core.errors import ParameterError
 
 
 @dataclass(frozen=True)
-class Within:
+class Bounded:
     """Bounds of a quantity, for `Annotated`: a number beyond them is refused with a sentence that has both and says `why`.
     unit: as messages show it; "" for a pure number, and where fields of several units share the type.
     """
@@ -44,7 +44,7 @@ class Within:
 
 
 @dataclass(frozen=True)
-class Narrower:
+class TighterBounds:
     """Tighter bounds of one field of a quantity, for `Annotated` of its type: pydantic's own would be missing in the JSON Schema."""
 
     gt: float | None = None
@@ -59,7 +59,7 @@ class Narrower:
 
 
 @dataclass(frozen=True)
-class OneForAll:
+class Broadcast:
     """For `Annotated` of a list with a value for each joint: a number alone stands for the list of it, which holds for all joints."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -98,56 +98,56 @@ def _shown(bound: float) -> str:
 
 
 _FAR = "five times the 200 m at which a camera counts as diverged"
-Length = Annotated[float, Within(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
-Distance = Annotated[float, Ge(0), Within(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
-PositiveLength = Annotated[float, Gt(0), Within(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
+Length = Annotated[float, Bounded(-1e3, 1e3, "m", _FAR)]  # a coordinate or an offset [m]
+Distance = Annotated[float, Ge(0), Bounded(0.0, 1e3, "m", _FAR)]  # a length that may be 0 [m]
+PositiveLength = Annotated[float, Gt(0), Bounded(1e-9, 1e3, "m", f"a nanometre to {_FAR}")]
 Position = Annotated[tuple[Length, ...], Len(3, 3)]  # Three coordinates, amplitudes, or half widths of a box [m]
 
 _TURNS = "100 turns; beyond them an angle loses digits of its direction"
-Angle = Annotated[float, Within(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
-AngleWidth = Annotated[float, Ge(0), Within(0.0, 36e3, "deg", _TURNS)]
-PositiveAngle = Annotated[float, Gt(0), Within(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")]
+Angle = Annotated[float, Bounded(-36e3, 36e3, "deg", _TURNS)]  # an angle [deg]
+AngleWidth = Annotated[float, Ge(0), Bounded(0.0, 36e3, "deg", _TURNS)]
+PositiveAngle = Annotated[float, Gt(0), Bounded(1e-6, 36e3, "deg", f"4 milliarcseconds to {_TURNS}")]
 Angles = Annotated[tuple[Angle, ...], Len(3, 3)]  # three angles [deg]
 
 _FAST = "in one second as far as any length"
-Speed = Annotated[float, Ge(0), Within(0.0, 1e3, "m/s", _FAST)]  # a speed that may be 0 [m/s]
-PositiveSpeed = Annotated[float, Gt(0), Within(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")]
-Velocity = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "m/s", _FAST)], ...], Len(3, 3)]
-PositiveRate = Annotated[float, Gt(0), Within(1e-6, 1e3, "rad/s", "up to 160 turns a second, more than any robot makes")]
-PositiveRateDeg = Annotated[float, Gt(0), Within(1e-4, 36e3, "deg/s", "up to 100 turns a second, more than any robot makes")]
+Speed = Annotated[float, Ge(0), Bounded(0.0, 1e3, "m/s", _FAST)]  # a speed that may be 0 [m/s]
+PositiveSpeed = Annotated[float, Gt(0), Bounded(1e-6, 1e3, "m/s", f"a micrometre a second to a kilometre, {_FAST}")]
+Velocity = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "m/s", _FAST)], ...], Len(3, 3)]
+PositiveRate = Annotated[float, Gt(0), Bounded(1e-6, 1e3, "rad/s", "up to 160 turns a second, more than any robot makes")]
+PositiveRateDeg = Annotated[float, Gt(0), Bounded(1e-4, 36e3, "deg/s", "up to 100 turns a second, more than any robot makes")]
 
 _AGES = "30 years, longer than any run"
-Time = Annotated[float, Ge(0), Within(0.0, 1e9, "s", _AGES)]  # a time or a duration that may be 0 [s]
-PositiveTime = Annotated[float, Gt(0), Within(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
-Duration = Annotated[float, Gt(0), Within(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
+Time = Annotated[float, Ge(0), Bounded(0.0, 1e9, "s", _AGES)]  # a time or a duration that may be 0 [s]
+PositiveTime = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "s", f"a microsecond to {_AGES}")]
+Duration = Annotated[float, Gt(0), Bounded(1e-6, 86_400.0, "s", "a microsecond to a day, which a run is simulated at most")]
 _PERIOD = "a period of three hours to one of a millisecond, a physics step"
-Frequency = Annotated[float, Gt(0), Within(1e-4, 1e3, "Hz", _PERIOD)]  # a frequency [Hz]
-Frequencies = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...], Len(3, 3)]
+Frequency = Annotated[float, Gt(0), Bounded(1e-4, 1e3, "Hz", _PERIOD)]  # a frequency [Hz]
+Frequencies = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "Hz", "a period of a millisecond, a physics step")], ...], Len(3, 3)]
 """The frequency along each axis; a negative one runs backwards [Hz]."""
 
 _QUICK = "a time constant of a microsecond, a thousandth of a physics step"
-SignedGain = Annotated[float, Within(-1e6, 1e6, "", _QUICK)]
-GainOrZero = Annotated[float, Ge(0), Within(0.0, 1e6, "", _QUICK)]
-PositiveGain = Annotated[float, Gt(0), Within(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
+SignedGain = Annotated[float, Bounded(-1e6, 1e6, "", _QUICK)]
+GainOrZero = Annotated[float, Ge(0), Bounded(0.0, 1e6, "", _QUICK)]
+PositiveGain = Annotated[float, Gt(0), Bounded(1e-9, 1e6, "", f"one of 30 years to {_QUICK}")]
 
 _STRONG = "a micronewton metre to a giganewton metre, more than any joint has"
-Torque = Annotated[float, Gt(0), Within(1e-6, 1e9, "", _STRONG)]  # The torque of a hinge [Nm], or the force of a joint that slides [N]
-Stiffness = Annotated[float, Gt(0), Within(1e-9, 1e9, "", "more than any servo has")]
+Torque = Annotated[float, Gt(0), Bounded(1e-6, 1e9, "", _STRONG)]  # The torque of a hinge [Nm], or the force of a joint that slides [N]
+Stiffness = Annotated[float, Gt(0), Bounded(1e-9, 1e9, "", "more than any servo has")]
 
 _NOISE = "a larger error than any sensor's"
-Sigma = Annotated[float, Ge(0), Within(0.0, 1e3, "", _NOISE)]
-Bias = Annotated[tuple[Annotated[float, Within(-1e3, 1e3, "", _NOISE)], ...], Len(3, 3)]
+Sigma = Annotated[float, Ge(0), Bounded(0.0, 1e3, "", _NOISE)]
+Bias = Annotated[tuple[Annotated[float, Bounded(-1e3, 1e3, "", _NOISE)], ...], Len(3, 3)]
 """The constant error of a sensor on each axis, in the unit of its field."""
 
 _WIDE = "ten times the largest picture"
-Pixels = Annotated[float, Ge(0), Within(0.0, 1e5, "px", _WIDE)]
+Pixels = Annotated[float, Ge(0), Bounded(0.0, 1e5, "px", _WIDE)]
 """A length in a picture that may be 0 [px], an area [px^2], or a speed in it [px/s]."""
-PositivePixels = Annotated[float, Gt(0), Within(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
-PositiveGrey = Annotated[float, Gt(0), Within(1e-6, 255.0, "", "the range of a picture's grey levels")]
-Pixel = Annotated[tuple[Annotated[float, Within(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
+PositivePixels = Annotated[float, Gt(0), Bounded(1e-12, 1e5, "px", f"far under what can be measured to {_WIDE}")]
+PositiveGrey = Annotated[float, Gt(0), Bounded(1e-6, 255.0, "", "the range of a picture's grey levels")]
+Pixel = Annotated[tuple[Annotated[float, Bounded(-1e5, 1e5, "px", _WIDE)], ...], Len(2, 2)]
 """A place in a picture (u, v), or the distance of two [px]."""
 
-Coefficient = Annotated[float, Within(-1e6, 1e6, "", "more than any calibrated lens has")]
+Coefficient = Annotated[float, Bounded(-1e6, 1e6, "", "more than any calibrated lens has")]
 GRAVITY = 9.81  # acceleration of free fall [m/s^2]
-Mass = Annotated[float, Gt(0), Within(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
-Seed = Annotated[int, Ge(0), Within(0, 2**63 - 1, "", "what the tables of results hold")]
+Mass = Annotated[float, Gt(0), Bounded(1e-6, 1e6, "kg", "a milligram to a thousand tonnes")]
+Seed = Annotated[int, Ge(0), Bounded(0, 2**63 - 1, "", "what the tables of results hold")]

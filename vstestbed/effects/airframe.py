@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
-from vstestbed.core.quantity import Narrower, PositiveTime
+from vstestbed.core.quantity import PositiveTime, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, Four, RobotBody, Vector
 from vstestbed.effects.rotors import ROTOR_M, Battery, MotorSpread, RotorInertia, Vibration, _Craft, _four
@@ -81,7 +81,7 @@ class Downwash:
     """
 
     turbulence: Share = 0.02
-    turbulence_s: Annotated[PositiveTime, Narrower(ge=1e-3, le=100)] = 0.15
+    turbulence_s: Annotated[PositiveTime, TighterBounds(ge=1e-3, le=100)] = 0.15
 
 
 def nearness(z: float, radius: float) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveLength
+from vstestbed.core.quantity import PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import ASSETS, RANGE_GROUP, Effect, RobotModel
 
@@ -41,8 +41,8 @@ class UnevenFloor(Effect):
     """
 
     uneven: ClassVar[bool] = True
-    rms_m: Annotated[PositiveLength, Narrower(le=0.05)] = 0.002
-    correlation_m: Annotated[PositiveLength, Narrower(ge=0.1, le=10)] = 0.3
+    rms_m: Annotated[PositiveLength, TighterBounds(le=0.05)] = 0.002
+    correlation_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=10)] = 0.3
     seed: FloorSeed | None = None
 
     def drawn(self, rng: np.random.Generator) -> UnevenFloor:

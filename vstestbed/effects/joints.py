@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Frequency, OneForAll, PositiveTime
+from vstestbed.core.quantity import Broadcast, Frequency, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import MOTOR, Actor, Effect, RobotBody, RobotModel
 
 if TYPE_CHECKING:
     import mujoco
 
-Springs = Annotated[tuple[Annotated[float, Ge(0), Le(1e9)], ...], Len(0, 7), OneForAll()]
-Torques = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
-SmallAngles = Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), OneForAll()]
-Cycles = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), OneForAll()]
-Counts = Annotated[tuple[Annotated[int, Ge(0), Le(2**31)], ...], Len(1, 7), OneForAll()]
+Springs = Annotated[tuple[Annotated[float, Ge(0), Le(1e9)], ...], Len(0, 7), Broadcast()]
+Torques = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), Broadcast()]
+SmallAngles = Annotated[tuple[Annotated[float, Ge(0), Le(10)], ...], Len(1, 7), Broadcast()]
+Cycles = Annotated[tuple[Annotated[float, Ge(0), Le(1e6)], ...], Len(1, 7), Broadcast()]
+Counts = Annotated[tuple[Annotated[int, Ge(0), Le(2**31)], ...], Len(1, 7), Broadcast()]
 MilliSeconds = Annotated[float, Ge(0), Le(0.1)]
 
 
@@ -384,8 +384,8 @@ class MotorTorques(Actor):
 
 
 # Strain wave gears by the sizes of their catalogue: stiffness in three stages, and the rotors before them.
-Sizes = Annotated[tuple[Annotated[int, Ge(0), Le(100)], ...], Len(1, 7), OneForAll()]
-Rotors = Annotated[tuple[Annotated[float, Ge(0), Le(1e3)], ...], Len(0, 7), OneForAll()]
+Sizes = Annotated[tuple[Annotated[int, Ge(0), Le(100)], ...], Len(1, 7), Broadcast()]
+Rotors = Annotated[tuple[Annotated[float, Ge(0), Le(1e3)], ...], Len(0, 7), Broadcast()]
 
 
 class Torsion(NamedTuple):

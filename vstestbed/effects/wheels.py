@@ -31,7 +31,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.quantity import GRAVITY, Narrower, PositiveLength
+from vstestbed.core.quantity import GRAVITY, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Actor, Effect, RobotBody
 
@@ -91,7 +91,7 @@ class Tyres(Effect):
 
     stiffness: Annotated[float, Ge(1), Le(60)] = 10.0
     rear_stiffness: Annotated[float, Ge(1), Le(60)] | None = None
-    relaxation_m: Annotated[PositiveLength, Narrower(ge=0.02, le=2)] = 0.15
+    relaxation_m: Annotated[PositiveLength, TighterBounds(ge=0.02, le=2)] = 0.15
 
     def __post_init__(self) -> None:
         stiffest = max(self.stiffness, self.rear_stiffness or 0.0)

@@ -145,7 +145,7 @@ class Estimate(DepthSource):
 
     def _by_flow(self, cues: DepthCues) -> tuple[Array, Array]:
         if cues.by_flow is None:
-            raise ParameterError("memory", "does not belong to this depth; begin with Observer.init()")
+            raise ParameterError("state", "does not belong to this depth; begin with Observer.init()")
         return cues.by_flow
 
 

@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, DepthImage
-from vstestbed.core.quantity import Distance, GainOrZero, Narrower, Pixels, PositiveLength, check_ordered
+from vstestbed.core.quantity import Distance, GainOrZero, Pixels, PositiveLength, TighterBounds, check_ordered
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -75,10 +75,10 @@ class DepthSensor(ABC):
     near_m: Distance = 0.0
     far_m: PositiveLength = 100.0
     grazing_deg: Annotated[float, Gt(0), Le(90)] = 90.0
-    lateral_px: Annotated[Pixels, Narrower(le=10)] = 0.0
+    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 0.0
     correlation_px: Annotated[int, Ge(1), Le(32)] = 1
-    baseline_m: Annotated[Distance, Narrower(le=2)] = 0.0
-    quantum_px: Annotated[Pixels, Narrower(le=4)] = 0.0
+    baseline_m: Annotated[Distance, TighterBounds(le=2)] = 0.0
+    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.0
     lens: DepthLens | None = None
     two_pictures: ClassVar[bool] = False
     """Both views are pictures of one size: what the second one does not hold is not measured (a band at the left border)."""
@@ -174,11 +174,11 @@ class Stereo(DepthSensor):
     near_m: Distance = 0.2
     far_m: PositiveLength = 10.0
     grazing_deg: Annotated[float, Gt(0), Le(90)] = 80.0
-    lateral_px: Annotated[Pixels, Narrower(le=10)] = 1.0
+    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 1.0
     correlation_px: Annotated[int, Ge(1), Le(32)] = 5
-    baseline_m: Annotated[PositiveLength, Narrower(le=2)] = 0.05
-    quantum_px: Annotated[Pixels, Narrower(le=4)] = 0.03125
-    subpixel_px: Annotated[Pixels, Narrower(le=10)] = 0.08
+    baseline_m: Annotated[PositiveLength, TighterBounds(le=2)] = 0.05
+    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.03125
+    subpixel_px: Annotated[Pixels, TighterBounds(le=10)] = 0.08
     two_pictures: ClassVar[bool] = True
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
@@ -207,10 +207,10 @@ class StructuredLight(DepthSensor):
     near_m: Distance = 0.4
     far_m: PositiveLength = 5.0
     grazing_deg: Annotated[float, Gt(0), Le(90)] = 80.0
-    lateral_px: Annotated[Pixels, Narrower(le=10)] = 0.8
+    lateral_px: Annotated[Pixels, TighterBounds(le=10)] = 0.8
     correlation_px: Annotated[int, Ge(1), Le(32)] = 3
-    baseline_m: Annotated[Distance, Narrower(le=2)] = 0.075
-    quantum_px: Annotated[Pixels, Narrower(le=4)] = 0.125
+    baseline_m: Annotated[Distance, TighterBounds(le=2)] = 0.075
+    quantum_px: Annotated[Pixels, TighterBounds(le=4)] = 0.125
     noise_scale: GainOrZero = 1.0
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:

@@ -25,7 +25,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Frequency, Narrower, PositiveGain
+from vstestbed.core.quantity import Frequency, PositiveGain, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import EgoMotion
@@ -112,7 +112,7 @@ class AlphaBeta:
     """
 
     kind: Literal["alpha_beta"] = "alpha_beta"
-    alpha: Annotated[PositiveGain, Narrower(le=1)] = 0.8
+    alpha: Annotated[PositiveGain, TighterBounds(le=1)] = 0.8
     predict_s: Ahead | None = 0.0
 
     def update(self, before: TargetEstimate | None, step: Array | None, dt: float, size: int) -> TargetEstimate:
@@ -146,7 +146,7 @@ def _kalman_update(self: KalmanCV | KalmanCA, before: TargetEstimate | None, ste
     return TargetEstimate(state + np.outer(K, moved - state[0]), moved, P - np.outer(K, P[0]))
 
 
-Bandwidth = Annotated[Frequency, Narrower(le=100)]
+Bandwidth = Annotated[Frequency, TighterBounds(le=100)]
 
 
 @spec

@@ -9,7 +9,7 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveGain, PositiveSpeed, Time
+from vstestbed.core.quantity import PositiveAngle, PositiveGain, PositiveSpeed, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal
 from vstestbed.features.line import LineFeature, floor_plane, floor_point, line_interaction, line_on_floor
@@ -71,7 +71,7 @@ class LineFollowing(Law[LineState]):
     depth = AtGoal()  # points at one look distance on the floor have one depth, for a camera without roll
     gain: PositiveGain = 3.0
     cruise_mps: PositiveSpeed = 0.8
-    approach_deg: Annotated[PositiveAngle, Narrower(lt=80)] = 25.0
+    approach_deg: Annotated[PositiveAngle, TighterBounds(lt=80)] = 25.0
     coast_s: Time = 0.2
     solve: Solve = Solve()
     limits: TwistLimits = TwistLimits()

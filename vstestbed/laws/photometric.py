@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import GainOrZero, Narrower, Pixels, Time
+from vstestbed.core.quantity import GainOrZero, Pixels, TighterBounds, Time
 from vstestbed.core.registry import kind_of
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Constant, Depth
@@ -349,7 +349,7 @@ class Photometric(Law[PhotometricState]):
     robust: Robust = "none"
     light: Light = "same"
     depth: Depth = AtGoal()
-    smooth_px: Annotated[Pixels, Narrower(le=50)] = 1.5
+    smooth_px: Annotated[Pixels, TighterBounds(le=50)] = 1.5
     levels: Annotated[int, Ge(1), Le(8)] = 1
     margin_px: Annotated[int, Ge(0), Le(1000)] = 10
     stride: Annotated[int, Ge(1), Le(64)] = 1

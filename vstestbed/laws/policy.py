@@ -58,7 +58,7 @@ class Policy(Law[Act]):
     """u = scale * action of a learned policy, action = act(observation) in [-1, 1]^n, beyond which it is clipped.
 
     `file` is `FILE.py:NAME` or `FILE.onnx`, absolute, or relative to the scenario's file. NAME is one of
-    - a function `act(observation)` without memory;
+    - a function `act(observation)` without a state;
     - a class, or an object: each run has an instance or a deep copy of its own, whose `reset()`, where it has one, is called first;
       its `act(observation)`, or the instance itself, is called for each frame.
     The observation is a dict of float64 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
@@ -99,14 +99,14 @@ class Policy(Law[Act]):
         return 1
 
     def init(self, goal: Goal) -> Act:
-        """The policy itself: a copy of its own for each run, where it has a memory.
+        """The policy itself: a copy of its own for each run, where it has a state.
         Raises ParameterError: its class or its `reset` raises, or it has no `act`.
         """
         made: Any = _loaded(self.file, self.agent_pos)
         try:
             if inspect.isclass(made):
                 made = made()
-            elif not inspect.isroutine(made) and not self.file.endswith(".onnx"):  # it may have a memory, whether it tells or not
+            elif not inspect.isroutine(made) and not self.file.endswith(".onnx"):  # it may have a state, whether it tells or not
                 made = copy.deepcopy(made)
             getattr(made, "reset", lambda: None)()
         except Exception as error:  # the code of others

@@ -13,7 +13,7 @@ from annotated_types import Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_angle
-from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength, PositivePixels, Time, Within
+from vstestbed.core.quantity import Bounded, PositiveAngle, PositiveLength, PositivePixels, TighterBounds, Time
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.features.base import Feature
@@ -204,7 +204,7 @@ class Switched(Law[SwitchedState]):
     kind: Literal["switched"] = "switched"
     laws: Annotated[tuple[Annotated[Stage, Shorthand("law")], ...], Len(2, 16)]
     prefer: Literal["active", "first"] = "active"
-    hysteresis: Annotated[float, Within(0.0, 0.99, "", "a share of the limit"), Narrower(ge=0)] = 0.2
+    hysteresis: Annotated[float, Bounded(0.0, 0.99, "", "a share of the limit"), TighterBounds(ge=0)] = 0.2
     dwell_s: Time = 0.2
     blend_s: Time = 0.0
 

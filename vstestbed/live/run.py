@@ -323,7 +323,7 @@ class LiveRun:
             if now == was:
                 return False
             if not self.ended and replace(now, law=was.law) == was:
-                with contextlib.suppress(ParameterError):  # of another kind or feature: its memory begins anew
+                with contextlib.suppress(ParameterError):  # of another kind or feature: its state begins anew
                     self.session.retune(now.law)
                     return False
             self.restart()

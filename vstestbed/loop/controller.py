@@ -41,23 +41,23 @@ class GuardedLaw:
         self._law, self.failure = law, ""
         self._mode = 0  # in which it failed: to fail is no switch
 
-    def step(self, memory: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
+    def step(self, state: Any, seen: Observation, goal: Goal, basis: Array) -> tuple[Any, Command]:
         """One frame of the law; after a failure rest, with `failure` as its reason. Whatever the law raises is its failure, a
         ParameterError too: the scenario was accepted, and a robot that moves must be stopped.
         """
         if not self.failure:
-            stepped = self._asked(self._law.step, memory, seen, goal, basis)
+            stepped = self._asked(self._law.step, state, seen, goal, basis)
             if not self.failure and (wrong := self._wrong(stepped)):
                 self.failure = f"law {self._law.kind} {wrong}"
             if not self.failure:
                 self._mode = stepped[1].mode
                 return stepped
-        return memory, replace(Command.rest(basis, self.failure), mode=self._mode)
+        return state, replace(Command.rest(basis, self.failure), mode=self._mode)
 
-    def init(self, goal: Goal, memory: Any) -> Any:
-        """The memory for another goal of a run; the one so far where the law fails at it."""
+    def init(self, goal: Goal, state: Any) -> Any:
+        """The state for another goal of a run; the one so far where the law fails at it."""
         made = None if self.failure else self._asked(self._law.init, goal)
-        return memory if self.failure else made
+        return state if self.failure else made
 
     def _asked(self, method: Callable[..., Any], *given: Any) -> Any:
         try:
@@ -212,7 +212,7 @@ class Controller:
         self._begin()
 
     def reset(self) -> None:
-        """Begin the task anew, as a new controller would: all memories, the clock, and a stop that was latched.
+        """Begin the task anew, as a new controller would: all states, the clock, and a stop that was latched.
         The robot moves again with the next picture: call it when the cause is found, and nobody stands in its way.
         """
         with self._alone():
@@ -228,10 +228,10 @@ class Controller:
         self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
         self.guarded = GuardedLaw(self.law)
-        self.detector_memory = self.detector.begin(self._views[0], self.seen_through, s.target)
-        self.observer_memory = self.observer.init()
-        self.reference_memory = s.goal.begin(s.setup, self._views)
-        self.law_memory = self.law.init(self._views[0])
+        self.detector_state = self.detector.begin(self._views[0], self.seen_through, s.target)
+        self.observer_state = self.observer.init()
+        self.reference_state = s.goal.begin(s.setup, self._views)
+        self.law_state = self.law.init(self._views[0])
         self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
         self.before: Exposure | None = None
         self.refused = 0
@@ -242,7 +242,7 @@ class Controller:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        """Refuse a call while another thread is in one: both would write to the same memories."""
+        """Refuse a call while another thread is in one: both would write to the same states."""
         if not self._busy.acquire(blocking=False):
             words = "another thread is in a call of this controller, which serves one thread at a time"
             raise SessionError(words, "hold a lock of your own round each call, or give each thread a controller")
@@ -294,7 +294,7 @@ class Controller:
             return self._cycle
 
     def retune(self, law: Law[Any]) -> None:
-        """Go on with other parameters of the law from the next picture on; the memories of all parts stay.
+        """Go on with other parameters of the law from the next picture on; the states of all parts stay.
         Raises ParameterError: a law of another kind, feature, modes or source of depth, or one that this scenario refuses.
         """
         with self._alone():
@@ -309,7 +309,7 @@ class Controller:
 
     def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
-        return self.detector.regions_of_interest(self.detector_memory, self.seen_through, self.scenario.target)
+        return self.detector.regions_of_interest(self.detector_state, self.seen_through, self.scenario.target)
 
     def refuses(self, shot: Exposure) -> bool:
         """Whether a picture is not later than the last one that was used, by its stamp (`timing.refuses`); `refused` counts them."""
@@ -326,13 +326,13 @@ class Controller:
         began = time.perf_counter()
         mount = self._mount_at(reading.q)
         seen = self._observe(shot, t, t_cmd, reading, mount)
-        self.reference_memory, goal = s.goal.reference(self.reference_memory, seen)
+        self.reference_state, goal = s.goal.reference(self.reference_state, seen)
         if self._own_goal is not None:
             goal = goal.of(self._own_goal)
         seen = seen.only(goal.counted)
         detected = time.perf_counter()
         basis = s.robot.motion_basis(mount, reading.q)
-        self.law_memory, command = self.guarded.step(self.law_memory, seen, goal, basis)
+        self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
         late = t - shot.t > self._latest_s
         error = ImageError.of(seen, goal, command.rest_reason)
         why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
@@ -347,9 +347,9 @@ class Controller:
         order = self._supervised(shot.t, blind, order, reading, basis, moved)
         self._ordered(t_cmd, order)
         self.before = shot
-        self.reference_memory, next_goal = s.goal.passed(self.reference_memory, error)
-        if next_goal is not None:  # a law's memory belongs to one goal
-            self.law_memory = self.guarded.init(next_goal, self.law_memory)
+        self.reference_state, next_goal = s.goal.passed(self.reference_state, error)
+        if next_goal is not None:  # a law's state belongs to one goal
+            self.law_state = self.guarded.init(next_goal, self.law_state)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
         return Cycle(FrameTiming(shot.number, shot.t, t_cmd), seen, goal, error, command, allocation, order=order)
@@ -382,8 +382,8 @@ class Controller:
         s, last, observer = self.scenario, self.before or shot, self.observer
         picture, period = shot.picture, shot.t - last.t
         given = picture if s.detector.needs_image else None
-        detected = self.detector.detect(self.detector_memory, given, shot.view, self.seen_through, s.target, self.rng)
-        self.detector_memory, detection = detected
+        detected = self.detector.detect(self.detector_state, given, shot.view, self.seen_through, s.target, self.rng)
+        self.detector_state, detection = detected
         self._found, self._own_goal, self._why = self._found or bool(detection.seen.any()), detection.goal, detection.why
         twist, own = STILL, None
         measured = observer.uses_motion(detection)
@@ -399,8 +399,8 @@ class Controller:
             own = EgoMotion(twist, period, moved, age, self.last_twist)
         heading, tilt = shot.reading.heading, shot.reading.tilt
         depth = picture.depth if picture else None
-        observed = observer.observe(self.observer_memory, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
-        self.observer_memory, seen = observed
+        observed = observer.observe(self.observer_state, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
+        self.observer_state, seen = observed
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:

@@ -47,7 +47,7 @@ class Filter:
 
 
 class Attitude(NamedTuple):
-    """The filter's memory: `up` in body axes (3,), unit, and the gyro's `bias` (3,) [rad/s]."""
+    """The filter's state: `up` in body axes (3,), unit, and the gyro's `bias` (3,) [rad/s]."""
 
     up: Vector = (0.0, 0.0, 1.0)
     bias: Vector = (0.0, 0.0, 0.0)
@@ -69,13 +69,13 @@ class Attitude(NamedTuple):
         return math.acos(max(-1.0, min(1.0, self.up[2])))
 
 
-def step(memory: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float) -> Attitude:
+def step(state: Attitude, gyro: Vector, force: Vector, acceleration: Vector, filter: Filter, dt: float) -> Attitude:
     """One step of the filter.
 
     gyro: angular velocity in body axes (3,) [rad/s]. force: the accelerometer's reading in body axes (3,) [m/s^2]: (0, 0, g) at rest.
     acceleration: known acceleration in body axes (3,) [m/s^2], subtracted from the reading; zeros where none is known. dt: [s].
     """
-    (x, y, z), (bx, by, bz) = memory
+    (x, y, z), (bx, by, bz) = state
     (fx, fy, fz), (kx, ky, kz), (gx, gy, gz) = force, acceleration, gyro
     ax, ay, az = fx - kx, fy - ky, fz - kz
     size = math.sqrt(ax * ax + ay * ay + az * az)

@@ -335,11 +335,11 @@ class Onboard(Robot):
         return None
 
     @abstractmethod
-    def actuate(self, memory: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
+    def actuate(self, state: Any, setpoint: Array, reading: Any, dt: float) -> tuple[Any, ArrayLike]:
         """One step of dt [s]: the next state, and the actuators' controls (nu,). reading: of the instruments."""
         ...
 
-    def reported(self, memory: Any, reading: Any) -> Any:
+    def reported(self, state: Any, reading: Any) -> Any:
         """The reading that the loop sees: what the instruments read, with the controller's estimates."""
         return reading
 

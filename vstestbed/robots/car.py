@@ -19,7 +19,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import moved
-from vstestbed.core.quantity import GRAVITY, AngleWidth, Mass, Narrower, PositiveLength, PositiveRate, PositiveSpeed
+from vstestbed.core.quantity import GRAVITY, AngleWidth, Mass, PositiveLength, PositiveRate, PositiveSpeed, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.body import Change, couple, loosen, put, scale, stretch
@@ -167,10 +167,10 @@ class CarParameters:
         motor_torque_nm: largest torque of the motor at the rear axle [Nm].
     """
 
-    mass_kg: Annotated[Mass, Narrower(ge=5, le=2000)] = 60.0
-    wheelbase_m: Annotated[PositiveLength, Narrower(ge=0.4, le=4)] = 1.0
-    track_m: Annotated[PositiveLength, Narrower(ge=0.3, le=3)] = 0.6
-    wheel_radius_m: Annotated[PositiveLength, Narrower(ge=0.1, le=0.4)] = 0.15
+    mass_kg: Annotated[Mass, TighterBounds(ge=5, le=2000)] = 60.0
+    wheelbase_m: Annotated[PositiveLength, TighterBounds(ge=0.4, le=4)] = 1.0
+    track_m: Annotated[PositiveLength, TighterBounds(ge=0.3, le=3)] = 0.6
+    wheel_radius_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=0.4)] = 0.15
     motor_torque_nm: Annotated[float, Ge(0.1), Le(1e4)] = 25.0
 
     def __post_init__(self) -> None:
@@ -299,10 +299,10 @@ class CarLimits:
         steering_rate_radps: how fast the steering setpoint is followed [rad/s].
     """
 
-    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 1.0
+    speed_mps: Annotated[PositiveSpeed, TighterBounds(le=3)] = 1.0
     steering_rad: Annotated[float, Ge(1e-6), Le(1)] = 1.0
     acceleration_mps2: Annotated[float, Ge(1e-6), Le(2.5)] = 1.5
-    steering_rate_radps: Annotated[PositiveRate, Narrower(le=4)] = 2.0
+    steering_rate_radps: Annotated[PositiveRate, TighterBounds(le=4)] = 2.0
 
 
 Limits = BicycleLimits | CarLimits
@@ -353,7 +353,7 @@ class Car(Vehicle, Onboard):
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     limits: CarLimits = CarLimits()
     tyres: Tyres | None = None
-    steering_play_deg: Annotated[AngleWidth, Narrower(le=20)] | None = None
+    steering_play_deg: Annotated[AngleWidth, TighterBounds(le=20)] | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
     joints: ClassVar[tuple[str, ...]] = (
         *("steering", "front_left_steer", "front_right_steer"),
@@ -499,12 +499,12 @@ class Car(Vehicle, Onboard):
         """At rest, wheels straight."""
         return 0.0, 0.0, 0.0, 0.0
 
-    def actuate(self, memory: Servos, setpoint: Array, reading: Reading, dt: float) -> tuple[Servos, Array]:
+    def actuate(self, state: Servos, setpoint: Array, reading: Reading, dt: float) -> tuple[Servos, Array]:
         """One period dt [s] of the speed and steering servos: the next state, and ctrl (2,): wheels [rad/s], steering [rad].
 
         Both setpoints are approached within their rate limits. The speed loop has integral action on the rear wheels' mean speed.
         """
-        limits, (speed, steering, integral, drive) = self.limits, memory
+        limits, (speed, steering, integral, drive) = self.limits, state
         v, angle = setpoint.tolist()
         speed = speed + _within(_within(v, limits.speed_mps) - speed, limits.acceleration_mps2 * dt)
         turn = _within(angle, limits.steering_rad) - steering

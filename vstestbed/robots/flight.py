@@ -25,7 +25,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, clip
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import GRAVITY, GainOrZero, Narrower, PositiveAngle, PositiveGain, PositiveTime
+from vstestbed.core.quantity import GRAVITY, GainOrZero, PositiveAngle, PositiveGain, PositiveTime, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Vector
 from vstestbed.robots.allocation import Order
@@ -66,8 +66,8 @@ class Gains:
     velocity_integral: GainOrZero = 1.2
     climb: PositiveGain = 2.5
     climb_integral: GainOrZero = 1.0
-    tilt_deg: Annotated[PositiveAngle, Narrower(le=50)] = 30.0
-    rotor_s: Annotated[PositiveTime, Narrower(le=X4.rotor_lag_s)] = 0.03
+    tilt_deg: Annotated[PositiveAngle, TighterBounds(le=50)] = 30.0
+    rotor_s: Annotated[PositiveTime, TighterBounds(le=X4.rotor_lag_s)] = 0.03
 
     @cached_property
     def slope(self) -> float:
@@ -102,7 +102,7 @@ class Loops(NamedTuple):
 
 
 def fly(
-    memory: Loops,
+    state: Loops,
     order: Vector,
     yaw_order: float,
     velocity: Vector,
@@ -120,7 +120,7 @@ def fly(
     R: R_level_body, estimated. rates: body rates, (3,) [rad/s]. craft: what is flown. dt: [s].
     """
     # Two thresholds (hysteresis): with one, a craft that swings about it would alternate between levelling and its setpoint.
-    trim, model, rate_trim, yaw_rate, levelling, _, _ = memory
+    trim, model, rate_trim, yaw_rate, levelling, _, _ = state
     _, _, _, _, _, _, zx, zy, zz = R
     levelling = zz < (RECOVERED_COSINE if levelling else RECOVER_COSINE)
     most = craft.yaw_slope * dt

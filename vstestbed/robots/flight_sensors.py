@@ -76,13 +76,13 @@ Groundspeed = tuple[Vector, Vector, Vector]
 AT_REST: Groundspeed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
-def step(memory: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
+def step(state: Groundspeed, R: Level, measured: Vector, force: Vector, yaw_rate: float, source: Source, dt: float) -> Groundspeed:
     """One step of the filter.
 
     R: R_level_body, estimated. measured: the sensor's velocity in body axes (3,) [m/s].
     force: the accelerometer's reading in body axes (3,) [m/s^2]. yaw_rate: the level frame's rate about z [rad/s]. dt: [s].
     """
-    (vx, vy, vz), (dx, dy, dz), _ = memory
+    (vx, vy, vz), (dx, dy, dz), _ = state
     mx, my, mz = to_level(R, measured)
     ix, iy, iz = mx - vx, my - vy, mz - vz
     if isinstance(source, Filtered):

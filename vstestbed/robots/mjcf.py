@@ -12,7 +12,7 @@ from annotated_types import Ge, Le, Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import OneForAll, PositiveSpeed, Stiffness, Torque
+from vstestbed.core.quantity import Broadcast, PositiveSpeed, Stiffness, Torque
 from vstestbed.core.spec import spec
 from vstestbed.effects.joints import CurrentLoops, Encoders, Gears, Ripple
 from vstestbed.effects.links import GeometryError
@@ -78,10 +78,10 @@ class Mjcf(Arm):
     flange: str = "flange"
     joints: tuple[str, ...] = ()
     actuation: Literal["velocity", "ideal", "file"] = "velocity"
-    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(1, 7), OneForAll()]
-    torque_limits: Annotated[tuple[Torque, ...], Len(0, 7), OneForAll()] = ()
-    servo_kp: Annotated[tuple[Stiffness, ...], Len(0, 7), OneForAll()] = ()
-    servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), OneForAll()] = ()
+    speed_limits: Annotated[tuple[PositiveSpeed, ...], Len(1, 7), Broadcast()]
+    torque_limits: Annotated[tuple[Torque, ...], Len(0, 7), Broadcast()] = ()
+    servo_kp: Annotated[tuple[Stiffness, ...], Len(0, 7), Broadcast()] = ()
+    servo_kv: Annotated[tuple[Stiffness, ...], Len(0, 7), Broadcast()] = ()
     start: ArmStart
     avoid_limits: Annotated[float, Ge(0), Le(10)] = 0.5
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = PRESETS

@@ -30,7 +30,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import motion_between
-from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate
+from vstestbed.core.quantity import GRAVITY, Mass, PositiveLength, PositiveRate, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.body import Change, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
@@ -63,12 +63,12 @@ class OmniParameters:
         wheel_speed_radps: largest speed of a wheel [rad/s]; a little under the 20.9 of the default's motors without load.
     """
 
-    mass_kg: Annotated[Mass, Narrower(ge=2.5, le=500)] = 8.0
-    wheelbase_m: Annotated[PositiveLength, Narrower(ge=0.1, le=3)] = 0.30
-    track_m: Annotated[PositiveLength, Narrower(ge=0.1, le=3)] = 0.32
-    wheel_radius_m: Annotated[PositiveLength, Narrower(ge=0.025, le=0.2)] = 0.05
+    mass_kg: Annotated[Mass, TighterBounds(ge=2.5, le=500)] = 8.0
+    wheelbase_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=3)] = 0.30
+    track_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=3)] = 0.32
+    wheel_radius_m: Annotated[PositiveLength, TighterBounds(ge=0.025, le=0.2)] = 0.05
     motor_torque_nm: Annotated[float, Ge(0.01), Le(1e3)] = 2.0
-    wheel_speed_radps: Annotated[PositiveRate, Narrower(ge=0.1, le=200)] = 20.0
+    wheel_speed_radps: Annotated[PositiveRate, TighterBounds(ge=0.1, le=200)] = 20.0
 
     def __post_init__(self) -> None:
         for field, least in (("wheelbase_m", 2.4 * self.wheel_radius_m), ("track_m", 2.0 * self.wheel_radius_m)):
@@ -286,9 +286,9 @@ class Omni(Vehicle, Onboard):
         """A drive at rest (4,) [rad/s]."""
         return np.zeros(4)
 
-    def actuate(self, memory: Array, setpoint: Array, reading: Reading, dt: float) -> tuple[Array, Array]:
+    def actuate(self, state: Array, setpoint: Array, reading: Reading, dt: float) -> tuple[Array, Array]:
         """The wheel speeds (4,) [rad/s] that the drive follows: behind those of the setpoint, by its lag."""
-        drive = self.lagged(memory, setpoint, dt)
+        drive = self.lagged(state, setpoint, dt)
         return drive, drive
 
     def allocate(self, twist: Array, reading: Reading, mount: Mount, period: float) -> Allocation:

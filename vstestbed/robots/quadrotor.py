@@ -332,12 +332,12 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         hover = self.parameters.hover / share
         return Flight(loops=Loops(trim=(0.0, 0.0, GRAVITY * (1.0 / share - 1.0))), W=(hover, hover, hover, hover))
 
-    def actuate(self, memory: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
+    def actuate(self, state: Flight, setpoint: Array, reading: Instruments, dt: float) -> tuple[Flight, Four]:
         """One control step: commanded squared rotor speeds (4,) for a setpoint (vx, vy, vz, wz).
 
         A setpoint that is not finite means hover; the stop `off` (a climb rate of -inf) disarms the craft for good: its rotors run out.
         """
-        attitude, ground, loops, W, _, armed, limited_s = memory
+        attitude, ground, loops, W, _, armed, limited_s = state
         (gyro, force, speed, _, _), gains, craft = reading, self.gains, self.parameters
         vx, vy, vz, wz = setpoint.tolist()
         armed = armed and vz != -math.inf
@@ -358,30 +358,30 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         W, orders = speed_control(W, reference, gains.rotor_s, dt, craft)
         return Flight(attitude, ground, loops, W, rates, True, limited_s + dt if cut else 0.0), orders
 
-    def stands(self, memory: Flight, reading: Instruments) -> bool:
+    def stands(self, state: Flight, reading: Instruments) -> bool:
         """Whether the ground carries the craft, by its own sensors: upright, near the ground, and it does not sink as commanded.
 
         Either its climb rate stays above the one that its setpoints should give (`Loops.model`), which shows at once; or, in a slow
         descent, the climb loop has taken thrust away, to under .9 of the weight.
         """
-        upright = math.cos(memory.attitude.roll) * math.cos(memory.attitude.pitch) > math.cos(math.radians(30))
+        upright = math.cos(state.attitude.roll) * math.cos(state.attitude.pitch) > math.cos(math.radians(30))
         near = reading.range_m < STANDING_M + 0.05  # a margin for the range finder's noise and a few degrees of tilt
         # The estimate's noise is .02 m/s. By the rotors alone it takes .5 s and more; on a deck that moves, in wind, a craft light on its
         # feet slides off meanwhile.
-        stopped = memory.armed and memory.ground[0][2] - memory.loops.model[2] > 0.12
-        return upright and near and (stopped or sum(memory.W) < 4 * 0.9 * self.parameters.hover)
+        stopped = state.armed and state.ground[0][2] - state.loops.model[2] > 0.12
+        return upright and near and (stopped or sum(state.W) < 4 * 0.9 * self.parameters.hover)
 
-    def reported(self, memory: Flight, reading: Instruments) -> FlightReading:
+    def reported(self, state: Flight, reading: Instruments) -> FlightReading:
         """The range and the onboard estimate."""
-        attitude = memory.attitude
+        attitude = state.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(
-            velocity=np.array(to_body(level(attitude.up), memory.ground[0])),
-            rates=np.array(memory.rates),
-            ref_tilt=np.array(memory.loops.tilt),
-            ref_rates=np.array(memory.loops.ref_rates),
-            rotor_limit_s=memory.limited_s,
-            overturned=memory.overturned,
-            stands=self.stands(memory, reading),
+            velocity=np.array(to_body(level(attitude.up), state.ground[0])),
+            rates=np.array(state.rates),
+            ref_tilt=np.array(state.loops.tilt),
+            ref_rates=np.array(state.loops.ref_rates),
+            rotor_limit_s=state.limited_s,
+            overturned=state.overturned,
+            stands=self.stands(state, reading),
         )
         return FlightReading(NO_JOINTS, NO_JOINTS, tilt=tilt, range_m=reading.range_m, voltage_v=reading.voltage_v, estimate=estimate)

@@ -19,7 +19,7 @@ from annotated_types import Ge, Gt, Le, Len
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import clip
-from vstestbed.core.quantity import GRAVITY, Mass, Narrower, PositiveLength, PositiveRate, PositiveTime
+from vstestbed.core.quantity import GRAVITY, Mass, PositiveLength, PositiveRate, PositiveTime, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Four, Vector
 from vstestbed.effects.body import Change, put
@@ -50,14 +50,14 @@ class QuadrotorParameters:
     Reference: Pounds 2007, PhD thesis, Australian National University; models/quadrotor.xml has the details.
     """
 
-    mass_kg: Annotated[Mass, Narrower(ge=0.05, le=200)] = 4.0
+    mass_kg: Annotated[Mass, TighterBounds(ge=0.05, le=200)] = 4.0
     inertia_kgm2: Inertia | None = None
-    arm_m: Annotated[PositiveLength, Narrower(ge=0.1, le=3)] = 0.315
-    rotor_radius_m: Annotated[PositiveLength, Narrower(ge=0.02, le=2)] = 0.165
+    arm_m: Annotated[PositiveLength, TighterBounds(ge=0.1, le=3)] = 0.315
+    rotor_radius_m: Annotated[PositiveLength, TighterBounds(ge=0.02, le=2)] = 0.165
     thrust_coefficient: Annotated[float, Ge(1e-9), Le(1.0)] = 1.3234e-5
     drag_coefficient: Annotated[float, Ge(1e-12), Le(1.0)] = 1.0697e-7
-    rotor_speed_radps: Annotated[PositiveRate, Narrower(ge=10)] = 1000.0
-    rotor_lag_s: Annotated[PositiveTime, Narrower(ge=0.005, le=1)] = 0.117
+    rotor_speed_radps: Annotated[PositiveRate, TighterBounds(ge=10)] = 1000.0
+    rotor_lag_s: Annotated[PositiveTime, TighterBounds(ge=0.005, le=1)] = 0.117
     drag_area_m2: Annotated[float, Ge(0), Le(100)] = 0.10
 
     def __post_init__(self) -> None:

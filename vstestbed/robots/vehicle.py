@@ -16,7 +16,7 @@ from annotated_types import Ge, Le
 
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
-from vstestbed.core.quantity import AngleWidth, Distance, Narrower, Time
+from vstestbed.core.quantity import AngleWidth, Distance, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.floor import UnevenFloor
@@ -40,7 +40,7 @@ class GroundBox:
 
     x: Distance = 0.0
     y: Distance = 0.0
-    heading_deg: Annotated[AngleWidth, Narrower(le=180)] = 0.0
+    heading_deg: Annotated[AngleWidth, TighterBounds(le=180)] = 0.0
 
 
 @spec
@@ -115,7 +115,7 @@ def _slip(before: RobotState, now: RobotState) -> tuple[float, float]:
 
 
 Rolling = Annotated[float, Ge(0), Le(0.5)]
-Lag = Annotated[Time, Narrower(le=5)]
+Lag = Annotated[Time, TighterBounds(le=5)]
 
 Value = TypeVar("Value", float, Array)
 

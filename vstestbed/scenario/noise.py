@@ -9,14 +9,14 @@ from annotated_types import Ge, Lt
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.quantity import Narrower, Pixels, Sigma
+from vstestbed.core.quantity import Pixels, Sigma, TighterBounds
 from vstestbed.core.registry import kind_of
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import Drift
 from vstestbed.targets import Target
 from vstestbed.vision.perturb import PERTURBATIONS, PerturbationBase, Perturbed
 
-GreySigma = Annotated[Sigma, Narrower(le=255)]
+GreySigma = Annotated[Sigma, TighterBounds(le=255)]
 Kinds = tuple[Annotated[PerturbationBase, PERTURBATIONS], ...]
 
 

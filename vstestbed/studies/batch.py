@@ -53,7 +53,7 @@ LEAST_POSE = 3  # markers that leave finitely many poses
 
 
 class OneByOne:
-    """Keeps the memory of each run; the batch holds its number.
+    """Keeps the state of each run; the batch holds its number.
 
     Args:
         law: any. camera: the lens, for pixel coordinates.
@@ -62,34 +62,34 @@ class OneByOne:
     state_size = 1
 
     def __init__(self, law: Law[Any], camera: Camera):
-        self._law, self._camera, self._memories, self._inputs = law, camera, [], inputs_of(law)
+        self._law, self._camera, self._states, self._inputs = law, camera, [], inputs_of(law)
         self._moved: list[Array] = []
         self._guarded: list[GuardedLaw] = []
 
-    def step(self, memory: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
-        """One frame of m runs: the next memory (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
+    def step(self, state: Array, views: Views, seen: NDArray[np.bool_], goal: Goal) -> tuple[Array, Array]:
+        """One frame of m runs: the next state (m, 1), and the camera twists (m, 6), NaN where the law orders rest.
 
-        memory: numbers of the runs' memories (m, 1); NaN before the first frame. views: of all markers (m, N, 3). seen: which of them the
+        state: numbers of the runs' states (m, 1); NaN before the first frame. views: of all markers (m, N, 3). seen: which of them the
         law is shown (m, N). goal: the goal view.
         """
-        memory, twist = memory.copy(), np.full((len(memory), 6), np.nan)
-        for i in range(len(memory)):
-            if np.isnan(memory[i, 0]):
-                memory[i, 0] = len(self._memories)
-                self._memories.append(self._law.init(goal))
+        state, twist = state.copy(), np.full((len(state), 6), np.nan)
+        for i in range(len(state)):
+            if np.isnan(state[i, 0]):
+                state[i, 0] = len(self._states)
+                self._states.append(self._law.init(goal))
                 self._moved.append(np.zeros(6))
                 self._guarded.append(GuardedLaw(self._law))
-            k = int(memory[i, 0])
+            k = int(state[i, 0])
             observation = self._observation(views, i, seen[i], goal, self._moved[k])
-            self._memories[k], command = self._guarded[k].step(self._memories[k], observation, goal, SIX)
+            self._states[k], command = self._guarded[k].step(self._states[k], observation, goal, SIX)
             if not command.rest_reason:
                 twist[i] = command.twist
                 self._moved[k] = command.twist * self._camera.period
-        return memory, twist
+        return state, twist
 
-    def failed(self, memory: Array) -> NDArray[np.bool_]:
-        """In which runs, by the numbers of their memories (m, 1), the law has failed (m,)."""
-        return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in memory[:, 0]], dtype=bool)
+    def failed(self, state: Array) -> NDArray[np.bool_]:
+        """In which runs, by the numbers of their states (m, 1), the law has failed (m,)."""
+        return np.array([not np.isnan(k) and bool(self._guarded[int(k)].failure) for k in state[:, 0]], dtype=bool)
 
     def _observation(self, views: Views, i: int, seen: NDArray[np.bool_], goal: Goal, moved: Array) -> Observation:
         shown = views.of_run(i, self._inputs, moved).only(None if seen.all() else seen)
@@ -355,7 +355,7 @@ class _Runs:
 
     index: NDArray[np.int_]
     T: Array
-    memory: Array
+    state: Array
     near: NDArray[np.int_]
     rest: NDArray[np.int_]
     farthest: Array
@@ -442,8 +442,8 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     """
     s = setup.scenario
     seen, error, all_seen = _seen(s, p)
-    memory, twist, works = _commands(setup, runs, p, seen, step / s.camera.rate_hz)
-    runs.memory = memory
+    state, twist, works = _commands(setup, runs, p, seen, step / s.camera.rate_hz)
+    runs.state = state
     lost = ~works | ~np.isfinite(error)
     near = ~lost & all_seen & (error < setup.error_px)
     runs.near = np.where(near, runs.near + 1, 0)
@@ -452,7 +452,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     distance = np.linalg.norm(runs.T[:, :3, 3], axis=1)
     runs.farthest = np.maximum(runs.farthest, distance)
     gone = step + setup.frames(s.stop.lost_after[0])
-    failed = setup.law.failed(memory) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
+    failed = setup.law.failed(state) if isinstance(setup.law, OneByOne) else np.zeros(len(p), dtype=bool)
     code, ended = np.zeros(len(p), dtype=int), np.full(len(p), step)
     for which, how in (
         (np.full(len(p), step >= last), Outcome.timed_out),
@@ -498,23 +498,23 @@ def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_],
     law, plane = setup.scenario.law, bool(PLANE_INPUTS & set(setup.scenario.law.inputs))
     # a wide camera sees points behind its image plane, which have no normalised coordinates
     usable = seen & (p[..., 2] > 0) if plane else seen
-    memory, twist = runs.memory.copy(), np.full((len(p), 6), np.nan)
+    state, twist = runs.state.copy(), np.full((len(p), 6), np.nan)
     posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)  # by a pose solved from the pixels, or depths from it
     needed = max(setup.needed, FIRST_POSE) if posed and t == 0 else setup.needed
     if isinstance(setup.law, OneByOne):
         enough = np.count_nonzero(usable, axis=1) >= needed
         views = Views(t, p[enough], runs.T[enough], setup.scenario.goal_view, law.depth, setup.scenario.target.marker.radius)
-        memory[enough], twist[enough] = setup.law.step(memory[enough], views, usable[enough], setup.scenario.goal_view)
-        return memory, twist, np.isfinite(twist[:, 0])
+        state[enough], twist[enough] = setup.law.step(state[enough], views, usable[enough], setup.scenario.goal_view)
+        return state, twist, np.isfinite(twist[:, 0])
     for which, rows in _groups(usable):
         if np.count_nonzero(rows) < needed:
             continue
         goal = setup.scenario.goal_view if rows.all() else setup.scenario.goal_view.of_rows(rows)
         views = Views(t, p[which] if rows.all() else p[which][:, rows], runs.T[which], goal, law.depth, setup.scenario.target.marker.radius)
-        memory[which], twist[which] = setup.law.step_batch(runs.memory[which], views, goal)
+        state[which], twist[which] = setup.law.step_batch(runs.state[which], views, goal)
         if law.inputs == ("relative",):
             twist[which] = np.where(_undetermined(views, goal)[:, None], np.nan, twist[which])
-    return memory, twist, np.isfinite(twist[:, 0])
+    return state, twist, np.isfinite(twist[:, 0])
 
 
 def _groups(usable: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_] | slice, NDArray[np.bool_]]]:

@@ -17,7 +17,7 @@ import polars as pl
 from vstestbed.core.errors import ParameterError, RunFolderError, ScenarioError
 from vstestbed.core.files import write_table
 from vstestbed.core.planar import block_of
-from vstestbed.core.quantity import Narrower, Seed
+from vstestbed.core.quantity import Seed, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.report.comparison.statistics import paired_difference
 from vstestbed.report.studies import ParameterAxis, TrialRow, TuningPage, write_tuning
@@ -52,7 +52,7 @@ __all__ = ["Listener", "Search", "Tuning", "TuningResult", "begun", "finished", 
 
 PLAN = "tuning.yaml"
 SEEDS = 10  # random starts of a trial where none are asked for: a setting that fails on one start in five shows it in nine searches of ten
-Count = Annotated[Seed, Narrower(ge=1, le=1000)]
+Count = Annotated[Seed, TighterBounds(ge=1, le=1000)]
 
 
 @spec
@@ -82,7 +82,7 @@ class Tuning:
     trials: Count = 30
     seeds: Count | None = None
     batch: Count = 4
-    check: Annotated[Seed, Narrower(le=1000)] = 20
+    check: Annotated[Seed, TighterBounds(le=1000)] = 20
     seed: Seed = 0
 
     def __post_init__(self) -> None:

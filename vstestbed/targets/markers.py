@@ -10,7 +10,7 @@ from annotated_types import Ge, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveLength
+from vstestbed.core.quantity import PositiveLength, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -201,7 +201,7 @@ class Stripe(Marker):
     """
 
     kind: Literal["stripe"] = "stripe"
-    width_m: Annotated[PositiveLength, Narrower(le=1)] = 0.03
+    width_m: Annotated[PositiveLength, TighterBounds(le=1)] = 0.03
     lit: bool = True
     saturation: Share = 1.0
     albedo: Share = 1.0

@@ -17,11 +17,11 @@ from vstestbed.core.quantity import (
     Frequencies,
     Frequency,
     Length,
-    Narrower,
     Position,
     PositiveLength,
     PositiveSpeed,
     PositiveTime,
+    TighterBounds,
     Time,
     Velocity,
 )
@@ -245,7 +245,7 @@ class Carried(MotionBase):
     by: Literal["car", "omni"] = "car"
     route: AnyRoute
     # 3 m/s is the largest speed limit that a car may have (`CarLimits`).
-    speed_mps: Annotated[PositiveSpeed, Narrower(le=3)] = 0.5
+    speed_mps: Annotated[PositiveSpeed, TighterBounds(le=3)] = 0.5
     from_m: Length = 0.0
     by_itself: ClassVar[bool] = False
 

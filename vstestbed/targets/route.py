@@ -12,7 +12,7 @@ from annotated_types import Len
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose
-from vstestbed.core.quantity import Angle, Length, Narrower, PositiveLength
+from vstestbed.core.quantity import Angle, Length, PositiveLength, TighterBounds
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -188,7 +188,7 @@ class Piece:
     """
 
     length_m: PositiveLength | None = None
-    turn_deg: Annotated[Angle, Narrower(ge=-720, le=720)] | None = None
+    turn_deg: Annotated[Angle, TighterBounds(ge=-720, le=720)] | None = None
     radius_m: PositiveLength | None = None
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.named_files import absolute_file, place_of_file
-from vstestbed.core.quantity import Narrower, Sigma
+from vstestbed.core.quantity import Sigma, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.imaging.stream import JpegStream, round_trip
@@ -108,7 +108,7 @@ class GoalPicture:
     file: str | None = None
     brightness: Factor = 1.0
     contrast: Factor = 1.0
-    image_sigma: Annotated[Sigma, Narrower(le=255)] = 0.0
+    image_sigma: Annotated[Sigma, TighterBounds(le=255)] = 0.0
     jpeg_quality: Annotated[int, Ge(1), Le(100)] | None = None
 
     def __post_init__(self) -> None:
@@ -249,13 +249,13 @@ class Task:
         """The initial state of the reference: here the first view, which stays the goal."""
         return views[0]
 
-    def reference(self, memory: Any, seen: Observation) -> tuple[Any, Goal]:
+    def reference(self, state: Any, seen: Observation) -> tuple[Any, Goal]:
         """The next state, and the goal for the law at this frame: the current view."""
-        return memory, memory
+        return state, state
 
-    def passed(self, memory: Any, error: ImageError) -> tuple[Any, Goal | None]:
+    def passed(self, state: Any, error: ImageError) -> tuple[Any, Goal | None]:
         """After a frame: the next state, and the new goal for which the law must be initialised again, if there is one."""
-        return memory, None
+        return state, None
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
         """What measures the task's error and decides when it is completed or failed; by default reached when `stop.converged` holds."""

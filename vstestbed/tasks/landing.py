@@ -79,14 +79,14 @@ class GoalLanding(Task):
         """At full height."""
         return Descent(setup)
 
-    def reference(self, memory: Descent, seen: Observation) -> tuple[Descent, Goal]:
+    def reference(self, state: Descent, seen: Observation) -> tuple[Descent, Goal]:
         """The view, which descends while the craft is over its pad by its own estimate."""
-        setup, share = memory.setup, memory.share
+        setup, share = state.setup, state.share
         goal = self._view_at(setup, share)
         # The first frame has no duration yet. Without an estimate the reference waits, too: `_over` is False.
-        if not math.isnan(memory.t) and self._over(goal.T_camera_target, seen):
+        if not math.isnan(state.t) and self._over(goal.T_camera_target, seen):
             height = float(np.linalg.norm(self.above.T[:3, 3]))
-            share = max(DEEPEST, share - self.descend_mps * (seen.t - memory.t) / height)
+            share = max(DEEPEST, share - self.descend_mps * (seen.t - state.t) / height)
             goal = self._view_at(setup, share)
         return Descent(setup, share, seen.t), goal
 

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.quantity import Within
+from vstestbed.core.quantity import Bounded
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.tasks.base import Log
@@ -250,7 +250,7 @@ class ErrorGrowth:
     """
 
     kind: Literal["error_growth"] = "error_growth"
-    least: Annotated[float, Within(0.0, 1.0, "", "a share of the largest error")] = 1e-4
+    least: Annotated[float, Bounded(0.0, 1.0, "", "a share of the largest error")] = 1e-4
     titles: ClassVar[Mapping[str, tuple[str, str]]] = {
         "image_error_growth_frames": ("Frames in which the image error grew", ""),
         "position_error_growth_frames": ("Frames in which the position error grew", ""),

@@ -111,10 +111,10 @@ class GoalPath(Continuing):
         """The parts from which views are computed."""
         return setup
 
-    def reference(self, memory: Setup, seen: Observation) -> tuple[Setup, Goal]:
+    def reference(self, state: Setup, seen: Observation) -> tuple[Setup, Goal]:
         """The view at this time, with the velocity of the reference camera."""
         T, view = self.at(seen.t)
-        return memory, replace(view_from(memory, lambda _: T, view), twist=self.twist_at(seen.t))
+        return state, replace(view_from(state, lambda _: T, view), twist=self.twist_at(seen.t))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
         """Distance of the camera from the path."""
@@ -258,40 +258,40 @@ class GoalViews(Task):
         """At the first view."""
         return Passage(setup, views)
 
-    def reference(self, memory: Passage, seen: Observation) -> tuple[Passage, Goal]:
+    def reference(self, state: Passage, seen: Observation) -> tuple[Passage, Goal]:
         """The current view; with `speed_mps`, where the goal is on its way there."""
-        goal = memory.views[memory.view]
-        if not memory.moves:
-            return memory, goal
-        if math.isnan(memory.left_s):
-            memory = memory._replace(left_s=seen.t)
-        share = (seen.t - memory.left_s) / self._leg_s(memory)
+        goal = state.views[state.view]
+        if not state.moves:
+            return state, goal
+        if math.isnan(state.left_s):
+            state = state._replace(left_s=seen.t)
+        share = (seen.t - state.left_s) / self._leg_s(state)
         if share >= 1:
-            return memory._replace(moves=False), goal
-        on_the_way = view_from(memory.setup, lambda mount: inverse(between(*self._leg(memory, mount), share)), memory.view)
-        return memory, replace(on_the_way, counted=goal.counted, moves=True)
+            return state._replace(moves=False), goal
+        on_the_way = view_from(state.setup, lambda mount: inverse(between(*self._leg(state, mount), share)), state.view)
+        return state, replace(on_the_way, counted=goal.counted, moves=True)
 
-    def _leg(self, memory: Passage, mount: Array) -> tuple[Array, Array]:
+    def _leg(self, state: Passage, mount: Array) -> tuple[Array, Array]:
         """T_target_camera (4, 4) of the view before the current one, and of the current one."""
-        a, b = self.goal_poses(memory.setup.target, mount)[memory.view - 1 : memory.view + 1]
+        a, b = self.goal_poses(state.setup.target, mount)[state.view - 1 : state.view + 1]
         return inverse(a), inverse(b)
 
-    def _leg_s(self, memory: Passage) -> float:
+    def _leg_s(self, state: Passage) -> float:
         """Duration of the goal's way to the current view [s]."""
         assert self.speed_mps is not None  # else nothing moves
-        a, b = self._leg(memory, memory.setup.believed_camera.mount.T)
+        a, b = self._leg(state, state.setup.believed_camera.mount.T)
         turn_s = rotation_angle(a[:3, :3].T @ b[:3, :3]) / math.radians(self.turn_degps)
         # Two equal views have a leg of no length.
         return max(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / self.speed_mps, float(turn_s), 1e-9)
 
-    def passed(self, memory: Passage, error: ImageError) -> tuple[Passage, Goal | None]:
+    def passed(self, state: Passage, error: ImageError) -> tuple[Passage, Goal | None]:
         """The next view, when all markers that count are seen with a small error, and the goal stands."""
-        near = error.all_seen and error.rms_px < self.threshold_px and not memory.moves
-        if not (near and memory.view + 1 < len(self.views)):
-            return memory, None
-        memory = memory._replace(view=memory.view + 1, moves=self.speed_mps is not None, left_s=math.nan)
-        # Returned as a new goal, the view makes the loop initialise the law again: its memory belongs to the view that is passed.
-        return memory, None if memory.moves else memory.views[memory.view]
+        near = error.all_seen and error.rms_px < self.threshold_px and not state.moves
+        if not (near and state.view + 1 < len(self.views)):
+            return state, None
+        state = state._replace(view=state.view + 1, moves=self.speed_mps is not None, left_s=math.nan)
+        # Returned as a new goal, the view makes the loop initialise the law again: its state belongs to the view that is passed.
+        return state, None if state.moves else state.views[state.view]
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
         """The error at the last view; of a run that did not come so far, that at the view where it ended."""

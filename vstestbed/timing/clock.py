@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveTime, Time, Within
+from vstestbed.core.quantity import Bounded, PositiveTime, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.exposure import ExposureControl
 
@@ -99,9 +99,9 @@ class DelayLine(Generic[T]):
         return self._waiting[0][0] if self._waiting else None
 
 
-Offset = Annotated[float, Within(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another")]
+Offset = Annotated[float, Bounded(-60.0, 60.0, "s", "a minute; clocks that differ by more are not taken for one another")]
 """How far a clock is ahead [s]."""
-Drift = Annotated[float, Within(-1e5, 1e5, "ppm", "a clock that is wrong by a tenth is broken; a quartz is wrong by 10 to 100 ppm")]
+Drift = Annotated[float, Bounded(-1e5, 1e5, "ppm", "a clock that is wrong by a tenth is broken; a quartz is wrong by 10 to 100 ppm")]
 """By how much a clock is fast [ppm]."""
 PER_MILLION = 1e-6
 
@@ -128,7 +128,7 @@ class CameraStamps:
 
     offset_s: Offset = 0.0
     drift_ppm: Drift = 0.0
-    jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
+    jitter_s: Annotated[Time, TighterBounds(le=60)] = 0.0
     stamped: Literal["middle", "arrival"] = "middle"
 
     def at(self, t: float) -> float:

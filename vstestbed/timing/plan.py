@@ -10,7 +10,7 @@ from annotated_types import Ge, Le, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Frequency, Narrower, PositiveTime, Time
+from vstestbed.core.quantity import Frequency, PositiveTime, TighterBounds, Time
 from vstestbed.core.spec import spec
 from vstestbed.imaging.flicker import STEADY, Flicker
 from vstestbed.imaging.shutter import Contribution, Opening, contributions, of_rows
@@ -63,9 +63,9 @@ class Timing:
     readout_pictures: Annotated[int, Ge(3), Le(999)] = 21
     jitter: Literal["uniform", "normal"] = "uniform"
     exposure_jitter_s: Time = 0.0
-    latency_jitter_s: Annotated[Time, Narrower(le=60)] = 0.0
+    latency_jitter_s: Annotated[Time, TighterBounds(le=60)] = 0.0
     drop_probability: Annotated[float, Ge(0), Lt(1)] = 0.0
-    command_latency_s: Annotated[Time, Narrower(le=60)] = 0.0
+    command_latency_s: Annotated[Time, TighterBounds(le=60)] = 0.0
     command_timeout_s: PositiveTime = 0.5
     out_of_order: bool = False
     camera_clock: CameraStamps | None = None

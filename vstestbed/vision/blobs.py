@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Panel, Picture, Regions, Window
 from vstestbed.core.geometry import Array, lengths, transform
-from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle
+from vstestbed.core.quantity import Pixels, PositiveAngle, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, window_round, windows_round
@@ -545,8 +545,8 @@ class Blobs(DetectorBase):
 
     kind: Literal["blobs"] = "blobs"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 15.0
-    least_area_px: Annotated[Pixels, Narrower(ge=1)] = 9.0
+    hue_tolerance_deg: Annotated[PositiveAngle, TighterBounds(le=180)] = 15.0
+    least_area_px: Annotated[Pixels, TighterBounds(ge=1)] = 9.0
     moments: Literal["binary", "grey"] = "grey"
     correct_centre: bool = True
     area_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.06

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, PositiveAngle, PositiveLength
+from vstestbed.core.quantity import PositiveAngle, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target
 from vstestbed.targets.ground_lines import GroundLines, on_foot
@@ -79,8 +79,8 @@ class Lines(DetectorBase):
 
     kind: Literal["lines"] = "lines"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 30.0
-    reach_m: Annotated[PositiveLength, Narrower(le=10)] = 0.7
+    hue_tolerance_deg: Annotated[PositiveAngle, TighterBounds(le=180)] = 30.0
+    reach_m: Annotated[PositiveLength, TighterBounds(le=10)] = 0.7
     width_tolerance: Annotated[float, Gt(0), Lt(1)] = 0.4
     needs_image: ClassVar[bool] = True
     markers: ClassVar[tuple[str, ...]] = ("stripe",)

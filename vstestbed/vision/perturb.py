@@ -10,7 +10,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Image, Images
-from vstestbed.core.quantity import Narrower, PositivePixels, PositiveTime, check_range
+from vstestbed.core.quantity import PositivePixels, PositiveTime, TighterBounds, check_range
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import GREY
@@ -179,7 +179,7 @@ class Outliers(PerturbationBase):
 
     kind: Literal["outliers"] = "outliers"
     probability: Share = 0.05
-    radius_px: Annotated[PositivePixels, Narrower(le=1e4)] = 20.0
+    radius_px: Annotated[PositivePixels, TighterBounds(le=1e4)] = 20.0
     changes: ClassVar[tuple[str, ...]] = ("pixels",)
 
     def pixels(self, state: None, uv: Array, t: float, rng: np.random.Generator) -> Array:

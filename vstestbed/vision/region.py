@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
-from vstestbed.core.quantity import Narrower, Pixels, PositiveAngle, PositivePixels
+from vstestbed.core.quantity import Pixels, PositiveAngle, PositivePixels, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
 from vstestbed.targets import Target
@@ -345,8 +345,8 @@ class RegionDetector(DetectorBase):
 
     kind: Literal["region"] = "region"
     chroma: Annotated[int, Ge(1), Lt(255)] = 60
-    hue_tolerance_deg: Annotated[PositiveAngle, Narrower(le=180)] = 20.0
-    least_area_px: Annotated[Pixels, Narrower(ge=50)] = 100.0
+    hue_tolerance_deg: Annotated[PositiveAngle, TighterBounds(le=180)] = 20.0
+    least_area_px: Annotated[Pixels, TighterBounds(ge=50)] = 100.0
     tolerance_px: PositivePixels = 1.5
     hidden_share: Annotated[float, Gt(0), Lt(1)] = 0.04
     window_margin_px: Annotated[int, Ge(2), Le(8192)] = 12

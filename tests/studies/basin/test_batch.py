@@ -281,10 +281,10 @@ def test_a_law_that_fails_in_one_run_ends_that_run_alone(monkeypatch: pytest.Mon
     """As in the time loop: what a step raises, a ParameterError too, is the outcome of the run."""
     step = Predictive.step
 
-    def failing(self: Predictive, memory: object, observation: Observation, *given: Any) -> Any:
+    def failing(self: Predictive, state: object, observation: Observation, *given: Any) -> Any:
         if observation.T_camera_target is not None and observation.T_camera_target[2, 3] > 1.5:
             raise ParameterError("damping", "must be <= 1000", 2e3)
-        return step(self, memory, observation, *given)
+        return step(self, state, observation, *given)
 
     monkeypatch.setattr(Predictive, "step", failing)
     starts = from_(Pose(xyz=(0.1, 0, -1)), Pose(xyz=(0.1, 0, -2)), Pose(xyz=(-0.1, 0.1, -1.2)))
@@ -295,9 +295,9 @@ def test_a_law_that_fails_in_one_run_ends_that_run_alone(monkeypatch: pytest.Mon
 class OtherStep(IBVS):
     """Overrides its step, and inherits the batch's."""
 
-    def step(self, memory: Any, observation: Any, goal: Any, basis: Any) -> Any:
+    def step(self, state: Any, observation: Any, goal: Any, basis: Any) -> Any:
         """As IBVS."""
-        return IBVS.step(self, memory, observation, goal, basis)
+        return IBVS.step(self, state, observation, goal, basis)
 
 
 def test_a_law_that_overrides_its_step_alone_has_no_batch():

@@ -15,7 +15,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.named_files import absolute_file
-from vstestbed.core.quantity import Angles, Length, Narrower, Position, PositiveGain, PositiveLength, PositiveTime, Time, check_range
+from vstestbed.core.quantity import Angles, Length, Position, PositiveGain, PositiveLength, PositiveTime, TighterBounds, Time, check_range
 from vstestbed.core.spec import Shorthand, spec
 from vstestbed.effects.wind import Wind
 from vstestbed.imaging.flicker import STEADY, Flicker
@@ -48,7 +48,7 @@ class Floor:
     """
 
     texture: str | None = None
-    tile_m: Annotated[PositiveLength, Narrower(ge=0.01)] = 1.0
+    tile_m: Annotated[PositiveLength, TighterBounds(ge=0.01)] = 1.0
     albedo: Annotated[float, Gt(0), Le(1)] = 1.0
     gloss: Annotated[float, Ge(0), Le(1)] = 0.0
     sharpness: Annotated[float, Ge(1), Le(128)] = 45.0
@@ -295,7 +295,7 @@ class World:
 
     scenery: Annotated[Scenery | None, Shorthand("file")] = None
     floor_z: Length = 0.0
-    floor_friction: Annotated[PositiveGain, Narrower(le=10)] | None = None
+    floor_friction: Annotated[PositiveGain, TighterBounds(le=10)] | None = None
     plates: Annotated[tuple[Plate, ...], Len(0, 100)] = ()
     decoys: Annotated[tuple[Decoy, ...], Len(0, 100)] = ()
     wind: Wind = Wind()

@@ -19,7 +19,7 @@ from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, Unreac
 from vstestbed.core.files import allowed, distinct, file_word
 from vstestbed.core.geometry import Pose
 from vstestbed.core.named_files import bundled_comparisons, is_there, place_of_file
-from vstestbed.core.quantity import Narrower, Seed
+from vstestbed.core.quantity import Seed, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.scenario.load import find, load, seeded
 from vstestbed.scenario.plugins import absolute_files, load_named, load_plugins
@@ -175,9 +175,9 @@ class Comparison:
     cases: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     axes: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     tasks: dict[str, StartTable] = field(default_factory=dict)
-    seeds: Annotated[Seed, Narrower(ge=1)] | None = None
+    seeds: Annotated[Seed, TighterBounds(ge=1)] | None = None
     first_seed: Seed = 0
-    limit: Annotated[Seed, Narrower(ge=1)] | None = None
+    limit: Annotated[Seed, TighterBounds(ge=1)] | None = None
     metrics: tuple[str, ...] = ()
     primary: str = ""
     reference: str = ""
