@@ -15,7 +15,7 @@ from vstestbed.robots.quadrotor import FlightPose
 
 
 @spec
-class Placed:
+class Positioned:
     """A block with a field of each kind of pose."""
 
     pose: Pose = Pose()
@@ -36,16 +36,16 @@ def test_a_pose_goes_in_and_comes_out_near_a_pitch_of_90_degrees_and_elsewhere(o
         other = random_pose(rng)
         rounded = other.inv() * (other * plain)  # the same pose with other errors of rounding in its last digits
         for T in (plain, rounded):
-            pose = Placed(pose=T).pose
+            pose = Positioned(pose=T).pose
             assert np.abs(pose.T - T.A).max() < 1e-13
             assert np.abs(Pose.of(T).T - T.A).max() < 1e-13
             assert np.abs(pose.SE3().A - T.A).max() < 1e-13
 
 
 def test_the_numbers_are_those_a_person_would_write() -> None:
-    pose = Placed(pose=SE3(1.5, 0, 0.1 + 0.2) * SE3.Ry(90, unit="deg") * SE3.Rz(-30, unit="deg") * SE3.Rz(30, unit="deg")).pose
+    pose = Positioned(pose=SE3(1.5, 0, 0.1 + 0.2) * SE3.Ry(90, unit="deg") * SE3.Rz(-30, unit="deg") * SE3.Rz(30, unit="deg")).pose
     assert pose == Pose(xyz=(1.5, 0.0, 0.3), rpy_deg=(0.0, 90.0, 0.0))
-    assert "-0.0" not in str(Placed(pose=SE3.Rx(np.pi)).pose)
+    assert "-0.0" not in str(Positioned(pose=SE3.Rx(np.pi)).pose)
 
 
 def test_places_on_the_floor() -> None:
@@ -53,8 +53,8 @@ def test_places_on_the_floor() -> None:
     for x, y, heading in rng.uniform(-3, 3, (50, 3)):
         flat = SE2(x, y, heading)
         for given in (flat, flat.A, flat.SE3(), flat.SE3().A):
-            assert np.abs(Placed(place=given).place.T - flat.SE3().A).max() < 1e-12
-        hover = Placed(hover=SE3(0, 0, 2) * flat.SE3()).hover
+            assert np.abs(Positioned(place=given).place.T - flat.SE3().A).max() < 1e-12
+        hover = Positioned(hover=SE3(0, 0, 2) * flat.SE3()).hover
         assert np.abs(Pose(xyz=hover.xyz, rpy_deg=(0, 0, hover.yaw_deg)).T - (SE3(0, 0, 2) * flat.SE3()).A).max() < 1e-12
     assert block_of(SE2(1, 2, np.pi / 2)) == {"x": 1.0, "y": 2.0, "heading_deg": 90.0}
     assert block_of(SE3(1, 2, 3)) == {"xyz": [1.0, 2.0, 3.0], "rpy_deg": [0.0, 0.0, 0.0]}
@@ -80,12 +80,12 @@ def test_what_is_no_pose_is_refused_with_a_sentence() -> None:
         ("hover", SE3.Ry(np.pi), "hover must be upright"),
     ):
         with pytest.raises(ParameterError, match=words):
-            Placed(**{field: given})
+            Positioned(**{field: given})
 
 
 def test_a_rotation_of_six_digits_is_a_rotation() -> None:
     T = np.round(random_pose(np.random.default_rng(3)).A, 7)
-    assert np.abs(Placed(pose=T).pose.T - T).max() < 1e-6
+    assert np.abs(Positioned(pose=T).pose.T - T).max() < 1e-6
 
 
 def test_matrices_and_twists() -> None:

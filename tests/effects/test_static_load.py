@@ -26,7 +26,7 @@ MOST_KG = (MOST - LOAD) / (9.81 * (REACH + 0.2))
 """The payload 0.2 m beyond the flange that this motor just holds [kg]."""
 
 
-def refusal(folder: Path, **effects: Any) -> str:
+def message(folder: Path, **effects: Any) -> str:
     with pytest.raises(UnreachableError) as refused:
         plant_of(arm(folder, axis="0 1 0", **effects)).close()
     return str(refused.value)
@@ -37,7 +37,7 @@ def loaded(mass_kg: float, **more: Any) -> dict[str, Any]:
 
 
 def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) -> None:
-    words = refusal(tmp_path, **loaded(20.0))
+    words = message(tmp_path, **loaded(20.0))
     needed = LOAD + 20 * 9.81 * (REACH + 0.2)
     assert words.startswith(
         f"robot.payload.mass_kg asks swing for {needed:.4g} Nm to hold the arm at its start, and its motor and friction have"
@@ -50,7 +50,7 @@ def test_the_sentence_has_both_torques_and_what_would_be_held(tmp_path: Path) ->
 )
 def test_the_limit_is_that_of_statics(tmp_path: Path, effects: dict[str, Any]) -> None:
     plant_of(arm(tmp_path, axis="0 1 0", **loaded(0.999 * MOST_KG, **effects))).close()
-    assert "asks swing for 50.0" in refusal(tmp_path, **loaded(1.001 * MOST_KG, **effects))
+    assert "asks swing for 50.0" in message(tmp_path, **loaded(1.001 * MOST_KG, **effects))
     plant_of(arm(tmp_path, axis="0 0 1", **loaded(200.0, **effects))).close()  # a vertical axis feels no weight
 
 
@@ -66,12 +66,12 @@ def test_under_the_limit_it_stands_and_over_it_falls(tmp_path: Path, monkeypatch
 
 
 def test_an_arm_too_weak_for_its_own_links(tmp_path: Path) -> None:
-    words = refusal(tmp_path, torque_limits=(10.0, 10.0))
+    words = message(tmp_path, torque_limits=(10.0, 10.0))
     assert words == (
         f"robot.start asks swing for {LOAD:.4g} Nm to hold the arm at its start, and its motor and friction have 10 Nm: it would fall; "
         "works: another start, or stronger motors"
     )
-    assert refusal(tmp_path, torque_limits=(10.0, 10.0), payload=Payload(mass_kg=1)).endswith(
+    assert message(tmp_path, torque_limits=(10.0, 10.0), payload=Payload(mass_kg=1)).endswith(
         "works: another start, for it falls without a payload, too, got 1.0"
     )
 

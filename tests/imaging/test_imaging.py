@@ -17,7 +17,7 @@ from vstestbed.scenario.randomise import IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.replay import Replay, Retake
+from vstestbed.sim.replay import Replay, Rerendering
 
 SMALL = {"camera.width": 160, "camera.height": 120}
 LOOK: Regions = (((20, 20, 60, 60),),)
@@ -86,9 +86,9 @@ def test_a_run_and_its_pictures_taken_again_are_the_same():
             truth = frame.truth
             taken.append((frame.t, truth.T_world_target, truth.q, truth.T_world_camera, frame.image.copy()))
             frame = session.step()
-    with closing(Retake(s.robot, s.camera, s.target, s.world, imaging_rng=s.rng(IMAGING_STREAM))) as retake:
+    with closing(Rerendering(s.robot, s.camera, s.target, s.world, imaging_rng=s.rng(IMAGING_STREAM))) as rerendered:
         for t, T_world_target, q, T_world_camera, image in taken:
-            again = retake.picture(t, T_world_target, q, T_world_camera)
+            again = rerendered.picture(t, T_world_target, q, T_world_camera)
             np.testing.assert_array_equal(again, image)
 
 

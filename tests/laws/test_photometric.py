@@ -37,7 +37,7 @@ from vstestbed.laws.photometric import (
     weights,
 )
 from vstestbed.scenario.load import parse
-from vstestbed.sim.replay import Retake
+from vstestbed.sim.replay import Rerendering
 from vstestbed.tasks.metrics import Metric
 
 CORNERS = np.array([[-0.3, -0.225, 0], [0.3, -0.225, 0], [0.3, 0.225, 0], [-0.3, 0.225, 0]])
@@ -112,14 +112,14 @@ def scenario_of(file: Path, **changed: object) -> vs.Scenario:
 def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion: tuple[float, ...] | None, level: int) -> None:
     """Column by column: correlation above 0.98, scale within 4 % of the differences that displacements of a pixel make."""
     s = scenario_of(file, camera={"kind": "perspective", "width": 160, "height": 120, "fovy_deg": 25, "distortion": distortion})
-    camera, retake = s.camera, Retake(s.robot, s.camera, s.target, s.world)
+    camera, rerendered = s.camera, Rerendering(s.robot, s.camera, s.target, s.world)
     assert isinstance(camera, Perspective)
     T = exp(np.array([0.02, 0.01, 0.1, 0.2, -0.1, 0.3])) @ AT_GOAL
     pixels, normal = GoalLevel.of(camera, np.zeros((1, 1), np.float32), level, 8, 1), T[:3, 2]
     near = ((normal[0] * pixels.x + normal[1] * pixels.y + normal[2]) / (normal @ T[:3, 3])).astype(np.float32)
 
     def picture(by: np.ndarray) -> np.ndarray:
-        grey = luminance(retake.picture(0.0, np.eye(4), np.zeros(0), inverse(exp(-by) @ T)), 1.5)
+        grey = luminance(rerendered.picture(0.0, np.eye(4), np.zeros(0), inverse(exp(-by) @ T)), 1.5)
         return coarser(grey) if level else grey
 
     L = pixels.interaction(gradient(picture(np.zeros(6))), near)
@@ -128,7 +128,7 @@ def test_interaction_matrix_is_that_of_rendered_pictures(file: Path, distortion:
         measured = (picture(step * unit) - picture(-step * unit))[pixels.at].ravel() / (2 * step)
         assert np.corrcoef(measured, column)[0, 1] > 0.98
         assert (measured @ column) / (column @ column) == pytest.approx(1.0, abs=0.04)
-    retake.close()
+    rerendered.close()
 
 
 @pytest.mark.parametrize("interaction", ["current", "desired", "mean"])

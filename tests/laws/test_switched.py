@@ -21,7 +21,7 @@ from vstestbed.laws.switched import QUANTITIES, Stage, SwitchCondition
 from vstestbed.loop.controller import Controller
 from vstestbed.report.run import figures
 from vstestbed.report.run.page import rows
-from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.studies.batch import simulate_batch, start_of
 from vstestbed.targets.base import Square
 from vstestbed.tasks.metrics import ErrorGrowth
@@ -160,11 +160,11 @@ def test_the_report_shows_the_modes_and_that_of_other_laws_does_not():
     recording = vs.run(half_turned(RETREAT, **{"stop.duration_s": 1, "metrics": ["error_growth"]}))
     summary = recording.summary()
     assert ("Switches of the law", "1", "") in rows(summary)
-    svg = figures.error(Tracks.of(recording.rows, Setting.of(recording.scenario))).svg("error")
+    svg = figures.error(LogArrays.of(recording.rows, Setting.of(recording.scenario))).svg("error")
     assert "ibvs</li>" in svg and "pbvs</li>" in svg and ">mode<" in svg
     plain = vs.run(half_turned("ibvs", **{"stop.duration_s": 1}))
     assert not any(name.startswith("law") for name in (*plain.summary(), *plain.columns))
-    assert ">mode<" not in figures.error(Tracks.of(plain.rows, Setting.of(plain.scenario))).svg("error")
+    assert ">mode<" not in figures.error(LogArrays.of(plain.rows, Setting.of(plain.scenario))).svg("error")
 
 
 def test_growth_of_known_errors():

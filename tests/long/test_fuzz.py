@@ -65,9 +65,9 @@ def in_children(work: Callable[[bytes, Path], str], files: Sequence[bytes], path
     return found
 
 
-def faults(findings: Sequence[str], files: Sequence[bytes]) -> dict[str, bytes]:
+def faults(all_messages: Sequence[str], files: Sequence[bytes]) -> dict[str, bytes]:
     """An example of each fault."""
-    return {what: raw for what, raw in zip(findings, files, strict=True) if what.startswith(FAULT)}
+    return {what: raw for what, raw in zip(all_messages, files, strict=True) if what.startswith(FAULT)}
 
 
 def test_a_child_that_hangs_is_ended(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from vstestbed.core.errors import ScenarioError
 from vstestbed.core.named_files import folder
 from vstestbed.report.run.figures import depth
 from vstestbed.report.run.space import features
-from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.studies.run_folder import run_into
 
 QUICK = {"stop.duration_s": 0.4, "detector": "oracle"}
@@ -92,7 +92,7 @@ def test_the_oracle_does_not_see_through_the_part():
 
 def test_figures_show_the_names():
     r = vs.run(vs.load("arm_mesh", QUICK))
-    tracks = Tracks.of(r.rows, Setting.of(r.scenario))
+    tracks = LogArrays.of(r.rows, Setting.of(r.scenario))
     trails, depths = features(tracks), depth(tracks)
     assert trails is not None and depths is not None
     assert [words[2].strip("\N{NO-BREAK SPACE}") for words in trails.panels[0].words] == list(r.scenario.target.names)

@@ -104,7 +104,7 @@ def flipped(whole: bytes, seed: int) -> Iterator[bytes]:
 @pytest.mark.parametrize("name", ["scenario.yaml", "summary.json", "log.parquet"])
 def test_flipped_bits_are_read_or_refused(run: Path, name: str) -> None:
     """Whatever they change: no other error than one of this package."""
-    scenario, refusals = load(run / "scenario.yaml"), 0
+    scenario, messages = load(run / "scenario.yaml"), 0
     for damaged in flipped((run / name).read_bytes(), 1):
         (run / name).write_bytes(damaged)
         try:
@@ -112,8 +112,8 @@ def test_flipped_bits_are_read_or_refused(run: Path, name: str) -> None:
                 name, lambda: read_summary(run, "")
             )()
         except VstestbedError:
-            refusals += 1
-    assert refusals > 4
+            messages += 1
+    assert messages > 4
 
 
 def test_scenarios_and_what_is_no_folder(command, run: Path, tmp_path: Path) -> None:

@@ -44,10 +44,10 @@ class Finding:
                 head = " " * len(head)
 
 
-def show(findings: Iterable[Finding]) -> bool:
+def show(all_messages: Iterable[Finding]) -> bool:
     """Print findings as they come, and a line that counts them; whether all is well. Coloured and wrapped on a terminal alone."""
     console, works = Console(highlight=False), list[bool]()
-    for finding in findings:
+    for finding in all_messages:
         works.append(finding.works)
         for number, line in enumerate(finding.lines(console.width if console.is_terminal else None)):
             text = Text(line)

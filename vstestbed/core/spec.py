@@ -1,7 +1,7 @@
 """@spec: the classes that a block of a scenario may become.
 
 A spec is a frozen keyword-only dataclass whose constructor validates its values; the same class is the YAML block, the object
-that runs, and the JSON Schema. Pydantic validates; `core.refusals` turns its errors into ParameterError. The kinds of a block are in its
+that runs, and the JSON Schema. Pydantic validates; `core.messages` turns its errors into ParameterError. The kinds of a block are in its
 registry (`core.registry`).
 
     @spec
@@ -25,7 +25,7 @@ from pydantic_core import ArgsKwargs, CoreSchema, core_schema
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.fields import fields
-from vstestbed.core.refusals import refusal, refuse_conversions
+from vstestbed.core.messages import message, refuse_conversions
 from vstestbed.core.registry import SPECS, validator_of
 
 T = TypeVar("T")
@@ -117,7 +117,7 @@ def construct(made: Any, cls: type, has_more: bool, nameless: tuple[Any, ...], v
     try:
         validator_of(cls).validate_python(ArgsKwargs((), values), self_instance=made)
     except pydantic.ValidationError as error:
-        raise refusal(error, cls, values) from None
+        raise message(error, cls, values) from None
     refuse_conversions(made, values)
 
 

@@ -46,7 +46,7 @@ class Gate:
     def __init__(self) -> None:
         self.secret, self.stands = secrets.token_urlsafe(16), False
 
-    def refusal(self, request: Request) -> str | None:
+    def message(self, request: Request) -> str | None:
         """Why a request is not served; None for one that is."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if len(hosts) != 1 or not OWN_HOST.fullmatch(hosts[0]):
@@ -80,7 +80,7 @@ class Gate:
 
     def _before(self, answer: Callable[[ServerConnection, Request], Response | None]) -> Callable[..., Response | None]:
         def answered(connection: ServerConnection, request: Request) -> Response | None:
-            if (words := self.refusal(request)) is not None:
+            if (words := self.message(request)) is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{words}\n")
             request.path = f"/{_parts(request.path)[1]}"
             response = answer(connection, request)

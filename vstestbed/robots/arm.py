@@ -317,7 +317,7 @@ class Arm(Realistic):
         return step
 
     def _too_stiff(self, joint: int, k: float, words: str, most: float = 0.0) -> ParameterError:
-        """The refusal of a gear, by the field that has its stiffness k [Nm/rad]."""
+        """The error for a gear, by the field that has its stiffness k [Nm/rad]."""
         name = self.chain.names[joint]
         if self.gears is not None and self.gears.stiffness_nmprad:
             said = words.format(joint=name, or_here="", or_softer=f" or at most {most:g}")

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.messages import UNKNOWN
 from vstestbed.core.named_files import bundled_scenarios
-from vstestbed.core.refusals import UNKNOWN
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.scenario.yaml_marks import FROM_PYTHON, Marks, build, place_of, plain_mapping, put_over, respelled, text_of

@@ -17,7 +17,7 @@ import pydantic
 import yaml
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, short
-from vstestbed.core.refusals import converted, findings
+from vstestbed.core.messages import all_messages, converted
 from vstestbed.core.registry import REGISTRIES, to_mapping, validator_of
 
 T = TypeVar("T")
@@ -326,7 +326,7 @@ def build(cls: type[T], plain: dict[str, Any], marks: Marks, file: str) -> T:
         if not found:
             return made
     except pydantic.ValidationError as error:
-        found = findings(error, plain, cls)
+        found = all_messages(error, plain, cls)
     mistakes = [Mistake(place_of(key, marks, file), ".".join(map(str, key)), words) for key, words in dict.fromkeys(found)]
     raise ScenarioError(sorted(mistakes, key=_reading_order))
 

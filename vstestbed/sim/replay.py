@@ -209,7 +209,7 @@ def _repaint(model: mujoco.MjModel) -> None:
     model.vis.map.shadowclip = LEAST_REACH / model.stat.extent
 
 
-class Retake:
+class Rerendering:
     """Takes the servo camera's pictures of a recorded run again, each drawn anew, in the order in which the run took them.
 
     A picture is of the instant of its time stamp: it lacks the motion blur of an exposure (`timing.exposure_s`), the skew of a rolling

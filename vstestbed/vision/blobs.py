@@ -111,8 +111,8 @@ def _across(x: float, y: float, z: float) -> tuple[tuple[float, float, float], t
 
 
 # Data association: which blob is which marker where several have its hue, by the pose of the target that explains them.
-Placed = tuple[int, Blob]  # index of the camera's panel, and a blob in it
-Candidates = list[list[Placed]]  # for each marker the blobs of its hue
+Positioned = tuple[int, Blob]  # index of the camera's panel, and a blob in it
+Candidates = list[list[Positioned]]  # for each marker the blobs of its hue
 Hypothesis = tuple[Array, Candidates, int]  # a pose (4, 4), the blobs that it may explain, and how many of them it must explain
 
 MOST_OF_A_HUE, SEEDS = 4, 4  # candidates of one marker, and markers whose candidates make hypotheses: at most 4^4
@@ -127,7 +127,7 @@ def allowed_px(uv: Array) -> float:
     return max([3.0, *(0.03 * (max(side) - min(side)) for side in zip(*seen, strict=True))])
 
 
-def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Placed | None]:
+def assign_blobs(candidates: Candidates, camera: Camera, target: Target, previous: Array | None) -> list[Positioned | None]:
     """One blob for each marker, None where none fits, from the blobs of each marker's hue in a camera of one panel.
 
     Hypothesise and verify, as in RANSAC but exhaustively: every combination of blobs (uncut and large ones first) of the markers with the
@@ -186,7 +186,7 @@ def _poses(which: list[int], few: Candidates, camera: Camera, target: Target, pr
             yield T
 
 
-def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tuple[float, list[Placed | None]]:
+def _explained(few: Candidates, T: Array, camera: Camera, target: Target) -> tuple[float, list[Positioned | None]]:
     """Score of a pose, sum over markers of max(0, 1 - distance / allowed), and the blob of each marker that it explains."""
     bias, area, centre = centre_bias(camera, target, T)
     uv = centre + bias
@@ -207,7 +207,9 @@ def _away(blob: Blob, uv: Array) -> float:
 
 # Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
 MEASURED_PX = 2  # blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched
-TWIN_COSINE = math.cos(math.radians(3))  # of two blobs of one hue, in overlapping panels, that are one marker seen twice: 3 degrees apart
+SAME_MARKER_COSINE = math.cos(
+    math.radians(3)
+)  # of two blobs of one hue, in overlapping panels, that are one marker seen twice: 3 degrees apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,8 +324,8 @@ def largest(found: list[tuple[int, Blob]], camera: Camera) -> tuple[int, Blob] |
     in_camera = [camera.panels[p].R_camera_panel @ ray for (p, _), ray in zip(found, rays, strict=True)]
     panel, blob = found[best]
     others = [i for i, (p, b) in enumerate(found) if p != panel and b.whole == blob.whole]
-    twins = [i for i in others if in_camera[i] @ in_camera[best] > TWIN_COSINE]
-    return found[max([*twins, best], key=lambda i: cosine[i])]
+    same = [i for i in others if in_camera[i] @ in_camera[best] > SAME_MARKER_COSINE]
+    return found[max([*same, best], key=lambda i: cosine[i])]
 
 
 # From blobs to marker centres: perspective bias corrected, blobs that do not fit the pose rejected.

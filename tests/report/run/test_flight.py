@@ -11,7 +11,7 @@ from vstestbed.loop.recording import Recording
 from vstestbed.report import Setting
 from vstestbed.report.chart import ChartPanel
 from vstestbed.report.run import figures
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import LogArrays
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +21,8 @@ def step() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def tracks(step: Recording) -> Tracks:
-    return Tracks(pl.DataFrame({name: step[name] for name in step.columns}), Setting(camera=step.scenario.camera))
+def tracks(step: Recording) -> LogArrays:
+    return LogArrays(pl.DataFrame({name: step[name] for name in step.columns}), Setting(camera=step.scenario.camera))
 
 
 def lines(panel: ChartPanel) -> list[np.ndarray]:
@@ -30,7 +30,7 @@ def lines(panel: ChartPanel) -> list[np.ndarray]:
     return [curve.y for curve in panel.curves if len(curve.y) > 2]
 
 
-def test_velocity_follows_what_is_ordered(tracks: Tracks):
+def test_velocity_follows_what_is_ordered(tracks: LogArrays):
     chart = figures.velocity(tracks)
     assert chart is not None and len(chart.panels) == 3
     flown, commanded = max((lines(panel) for panel in chart.panels[:2]), key=lambda pair: np.abs(pair[1]).max())
@@ -39,7 +39,7 @@ def test_velocity_follows_what_is_ordered(tracks: Tracks):
     assert flown[-1] == pytest.approx(commanded[-1], rel=0.25)
 
 
-def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Recording):
+def test_attitude_follows_what_the_velocity_loop_asks(tracks: LogArrays, step: Recording):
     chart = figures.tilt(tracks)
     assert chart is not None
     true, told, asked = lines(chart.panels[0])[:3]  # roll
@@ -50,7 +50,7 @@ def test_attitude_follows_what_the_velocity_loop_asks(tracks: Tracks, step: Reco
     assert np.degrees(step["ref_roll"]) == pytest.approx(asked)
 
 
-def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
+def test_rates_follow_what_the_attitude_loop_asks(tracks: LogArrays):
     chart = figures.rates(tracks)
     assert chart is not None and [panel.labels[1] for panel in chart.panels] == ["roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]"]
     flown, asked = lines(chart.panels[0])
@@ -59,7 +59,7 @@ def test_rates_follow_what_the_attitude_loop_asks(tracks: Tracks):
     assert np.abs(asked).max() > 20
 
 
-def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
+def test_rotors_with_their_limit_and_the_wind(tracks: LogArrays):
     chart = figures.rotors(tracks)
     assert chart is not None
     speeds, wind = chart.panels
@@ -68,7 +68,7 @@ def test_rotors_with_their_limit_and_the_wind(tracks: Tracks):
     assert lines(wind)[0] == pytest.approx(2.0)
 
 
-def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step: Recording):
+def test_the_error_that_counts_is_that_of_the_level_picture(tracks: LogArrays, step: Recording):
     chart = figures.error(tracks)
     seen, level = (curve.y for curve in chart.panels[0].curves[:2])
     assert level == pytest.approx(step["level_error_px"])
@@ -76,6 +76,6 @@ def test_the_error_that_counts_is_that_of_the_level_picture(tracks: Tracks, step
     assert "turned level, which counts" in chart.legend()
 
 
-def test_what_does_not_fly_has_none(tracks: Tracks):
-    bare = Tracks(pl.DataFrame({"t": np.arange(3.0)}), tracks.setting)
+def test_what_does_not_fly_has_none(tracks: LogArrays):
+    bare = LogArrays(pl.DataFrame({"t": np.arange(3.0)}), tracks.setting)
     assert [make(bare) for make in (figures.velocity, figures.tilt, figures.rates, figures.rotors)] == [None] * 4

@@ -13,7 +13,7 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.planar import pose_on_ground
 from vstestbed.report import Setting
 from vstestbed.report.run import space
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import LogArrays
 
 ARC = np.linspace(0, np.pi / 2, 60)
 PLACES = np.stack([3 * np.sin(ARC), 3 - 3 * np.cos(ARC), ARC], axis=1)
@@ -23,7 +23,7 @@ POINTS = np.array([[5, 4, 2], [-1, 4.5, 1.5]])
 VEHICLE = Setting(points=POINTS, camera=Perspective(), planar=True, goals=np.array([[3, 3, np.pi / 2]]))
 
 
-def tracks(setting: Setting = VEHICLE, places: Array = PLACES, moving: bool = False) -> Tracks:
+def tracks(setting: Setting = VEHICLE, places: Array = PLACES, moving: bool = False) -> LogArrays:
     """A vehicle at these places, whose odometry drifts by 1 cm along x, landmarks standing or carried along."""
     n = len(places)
     T = pose_on_ground(places) @ MOUNT
@@ -36,7 +36,7 @@ def tracks(setting: Setting = VEHICLE, places: Array = PLACES, moving: bool = Fa
     target = np.c_[places[:, :2] + 1, np.zeros(n)] if moving else np.zeros((n, 3))
     columns |= dict(zip(("tgt_x", "tgt_y", "tgt_z"), target.T, strict=True)) | {"tgt_qw": np.ones(n)}
     columns |= {f"tgt_q{a}": np.zeros(n) for a in "xyz"}
-    return Tracks(pl.DataFrame(columns), setting)
+    return LogArrays(pl.DataFrame(columns), setting)
 
 
 def test_a_metre_is_as_long_both_ways_and_everything_is_inside():

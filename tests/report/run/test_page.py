@@ -21,7 +21,7 @@ from vstestbed.loop.log_file import Log
 from vstestbed.report import Setting, render_page, write_report
 from vstestbed.report.marks import marker_colors, number
 from vstestbed.report.run import page
-from vstestbed.report.run.tracks import MOST_ROWS, Tracks
+from vstestbed.report.run.tracks import MOST_ROWS, LogArrays
 
 SCENARIO = "robot: free\nlaw: {kind: ibvs, gain: 0.5}  # <b>not bold</b> & so on\n"
 TEXTS = {"scenario.yaml": SCENARIO, "resolved.yaml": SCENARIO}
@@ -269,7 +269,7 @@ def test_long_logs_are_thinned_and_stay_quick() -> None:
     numbers = table.cast(pl.Float64).to_numpy().copy()
     numbers[12_345, table.columns.index("error_px")] = 1e4  # a peak in one frame is in the figure, with the rest of its row
     rows = Log(tuple(table.columns), numbers)
-    tracks = Tracks.of(rows, setting(4))
+    tracks = LogArrays.of(rows, setting(4))
     assert 0.4 * MOST_ROWS < len(tracks.t) <= MOST_ROWS and tracks.t[0] == 0 and tracks.t[-1] == pytest.approx(59.999)
     assert tracks.t[np.nanargmax(tracks.column("error_px"))] == pytest.approx(12.345)
     for name in table.columns:
@@ -284,7 +284,7 @@ def test_long_logs_are_thinned_and_stay_quick() -> None:
 
 def test_true_depth_is_that_of_the_poses() -> None:
     table = log(40)
-    true = Tracks.of(table, setting(4)).true_depth
+    true = LogArrays.of(table, setting(4)).true_depth
     assert true is not None
     left = np.exp(-0.6 * table["t"].to_numpy())
     np.testing.assert_allclose(true[10:, 2] * (1 + 0.1 * left[10:]), table["depth_2"].to_numpy()[10:], atol=1e-9)
@@ -292,7 +292,7 @@ def test_true_depth_is_that_of_the_poses() -> None:
 
 def test_stretches_without_target() -> None:
     t = np.arange(6) * 0.1
-    tracks = Tracks(pl.DataFrame({"t": t, "lost": [True, False, True, True, False, True]}), Setting())
+    tracks = LogArrays(pl.DataFrame({"t": t, "lost": [True, False, True, True, False, True]}), Setting())
     np.testing.assert_allclose(tracks.lost_intervals(), [(0, 0.1), (0.2, 0.4), (0.5, 0.5)])
 
 

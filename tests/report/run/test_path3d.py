@@ -12,18 +12,18 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.report import Setting
 from vstestbed.report.chart import ChartPanel, Space
 from vstestbed.report.run import space as path3d
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import LogArrays
 
 NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-def tracks(span: Array) -> Tracks:
+def tracks(span: Array) -> LogArrays:
     """A camera that goes straight by `span` (3,) [m] from the origin, the target at the way's end."""
     columns = {"t": np.linspace(0, 1, 20)}
     still = [*span, *quaternion_wxyz(np.eye(3))]
     for stem, share in (("cam", np.linspace(0, 1, 20)), ("tgt", np.ones(20))):
         columns |= {f"{stem}_{n}": value * (share if n in "xyz" else 1.0) for n, value in zip(NAMES, still, strict=True)}
-    return Tracks(pl.DataFrame(columns), Setting(points=0.1 * np.eye(3), T_camera_target=np.eye(4)))
+    return LogArrays(pl.DataFrame(columns), Setting(points=0.1 * np.eye(3), T_camera_target=np.eye(4)))
 
 
 @pytest.mark.parametrize("span", [(0, 0, 5), (3, 0.2, 0.1), (0.2, 3, 0.1), (1, 1, 1), (0, 0, 1e-4)])

@@ -16,7 +16,7 @@ from vstestbed.report.chart import Chart, Space
 from vstestbed.report.marks import marker_colors
 from vstestbed.report.run import space as angles
 from vstestbed.report.run.space import drawn, towards_viewer
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import LogArrays
 
 PI = np.pi
 FRAMES, MARKERS = 120, 3
@@ -30,7 +30,7 @@ def way(turns: float = 1.7, theta: tuple[float, float] = (0.2, 0.6)) -> Array:
     return np.stack([theta[0] + (theta[1] - theta[0]) * s + 0 * phi, phi], axis=-1)
 
 
-def tracks(camera: Camera, feature: Feature | None, angle: Array, lost: slice = slice(0, 0), offset: float = 0.0) -> Tracks:
+def tracks(camera: Camera, feature: Feature | None, angle: Array, lost: slice = slice(0, 0), offset: float = 0.0) -> LogArrays:
     """A run's tracks: measured like `angle`, true the same with phi more by `offset` [rad], the goal its end."""
     measured = camera.project(direction(angle))
     measured[lost] = np.nan
@@ -39,7 +39,7 @@ def tracks(camera: Camera, feature: Feature | None, angle: Array, lost: slice = 
     columns = {"t": np.arange(len(angle)) / 25}
     for suffix, uv in (("", measured), ("_true", true), ("_goal", goal)):
         columns |= {f"{a}{suffix}_{i}": uv[:, i, k] for i in range(angle.shape[1]) for k, a in enumerate("uv")}
-    return Tracks.of(pl.DataFrame(columns), Setting(feature=feature, camera=camera))
+    return LogArrays.of(pl.DataFrame(columns), Setting(feature=feature, camera=camera))
 
 
 def lines(figure: Chart, marker: int) -> list[Array]:
@@ -119,7 +119,7 @@ def test_ways_on_the_sphere_are_unit_rays(camera: Camera, theta: tuple[float, fl
 
 
 def test_only_runs_of_these_features_have_them() -> None:
-    figures: list[Callable[[Tracks], object]] = [angles.polar, angles.spherical, angles.on_sphere]
+    figures: list[Callable[[LogArrays], object]] = [angles.polar, angles.spherical, angles.on_sphere]
     for feature, has in (
         (None, [False, False, False]),
         (Point(), [False, False, False]),

@@ -11,14 +11,14 @@ import pytest
 from vstestbed.core.geometry import Array
 from vstestbed.report import Setting
 from vstestbed.report.run import figures
-from vstestbed.report.run.tracks import Tracks
+from vstestbed.report.run.tracks import LogArrays
 
 T = np.arange(101) / 10
 VEHICLE = Setting(planar=True)
 
 
-def tracks(setting: Setting = VEHICLE, **columns: Array) -> Tracks:
-    return Tracks(pl.DataFrame({"t": T} | columns), setting)
+def tracks(setting: Setting = VEHICLE, **columns: Array) -> LogArrays:
+    return LogArrays(pl.DataFrame({"t": T} | columns), setting)
 
 
 def test_wheels_are_shown_by_speed_and_steering_by_angle():

@@ -8,7 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.report.run.space import features
-from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.report.video.overlay import GOAL, MEASURED, MatchOverlay, Overlay, overlay_of
 
 
@@ -49,7 +49,7 @@ def test_the_chart_does_not_join_two_points_of_one_row():
     log = log.with_columns(pl.Series("u_goal_0", goal), pl.Series("v_goal_0", goal), u_true_0=pl.col("u_0"), v_true_0=pl.col("v_0"))
 
     def steps(changing: bool) -> float:
-        chart = features(Tracks.of(log, Setting(changing=changing)))
+        chart = features(LogArrays.of(log, Setting(changing=changing)))
         assert chart is not None
         return max(float(np.nanmax(np.abs(np.diff(line.x)))) for line in chart.panels[0].curves if len(line.x) == 4)
 

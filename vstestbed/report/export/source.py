@@ -25,7 +25,7 @@ from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.randomise import IMAGE_STREAM, IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.replay import Retake
+from vstestbed.sim.replay import Rerendering
 
 Bodies = tuple[list[str], Array, Array]  # The scene's bodies: their names, places (B, 3) [m] and quaternions (B, 4), wxyz, in the world
 
@@ -108,12 +108,12 @@ class RecordedRun:
         s = self.scenario
         noise = s.noise
         scene = (s.robot, s.camera, s.target_in_run, s.world)
-        with closing(Retake(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as retake:
-            names = retake.body_names
+        with closing(Rerendering(*scene, noise.image_sigma, s.rng(IMAGE_STREAM), noise.drift, s.rng(IMAGING_STREAM))) as rerendered:
+            names = rerendered.body_names
             for row in rows_of(self.log):
                 state = FilmFrame.of_row(row, s)
-                picture = retake.picture(state.t, state.T_world_target, state.q, state.T_world_camera)
-                yield Taken(row, state, picture, (names, *retake.body_poses))
+                picture = rerendered.picture(state.t, state.T_world_target, state.q, state.T_world_camera)
+                yield Taken(row, state, picture, (names, *rerendered.body_poses))
 
 
 def opened(folders: Iterable[Path], plugins: Sequence[str] = ()) -> Iterator[RecordedRun]:

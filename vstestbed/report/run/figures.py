@@ -12,7 +12,7 @@ from vstestbed.core.geometry import Array, adjoint, inverse
 from vstestbed.core.planar import wrapped
 from vstestbed.report.chart import Chart, ChartPanel
 from vstestbed.report.marks import AXIS_COLORS, BAND, GOAL, INK, LINE, LINE_COLORS, LOST, THRESHOLD, TIME, line_color, marker_colors
-from vstestbed.report.run.tracks import MeasuredError, Tracks
+from vstestbed.report.run.tracks import LogArrays, MeasuredError
 
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
@@ -21,7 +21,7 @@ ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone
 """Where a vehicle believes to be: columns, words, colour."""
 
 
-def over_time(tracks: Tracks, height_in: float, *labels: str) -> Chart:
+def over_time(tracks: LogArrays, height_in: float, *labels: str) -> Chart:
     """A chart with a panel for each label over the time of the log; the intervals in which the target was lost are shaded."""
     chart, t = Chart(height_in, len(labels)), tracks.t[np.isfinite(tracks.t)]
     for panel, label in zip(chart.panels, labels, strict=True):
@@ -33,7 +33,7 @@ def over_time(tracks: Tracks, height_in: float, *labels: str) -> Chart:
     return chart
 
 
-def error(tracks: Tracks) -> Chart:
+def error(tracks: LogArrays) -> Chart:
     """RMS image error over time, logarithmic, with threshold and intervals without target; a panel for each unit in the log.
 
     Of a tilted craft also the error of the image rotated into its level frame, which decides convergence. Below, the law's mode.
@@ -59,7 +59,7 @@ def error(tracks: Tracks) -> Chart:
     return chart
 
 
-def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None:
+def _draw_error(panel: ChartPanel, tracks: LogArrays, error: MeasuredError) -> None:
     """One error in the image over time, with its threshold."""
     value, level = tracks.column(error.column), tracks.column("level_error_px")
     tilted = error.unit == "px" and bool((level > 0).any())
@@ -74,7 +74,7 @@ def _draw_error(panel: ChartPanel, tracks: Tracks, error: MeasuredError) -> None
         panel.rule(error.threshold, **THRESHOLD, label=f"threshold {error.threshold:g} {error.unit}")
 
 
-def task_error(tracks: Tracks) -> Chart | None:
+def task_error(tracks: LogArrays) -> Chart | None:
     """True error of a continuing task, with its tolerance after the settling time."""
     value, band, settle = tracks.column("task_error_m"), tracks.setting.band_m, tracks.setting.settle_s
     if not np.isfinite(value).any():
@@ -91,7 +91,7 @@ def task_error(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def pose_error(tracks: Tracks) -> Chart | None:
+def pose_error(tracks: LogArrays) -> Chart | None:
     """Distance and angle of the true camera (or vehicle) pose from the goal, logarithmic; None for a vehicle's continuing task."""
     errors = tracks.column("position_error_m"), np.degrees(tracks.column("rotation_error_rad"))
     if (tracks.setting.planar and tracks.setting.band_m is not None) or not np.isfinite(errors).any():
@@ -103,7 +103,7 @@ def pose_error(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def twist(tracks: Tracks) -> Chart:
+def twist(tracks: LogArrays) -> Chart:
     """The camera's twist in its own frame: commanded (line) and true (band), translation above, rotation below."""
     chart = over_time(tracks, 4.3, "translation [m/s]", "rotation [rad/s]")
     t_command = tracks.column("t_cmd")  # a command takes effect when its image has arrived
@@ -116,7 +116,7 @@ def twist(tracks: Tracks) -> Chart:
     return chart
 
 
-def depth(tracks: Tracks) -> Chart | None:
+def depth(tracks: LogArrays) -> Chart | None:
     """Depth of each marker as used by the law (line), and the true depth (band) if it can be computed."""
     used, true = tracks.numbered("depth"), tracks.true_depth
     if not np.isfinite(used).any():
@@ -131,7 +131,7 @@ def depth(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def joints(tracks: Tracks) -> Chart | None:
+def joints(tracks: LogArrays) -> Chart | None:
     """Joint positions, velocities and actuator inputs, as far as the log has them; None for a ground vehicle (see `wheels`)."""
     found = {stem: names for stem in JOINT_PANELS if (names := _moving(tracks, stem))}
     if tracks.setting.planar or not found:
@@ -145,13 +145,13 @@ def joints(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def _moving(tracks: Tracks, stem: str) -> list[str]:
+def _moving(tracks: LogArrays, stem: str) -> list[str]:
     """The names of a stem whose columns hold values."""
     return [n for n in tracks.named(stem) if np.isfinite(tracks.column(f"{stem}_{n}")).any()]
 
 
 # Of a quadrotor: velocity, attitude and body rates with their references; rotors, wind.
-def velocity(tracks: Tracks) -> Chart | None:
+def velocity(tracks: LogArrays) -> Chart | None:
     """Velocity in the level frame: commanded (thin line) and estimated by the craft (pale band)."""
     flown, camera = tracks.columns("est_vx", "est_vy", "est_vz"), tracks.setting.camera
     if camera is None:
@@ -161,13 +161,13 @@ def velocity(tracks: Tracks) -> Chart | None:
     return _three(tracks, flown, applied @ adjoint(camera.mount.T).T, "ahead [m/s]", "left [m/s]", "up [m/s]")
 
 
-def rates(tracks: Tracks) -> Chart | None:
+def rates(tracks: LogArrays) -> Chart | None:
     """Body rates: reference of the attitude loop (thin line) and gyro less its bias (pale band)."""
     flown, reference = (np.degrees(tracks.columns(*(f"{what}_{name}" for name in ("wx", "wy", "wz")))) for what in ("est", "ref"))
     return _three(tracks, flown, reference, "roll [deg/s]", "pitch [deg/s]", "yaw [deg/s]")
 
 
-def _three(tracks: Tracks, measured: Array, reference: Array, *labels: str) -> Chart | None:
+def _three(tracks: LogArrays, measured: Array, reference: Array, *labels: str) -> Chart | None:
     """Three panels with a column each of what was measured (pale band) and its reference (thin line), both (T, 3)."""
     if not np.isfinite(measured).any():
         return None
@@ -179,7 +179,7 @@ def _three(tracks: Tracks, measured: Array, reference: Array, *labels: str) -> C
     return chart
 
 
-def tilt(tracks: Tracks) -> Chart | None:
+def tilt(tracks: LogArrays) -> Chart | None:
     """Roll and pitch: true (pale band), estimated by the craft (thin line), and the reference of its velocity loop (dotted)."""
     estimated, reference, camera = tracks.columns("est_roll", "est_pitch"), tracks.columns("ref_roll", "ref_pitch"), tracks.setting.camera
     if camera is None or not np.isfinite(estimated).any():
@@ -196,7 +196,7 @@ def tilt(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def rotors(tracks: Tracks) -> Chart | None:
+def rotors(tracks: LogArrays) -> Chart | None:
     """Rotor speeds with their limit (dotted); below them the wind, if there was any."""
     names, wind = tracks.named("speed"), tracks.columns("wind_x", "wind_y", "wind_z")
     if not names:
@@ -212,7 +212,7 @@ def rotors(tracks: Tracks) -> Chart | None:
 
 
 # Of a ground vehicle: wheels, slip, localisation error.
-def wheels(tracks: Tracks) -> Chart | None:
+def wheels(tracks: LogArrays) -> Chart | None:
     """Wheel speeds, measured (band) and commanded (line), and below them the steering angles."""
     # column of the measurement, label, measured and commanded: the wheels' speed, and the angle of steering joints
     panels = [
@@ -235,12 +235,12 @@ def wheels(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def _joints(tracks: Tracks, stem: str, steering: bool) -> list[str]:
+def _joints(tracks: LogArrays, stem: str, steering: bool) -> list[str]:
     """Names of the steering joints or of the wheels with values in the columns of a stem; the floating base (`root_`) is neither."""
     return [n for n in _moving(tracks, stem) if not n.startswith("root_") and ("steer" in n) == steering]
 
 
-def localisation_error(tracks: Tracks) -> Chart | None:
+def localisation_error(tracks: LogArrays) -> Chart | None:
     """Localisation error in position and heading: of the estimate with landmarks, and of odometry alone."""
     true = tracks.planar_poses("base")
     errors = [(tracks.planar_poses(stem) - true, label, color) for stem, label, color in ESTIMATES]
@@ -257,7 +257,7 @@ def localisation_error(tracks: Tracks) -> Chart | None:
     return chart
 
 
-def slip(tracks: Tracks) -> Chart | None:
+def slip(tracks: LogArrays) -> Chart | None:
     """Slip speed and, below, slip in yaw: motion over the floor that the encoders do not measure; older logs lack the latter."""
     # column, factor to the unit of the label, least span of the axis in that unit, label
     rows = (("slip_mps", 1e3, 1.0, "slip [mm/s]"), ("slip_radps", 180 / np.pi, 0.1, "in yaw [deg/s]"))

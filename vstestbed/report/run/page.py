@@ -19,7 +19,7 @@ from vstestbed.report.chart import Chart
 from vstestbed.report.marks import line_color, number, with_unit
 from vstestbed.report.pages import Film, cell, data_url, film_of, page
 from vstestbed.report.run import figures, space
-from vstestbed.report.run.tracks import Setting, Tracks
+from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, Metric, own_metrics
 
@@ -39,7 +39,7 @@ CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
 # The figures of a run's page in their order, each with its title; `run.html` has the captions, by the names of these functions.
-FIGURES: Final[dict[Callable[[Tracks], Chart | None], str]] = {
+FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
     space.features: "Features in the image",
     space.polar: "Features in polar coordinates",
     space.spherical: "Features in spherical coordinates",
@@ -111,7 +111,7 @@ def render_page(
         goal_pictures: PNG files of the pictures taken at the goal views.
     """
     setting = setting or Setting()
-    tracks, name = Tracks.of(log, setting), str(summary.get("scenario") or "Run")
+    tracks, name = LogArrays.of(log, setting), str(summary.get("scenario") or "Run")
     charts = ((draw.__name__, title, draw(tracks)) for draw, title in FIGURES.items())
     timing = [(str(k), float(v)) for k, v in dict(summary.get("time_ms") or {}).items() if _is_number(v) and v >= 0]
     total_ms = sum(ms for _, ms in timing)

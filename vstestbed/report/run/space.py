@@ -13,7 +13,7 @@ from vstestbed.features import Polar, Spherical
 from vstestbed.report.chart import Chart, ChartPanel, Space
 from vstestbed.report.marks import AIM, AXIS_COLORS, BAND, END, GOAL, INK, LINE, LINE_COLORS, RULE, START, Look, marker_colors, with_unit
 from vstestbed.report.run.figures import ESTIMATES
-from vstestbed.report.run.tracks import Tracks, largest_deviation, visible_region
+from vstestbed.report.run.tracks import LogArrays, largest_deviation, visible_region
 
 if TYPE_CHECKING:
     from mpl_toolkits.mplot3d import Axes3D
@@ -25,7 +25,7 @@ OUTLINES: tuple[Look, ...] = (
 )
 
 
-def features(tracks: Tracks) -> Chart | None:
+def features(tracks: LogArrays) -> Chart | None:
     """Marker trajectories in the image, true and measured, with start, end, goal and the image border."""
     if tracks.markers == 0:
         return None
@@ -107,7 +107,7 @@ DART = np.array([[1.0, 0.0], [-0.7, 0.55], [-0.35, 0.0], [-0.7, -0.55]])
 TRUE = LINE_COLORS[0]
 
 
-def plane(tracks: Tracks) -> Chart | None:
+def plane(tracks: LogArrays) -> Chart | None:
     """Paths in the plane: true, estimated and by odometry; start, end, goals; landmarks; visible region at both ends."""
     setting, places = tracks.setting, tracks.planar_poses("base")
     known = np.isfinite(places).all(axis=1)
@@ -144,7 +144,7 @@ def _known(poses: Array) -> Array:
     return poses[np.isfinite(poses).all(axis=(1, 2))]
 
 
-def _draw_views(panel: ChartPanel, tracks: Tracks, height: float, span: float) -> None:
+def _draw_views(panel: ChartPanel, tracks: LogArrays, height: float, span: float) -> None:
     """The region in the image at the start and at the end, in the plane at a height [m], that of the landmarks."""
     from contourpy import contour_generator  # here: of vehicles alone
 
@@ -164,7 +164,7 @@ def _draw_views(panel: ChartPanel, tracks: Tracks, height: float, span: float) -
             panel.plot(*line.T, color=color, alpha=0.35, linewidth=0.7, zorder=1)
 
 
-def _draw_paths(panel: ChartPanel, tracks: Tracks, true: Array, span: float) -> None:
+def _draw_paths(panel: ChartPanel, tracks: LogArrays, true: Array, span: float) -> None:
     """The true path (T, 3) as a pale band with headings, the other paths over it; the vehicle at start and end."""
     for stem, label, color in reversed(ESTIMATES):
         path = tracks.planar_poses(stem)
@@ -201,7 +201,7 @@ PYRAMID_LINE = [0, 1, 2, 0, 3, 4, 0, 1, 4, 3, 2]
 """Corners of a viewing pyramid of length about 1, and the order that draws all its edges in one line."""
 
 
-def camera_path(tracks: Tracks) -> Chart | None:
+def camera_path(tracks: LogArrays) -> Chart | None:
     """The camera's path in the world, its viewing pyramids, the markers, the goal view; None for a vehicle, which has a floor plan."""
     if tracks.setting.planar:
         return None
@@ -324,19 +324,19 @@ RINGS_DEG = {30: 10, 60: 15, 100: 20, 180: 30}
 """Colatitude up to which the sphere is drawn, the smallest that holds all markers, and the spacing of its circles [deg]."""
 
 
-def polar(tracks: Tracks) -> Chart | None:
+def polar(tracks: LogArrays) -> Chart | None:
     """Marker trajectories in (phi, r), for a run with the feature `polar`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, "r [1]") if isinstance(feature, Polar) else None
 
 
-def spherical(tracks: Tracks) -> Chart | None:
+def spherical(tracks: LogArrays) -> Chart | None:
     """Marker trajectories in (phi, theta), for a run with the feature `spherical`."""
     feature = tracks.setting.feature
     return _plane(tracks, feature, "θ [rad]") if isinstance(feature, Spherical) else None
 
 
-def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | None:
+def _plane(tracks: LogArrays, feature: Polar | Spherical, label: str) -> Chart | None:
     ways = [coordinates(tracks, feature, suffix) for suffix in SUFFIXES]
     if not np.isfinite(ways[0]).any():
         return None
@@ -352,7 +352,7 @@ def _plane(tracks: Tracks, feature: Polar | Spherical, label: str) -> Chart | No
     return chart
 
 
-def coordinates(tracks: Tracks, feature: Polar | Spherical, suffix: str) -> Array:
+def coordinates(tracks: LogArrays, feature: Polar | Spherical, suffix: str) -> Array:
     """The feature's coordinates of each marker, phi first, (T, N, 2) [rad, and 1 or rad]; suffix: "" (measured), `_true` or `_goal`."""
     camera, uv = tracks.setting.camera, tracks.pixels(suffix)
     if camera is None:
@@ -393,7 +393,7 @@ def _in_pi(value: float) -> str:
     return text if float(value) == 0 else {"1": "π", "\N{MINUS SIGN}1": "\N{MINUS SIGN}π"}.get(text, f"{text}π")
 
 
-def on_sphere(tracks: Tracks) -> Chart | None:
+def on_sphere(tracks: LogArrays) -> Chart | None:
     """Marker trajectories on the unit sphere around the camera, for a run with the feature `spherical`."""
     camera = tracks.setting.camera
     if camera is None or not isinstance(tracks.setting.feature, Spherical):

@@ -149,14 +149,14 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Tracks:
+class LogArrays:
     """A log (one row per frame) as arrays over time; a column that is absent reads as NaN."""
 
     log: pl.DataFrame
     setting: Setting
 
     @classmethod
-    def of(cls, log: Log | pl.DataFrame, setting: Setting) -> Tracks:
+    def of(cls, log: Log | pl.DataFrame, setting: Setting) -> LogArrays:
         """The tracks of a log, thinned to some MOST_ROWS rows: every n-th, the first and the last, and those with an extreme of a column.
 
         In each of the intervals, as many as half the rows allow, each column keeps its least and its largest value, and so its peaks.

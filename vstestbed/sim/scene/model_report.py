@@ -246,15 +246,15 @@ def _against_scenery(file: str) -> tuple[str, str] | None:
 def _flanges(file: str, model: mujoco.MjModel) -> tuple[dict[str, JointChain], str]:
     """The sites and bodies that can be the flange of an arm, with the joints before each; and why others cannot, in words."""
     usable: dict[str, JointChain] = {}
-    refusals: dict[str, list[str]] = {}
+    messages: dict[str, list[str]] = {}
     for name in _ends(model):
         try:
             usable[name] = joint_chain(file, name, ())
         except ParameterError as error:
-            refusals.setdefault(f"{error.field} {error.problem}", []).append(name)
+            messages.setdefault(f"{error.field} {error.problem}", []).append(name)
     if not model.njnt:
         return {}, "it has no joints"
-    return usable, "; ".join(f"{', '.join(names)}: {words}" for words, names in refusals.items()) or "no site and no body has a name"
+    return usable, "; ".join(f"{', '.join(names)}: {words}" for words, names in messages.items()) or "no site and no body has a name"
 
 
 def _ends(model: mujoco.MjModel) -> list[str]:

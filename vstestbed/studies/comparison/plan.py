@@ -332,7 +332,7 @@ def among(number: int, of: int, name: str = "") -> str:
     return name if of <= SIDE_BY_SIDE else f"{number // SIDE_BY_SIDE * SIDE_BY_SIDE}/{name}"
 
 
-Placed = tuple[object, Marks]
+Positioned = tuple[object, Marks]
 """A value with position: for a dotted path, and the positions of it and of what is inside it, by key relative to the path."""
 
 
@@ -439,7 +439,7 @@ class Variants(Sequence[Variant]):
         return places[::-1]
 
 
-def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Placed]:
+def _settings(c: Comparison, block: Mapping[str, object], key: Key) -> dict[str, Positioned]:
     return {path: (value, marks_under((*key, path), c.places)) for path, value in block.items()}
 
 
@@ -476,7 +476,7 @@ def must_be_few(comparison: Comparison, force: bool = False) -> None:
 
 
 def _controller(
-    c: Comparison, base: int, settings: Mapping[str, Placed], values: Mapping[str, object], folder: str, task_name: str | None
+    c: Comparison, base: int, settings: Mapping[str, Positioned], values: Mapping[str, object], folder: str, task_name: str | None
 ) -> Variant:
     name = c.base[base]
     if task_name is None:
@@ -495,7 +495,7 @@ def _controller(
     return Variant(scenario, values, folder, scenario.draws, start, task.labels(), task.runs)
 
 
-def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Placed], task_name: str, i: int) -> tuple[Scenario, str]:
+def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Positioned], task_name: str, i: int) -> tuple[Scenario, str]:
     """The scenario of run i of a task, and why the robot cannot stand where it begins; first: that of run 0."""
     task = c.tasks[task_name]
     scenario = _load(c, name, merged(settings, _setting(c, task_name, task, i))) if i and task.lists.each else first
@@ -507,12 +507,12 @@ def _start(c: Comparison, first: Scenario, name: str, settings: Mapping[str, Pla
         return scenario, error.problem
 
 
-def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Placed]:
+def _setting(c: Comparison, name: str, task: StartTable, i: int) -> dict[str, Positioned]:
     each = task.lists.each.items()
     return {path: (values[i], marks_under(("tasks", name, "each", path, i), c.places)) for path, values in each}
 
 
-def _load(c: Comparison, name: str, settings: Mapping[str, Placed]) -> Scenario:
+def _load(c: Comparison, name: str, settings: Mapping[str, Positioned]) -> Scenario:
     values = {path: value for path, (value, _) in settings.items()}
     return load(name, values, places={path: marks for path, (_, marks) in settings.items()}, plugins=c.plugins)
 

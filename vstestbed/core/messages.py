@@ -52,19 +52,19 @@ def converted(plain: Any, built: Any, key: Key) -> Iterator[tuple[Key, str]]:
 UNKNOWN = "is an unknown field"  # how the sentence for one begins
 
 
-def refusal(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
+def message(error: pydantic.ValidationError, cls: type, values: Mapping[str, Any]) -> ParameterError:
     """The error of a constructor in Python, from pydantic's: of an unknown field before all others, since another one may miss that."""
     details = _details(error)
     inner = details[0].get("ctx", {}).get("error")
     if isinstance(inner, ParameterError) and not details[0]["loc"] and inner.field:
         return inner  # raised by the __post_init__ of this class, in whose words it stays
-    key, words = _finding(min(details, key=lambda d: d["type"] != "unexpected_keyword_argument"), values, cls)
+    key, words = _message(min(details, key=lambda d: d["type"] != "unexpected_keyword_argument"), values, cls)
     return ParameterError(".".join((cls.__name__, *map(str, key))), words)
 
 
-def findings(error: pydantic.ValidationError, plain: Mapping[str, Any], cls: type) -> list[tuple[Key, str]]:
+def all_messages(error: pydantic.ValidationError, plain: Mapping[str, Any], cls: type) -> list[tuple[Key, str]]:
     """The key and the sentence of each mistake that pydantic found in `plain`, which should become a `cls`."""
-    return [_finding(detail, plain, cls) for detail in _details(error)]
+    return [_message(detail, plain, cls) for detail in _details(error)]
 
 
 def _details(error: pydantic.ValidationError) -> list[Any]:
@@ -111,7 +111,7 @@ def _place(loc: Sequence[int | str], plain: Any, cls: type) -> _Place:
     return place
 
 
-def _finding(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
+def _message(detail: Any, plain: Any, cls: type) -> tuple[Key, str]:
     place, inner = _place(detail["loc"], plain, cls), detail.get("ctx", {}).get("error")
     if isinstance(inner, ParameterError):  # raised by a __post_init__; its field is relative to the block
         got = "" if inner.found is None else f", got {short(inner.found)}"
