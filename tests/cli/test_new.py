@@ -131,12 +131,12 @@ class TestRefusals:
             assert list(tmp_path.iterdir()) == []
 
     def test_a_file_is_never_written_over(self, command, tmp_path: Path):
-        assert command("new", "law", "mine").code == 0
-        (tmp_path / "mine.py").write_text("# a day's work\n", encoding="utf-8")
-        ended = command("new", "law", "mine")
-        assert ended.code == 2 and "mine.py: is there already, and is not written over" in ended.err
-        assert (tmp_path / "mine.py").read_text() == "# a day's work\n"
-        assert command("new", "law", "mine", "--out", "other.py").code == 0
+        assert command("new", "law", "written_once").code == 0
+        (tmp_path / "written_once.py").write_text("# a day's work\n", encoding="utf-8")
+        ended = command("new", "law", "written_once")
+        assert ended.code == 2 and "written_once.py: is there already, and is not written over" in ended.err
+        assert (tmp_path / "written_once.py").read_text() == "# a day's work\n"
+        assert command("new", "law", "written_once", "--out", "other.py").code == 0
         assert "pytest other.py" in (tmp_path / "other.py").read_text()
 
 
