@@ -14,7 +14,7 @@ import vstestbed as vs
 from vstestbed.scenario.dump import given_text
 from vstestbed.studies.comparison import Jobs, chosen, controllers
 from vstestbed.studies.comparison.record import PLAN
-from vstestbed.studies.comparison.runs import RunRequest
+from vstestbed.studies.comparison.runs import perform
 from vstestbed.studies.folder import write_plan
 from vstestbed.studies.run_folder import ASSETS, store
 
@@ -33,7 +33,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = chosen(["arm_ibvs"], SMALL, {}, seeds=2)
     write_plan(compared / PLAN, plan, "base")
     for job in Jobs(controllers(plan), plan.seeds):  # as `vstestbed compare` does it, without starting workers
-        files = RunRequest(job.folder, given_text(job.scenario()), filmed=False).perform()
+        files = perform(given_text(job.scenario()), filmed=False)
         store(compared / job.folder, files, compared / ASSETS, attempts=1)
     return place
 

@@ -16,7 +16,7 @@ from vstestbed.effects.joints import Gears
 from vstestbed.effects.links import Payload
 from vstestbed.scenario.dump import dump
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.studies.comparison.runs import RunRequest
+from vstestbed.studies.comparison.runs import perform
 
 LOAD = MASS * 9.81 * REACH
 """Torque of the links' weight about the horizontal first joint [Nm]."""
@@ -89,5 +89,5 @@ def test_the_puma_names_the_joint_that_gives_way() -> None:
 
 def test_in_a_comparison_it_is_an_outcome() -> None:
     text = dump(vs.load("arm_ibvs", {"robot.payload.mass_kg": 200, "detector": "oracle"}))
-    files = RunRequest("run", text, filmed=False).perform()
+    files = perform(text, filmed=False)
     assert b'"outcome": "unreachable"' in files["summary.json"] and b"asks joint_5 for" in files["summary.json"]

@@ -36,7 +36,7 @@ from vstestbed.scenario.load import parse
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.scene.world import World
-from vstestbed.studies.pools import completed, pool_of, workers
+from vstestbed.studies.pools import Request, completed, pool_of, workers
 from vstestbed.tasks.base import PLANE_INPUTS
 from vstestbed.tasks.monitor import REST
 from vstestbed.timing.plan import Timing
@@ -327,7 +327,7 @@ def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder
     words = "law %s has no equations for many runs at once, and is asked run by run: %d starts take some %.2g min with %d workers"
     logging.getLogger("vstestbed").warning(words, scenario.law.kind, len(start), minutes, count)
     shares = [start[rows] for rows in np.array_split(np.arange(len(start)), min(len(start), 8 * count))]
-    work = [(i, PartRequest(str(i), dump(scenario), share)) for i, share in enumerate(shares)]
+    work = [(i, Request(str(i), _part, (dump(scenario), share))) for i, share in enumerate(shares)]
     parts = [Batch.without(share) for share in shares]
     with closing(pool_of("local", count, folder)) as pool, contextlib.suppress(KeyboardInterrupt):
         for i, _, future in completed(pool, work, []):
@@ -335,18 +335,9 @@ def simulate_in_parts(scenario: Scenario, start: Array, jobs: int | None, folder
     return Batch.joined(parts)
 
 
-@dataclass(frozen=True)
-class PartRequest:
-    """Some starts of a map, as they are sent to a worker. folder: identifies them. text: the scenario. light: as of `Request`."""
-
-    folder: str
-    text: str
-    start: Array
-    light: bool = False
-
-    def perform(self, place: str | None = None) -> Batch:
-        """Simulate them."""
-        return simulate_batch(parse(self.text, "the scenario of a map"), self.start)
+def _part(text: str, start: Array, place: str | None = None) -> Batch:
+    """Some starts of a map, in a worker."""
+    return simulate_batch(parse(text, "the scenario of a map"), start)
 
 
 @dataclass

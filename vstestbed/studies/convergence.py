@@ -24,7 +24,7 @@ from vstestbed.scenario.plugins import load_plugins
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.plan import Comparison, Job, Jobs, controllers, must_be_few
 from vstestbed.studies.comparison.runs import is_light
-from vstestbed.studies.pools import MOST_TRIES, WorkerLostError, completed, pool_of, workers
+from vstestbed.studies.pools import MOST_TRIES, Request, WorkerLostError, completed, pool_of, workers
 
 CHUNK = 4  # runs that a worker takes at a time: a run of the ideal camera takes only some 50 ms
 
@@ -64,33 +64,19 @@ def run_one(scenario: Scenario) -> RunEnding:
     return RunEnding(recording.outcome.name, recording.outcome.success, time_s, away_m)
 
 
-@dataclass(frozen=True)
-class MapRequest:
-    """Some runs, as they are sent to a worker.
-
-    Attributes:
-        folder: identifies the request. plugins: of the scenarios. packed: the scenarios, pickled: they may be of classes of plugins.
-        light: as of `Request`.
-    """
-
-    folder: str
-    plugins: tuple[str, ...]
-    packed: bytes
-    light: bool = False
-
-    @classmethod
-    def of(cls, folder: str, scenarios: Sequence[Scenario]) -> MapRequest:
-        """The request for scenarios."""
-        plugins = tuple(dict.fromkeys(name for one in scenarios for name in one.plugins))
-        return cls(folder, plugins, pickle.dumps(scenarios), all(map(is_light, scenarios)))
-
-    def perform(self, place: str | None = None) -> list[RunEnding]:
-        """Do the runs; errors as of `run_one`."""
-        load_plugins(self.plugins)  # before objects of their classes are unpacked
-        return [run_one(scenario) for scenario in pickle.loads(self.packed)]
+def request_of(folder: str, scenarios: Sequence[Scenario]) -> Request[list[RunEnding]]:
+    """The request for some runs; pickled, since the scenarios may be of classes of plugins."""
+    plugins = tuple(dict.fromkeys(name for one in scenarios for name in one.plugins))
+    return Request(folder, _run_all, (plugins, pickle.dumps(scenarios)), all(map(is_light, scenarios)))
 
 
-Work = tuple[list[tuple[int, Job]], MapRequest]  # a request with its jobs and their places in the plan
+def _run_all(plugins: tuple[str, ...], packed: bytes, place: str | None = None) -> list[RunEnding]:
+    """Do runs, in a worker; errors as of `run_one`."""
+    load_plugins(plugins)  # before objects of their classes are unpacked
+    return [run_one(scenario) for scenario in pickle.loads(packed)]
+
+
+Work = tuple[list[tuple[int, Job]], Request[list[RunEnding]]]  # a request with its jobs and their places in the plan
 
 
 @dataclass(frozen=True)
@@ -175,7 +161,7 @@ def _work(chunk: list[tuple[int, Job]], on_done: Callable[[int, Job, RunEnding],
         return None
     first = drawn[0][0][1].folder
     name = first if len(drawn) == 1 else f"{first} and {len(drawn) - 1} more"
-    return [one for one, _ in drawn], MapRequest.of(name, [scenario for _, scenario in drawn])
+    return [one for one, _ in drawn], request_of(name, [scenario for _, scenario in drawn])
 
 
 def _map(label: str, found: dict[tuple[str, str], list[RunEnding]], xs: list[str], ys: list[str]) -> ConvergenceMap:

@@ -16,9 +16,10 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
@@ -27,22 +28,21 @@ from vstestbed.core.shares import STOPS, at_once, some_done
 Done_co = TypeVar("Done_co", covariant=True)
 
 
-class Request(Protocol[Done_co]):
-    """One run or several, as they are sent to a worker."""
+@dataclass(frozen=True)
+class Request(Generic[Done_co]):
+    """One run or several, as they are sent to a worker: a function of a module, its arguments, and `place` of temporary files.
+    folder: identifies it, of a single run of a comparison its path below the comparison's folder. light: it may be done in the study's own
+    process, in some hundredths of a second and by code of this package alone.
+    """
 
-    @property
-    def folder(self) -> str:
-        """Identifies it: of a single run of a comparison its path below the comparison's folder."""
-        ...
-
-    @property
-    def light(self) -> bool:
-        """Whether it may be done in the study's own process: in some hundredths of a second, and by code of this package alone."""
-        ...
+    folder: str
+    function: Callable[..., Done_co]
+    arguments: tuple[Any, ...]
+    light: bool = False
 
     def perform(self, place: str | None = None) -> Done_co:
-        """Do it; `place`: of temporary files, None where TMPDIR says."""
-        ...
+        """Do it; place: None where TMPDIR says."""
+        return self.function(*self.arguments, place=place)
 
 
 def begin(place: str) -> None:

@@ -26,8 +26,8 @@ from vstestbed.scenario.dump import given_text
 from vstestbed.studies import pools
 from vstestbed.studies.comparison import Comparison, Job, Jobs, Runner, compare, controllers
 from vstestbed.studies.comparison.folder import table_of
-from vstestbed.studies.comparison.runs import RunRequest
-from vstestbed.studies.pools import RUNNING, LocalPool, WorkerLostError
+from vstestbed.studies.comparison.runs import perform
+from vstestbed.studies.pools import RUNNING, LocalPool, Request, WorkerLostError
 from vstestbed.studies.run_folder import files_of_failure, store
 
 GAINS = {"law.gain": (3.0, 6.0)}
@@ -187,7 +187,7 @@ def test_laws_that_raise_diverge_lose_and_kill(quick: Path, tmp_path: Path, plug
 @pytest.mark.study
 def test_a_worker_killed_in_the_middle_is_replaced_and_one_that_dies_with_nothing_to_do_is_no_loss(quick: Path, tmp_path: Path):
     runner = Runner(tmp_path, Jobs(controllers(Comparison(base=(str(quick),), seeds=2)), 2))
-    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
+    request = Request("runs/a", perform, (given_text(vs.load(quick)), False))
     with closing(LocalPool(1, tmp_path)) as pool:
         pool._start()
         slot = pool._free[0]
@@ -233,7 +233,7 @@ def test_shares_of_the_report_are_done_by_the_workers_which_end_with_the_pool(qu
         gone(first)
         assert {future.result() for future in [pool.call(os.getpid) for _ in range(8)]} <= {first, second, os.getpid()}
         for _ in range(2):  # one for each worker: they end in the middle of a run
-            pool.submit(RunRequest("runs/a", given_text(vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4})), False))
+            pool.submit(Request("runs/a", perform, (given_text(vs.load(quick, {"stop.duration_s": 30000, "law.gain": 1e-4})), False)))
     gone(second)
 
 
@@ -428,16 +428,14 @@ def test_a_resumed_comparison_has_the_bytes_of_a_whole_one(quick: Path, tmp_path
 
 
 def test_what_crashed_has_a_folder_of_its_own(quick: Path):
-    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
-    files = files_of_failure(request.text, "no more")
+    files = files_of_failure(given_text(vs.load(quick)), "no more")
     assert json.loads(files["summary.json"])["outcome"] == "crashed"
     assert set(files) == {"scenario.yaml", "summary.json"}
 
 
 def test_a_task_needs_no_file_of_who_asks(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    request = RunRequest("runs/a", given_text(vs.load(quick)), False)
+    request = Request("runs/a", perform, (given_text(vs.load(quick)), False))
     quick.unlink()
-    assert isinstance(request, RunRequest)
     assert json.loads(request.perform()["summary.json"])["outcome"] == "converged"
 
 

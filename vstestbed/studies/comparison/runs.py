@@ -20,56 +20,42 @@ from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.folder import finished
 from vstestbed.studies.comparison.plan import Job, Jobs
-from vstestbed.studies.pools import MOST_TRIES, Pool, WorkerLostError, completed
+from vstestbed.studies.pools import MOST_TRIES, Pool, Request, WorkerLostError, completed
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
 TILE_PX = (480, 270)
 """Size of the films from outside [px]: as wide as their column in the side-by-side film; a sixth of the work of the full size."""
 
 
-@dataclass(frozen=True)
-class RunRequest:
-    """A run as it is sent to a worker, which needs no file of the sender's machine.
+def request_of(folder: str, scenario: Scenario, filmed: bool) -> Request[Files]:
+    """The request for a run, which needs no file of the sender's machine. folder: below the comparison's. filmed: whether to make films."""
+    return Request(folder, perform, (given_text(scenario), filmed), not filmed and is_light(scenario))
 
-    Attributes:
-        folder: path of the run below the comparison's folder, which identifies it. text: the scenario as given.
-        filmed: whether to make films. light: as of `Request`.
+
+def perform(text: str, filmed: bool, place: str | None = None) -> Files:
+    """Run a scenario as given and return its folder, which is made in `place` (None: where TMPDIR says).
+
+    An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a start at which an arm falls `unreachable`.
+    Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well. PluginError: a plugin
+    of the scenario is not there on this machine.
     """
-
-    folder: str
-    text: str
-    filmed: bool
-    light: bool = False
-
-    @classmethod
-    def of(cls, folder: str, scenario: Scenario, filmed: bool) -> RunRequest:
-        """The request for a scenario."""
-        return cls(folder, given_text(scenario), filmed, not filmed and is_light(scenario))
-
-    def perform(self, place: str | None = None) -> Files:
-        """Run the scenario and return its folder, which is made in `place` (None: where TMPDIR says).
-
-        An exception in a law, a detector or a plugin gives the outcome `crashed` and a traceback, a start at which an arm falls
-        `unreachable`. Raises EnvironmentLackError: this machine has no OpenGL or no space, so that every other run would fail as well.
-        PluginError: a plugin of the scenario is not there on this machine.
-        """
-        scenario = parse(self.text, GIVEN)
-        # the run's folder is local: the worker may be on a machine without access to the comparison's folder
-        with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made, unflushed():
-            folder = Path(made) / "run"
-            folder.mkdir()
-            try:
-                recording = uninterrupted(run_into(folder, scenario, "both" if self.filmed else "none", report=False, tile_px=TILE_PX))
-                # a picture of every failure for the report's gallery; films are made of the first seed only
-                if not recording.outcome.success and len(recording.rows):
-                    picture_of_the_end(recording.scenario, recording.rows, folder)
-            except EnvironmentLackError:  # no fault of the run: the comparison stops
-                raise
-            except UnreachableError as error:  # its motors cannot hold it there
-                return files_of_failure(self.text, error.problem, outcome=Outcome.unreachable)
-            except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
-                return files_of_failure(self.text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
-            return files_in(folder)
+    scenario = parse(text, GIVEN)
+    # the run's folder is local: the worker may be on a machine without access to the comparison's folder
+    with tempfile.TemporaryDirectory(prefix="vstestbed_", dir=place) as made, unflushed():
+        folder = Path(made) / "run"
+        folder.mkdir()
+        try:
+            recording = uninterrupted(run_into(folder, scenario, "both" if filmed else "none", report=False, tile_px=TILE_PX))
+            # a picture of every failure for the report's gallery; films are made of the first seed only
+            if not recording.outcome.success and len(recording.rows):
+                picture_of_the_end(recording.scenario, recording.rows, folder)
+        except EnvironmentLackError:  # no fault of the run: the comparison stops
+            raise
+        except UnreachableError as error:  # its motors cannot hold it there
+            return files_of_failure(text, error.problem, outcome=Outcome.unreachable)
+        except (Exception, SystemExit) as error:  # a plugin that calls sys.exit ends its run, not the worker
+            return files_of_failure(text, f"{type(error).__name__}: {error}", traceback.format_exc(), files_in(folder))
+        return files_in(folder)
 
 
 MOST_FRAMES = 10_000  # of a light run, which then takes a second or two at most
@@ -117,7 +103,7 @@ class Runner:
 
     def run(self, pool: Pool, on_done: OnDone = lambda job, summary: None) -> None:
         """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
-        again = list[tuple[Job, RunRequest]]()
+        again = list[tuple[Job, Request[Files]]]()
         try:
             for job, request, future in completed(pool, self._requests(on_done), again):
                 try:
@@ -126,7 +112,7 @@ class Runner:
                     if pool.tries(request) < MOST_TRIES:
                         again.append((job, request))
                         continue
-                    files = files_of_failure(request.text, f"{error}, and the one that tried again, too")
+                    files = files_of_failure(request.arguments[0], f"{error}, and the one that tried again, too")
                 self._store(job, files, max(1, pool.tries(request)), on_done)
         except KeyboardInterrupt:
             vars(self).pop("_done", None)  # it may have come after a run was stored and before it was counted
@@ -137,7 +123,7 @@ class Runner:
         self._done.add(job.folder)
         on_done(job, summary)
 
-    def _requests(self, on_done: OnDone) -> Iterator[tuple[Job, RunRequest]]:
+    def _requests(self, on_done: OnDone) -> Iterator[tuple[Job, Request[Files]]]:
         """All missing jobs with their requests, drawn when their turn comes; a job whose start cannot be drawn is stored at once."""
         for job in self.jobs:
             if job.folder in self._done:
@@ -153,4 +139,4 @@ class Runner:
                     files = files_of_failure(text, str(error))
                 self._store(job, files, 1, on_done)
             else:
-                yield job, RunRequest.of(job.folder, scenario, job.seed in self.filmed)
+                yield job, request_of(job.folder, scenario, job.seed in self.filmed)
