@@ -158,6 +158,18 @@ def test_figures_are_files_for_a_paper(built: tuple[Path, pl.DataFrame]) -> None
         assert b"/XObject << >>" in pdf or not re.search(rb"/Subtype /Image", pdf)  # vectors, no picture of them
 
 
+def test_tables_for_latex_stand_on_their_side_where_they_are_wide(built: tuple[Path, pl.DataFrame]) -> None:
+    text = (built[0] / "tables.tex").read_text(encoding="utf-8")
+    assert not re.search(r"\\\\ *\[", text)  # LaTeX would take an interval for the argument of the line break
+    flat = re.sub(r"\\begin\{tabular\}\[t\].*?\\end\{tabular\}", "", text)
+    tables = re.findall(r"\\begin\{tabular\}\{(l+r*)\}\n\\toprule\n(.*?)\\bottomrule", flat, re.DOTALL)
+    assert len(tables) > 4
+    for columns, rows in tables:
+        counts = {len(re.findall(r"(?<!\\)&", row)) for row in rows.splitlines() if row.endswith(r"\\")}
+        assert counts == {len(columns) - 1}
+    assert max(len(columns) for columns, _ in tables) <= 5
+
+
 @pytest.mark.study
 def test_the_gallery_is_limited(built: tuple[Path, pl.DataFrame], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert '<img src="data:image/png;base64,' in (built[0] / "report.html").read_text()
