@@ -23,7 +23,7 @@ from vstestbed.laws.feedforward import KalmanCV
 from vstestbed.laws.points import reckoned_markers
 from vstestbed.loop.controller import detail
 from vstestbed.vision import Keypoints, keypoints
-from vstestbed.vision.keypoints import Klt, Slots
+from vstestbed.vision.keypoints import Klt, Slots, followed
 from vstestbed.vision.local_features import Orb, extracted
 from vstestbed.vision.observe import FlowState
 
@@ -235,3 +235,23 @@ def test_what_a_row_showed_before_counts_only_while_it_shows_the_same_point():
     assert np.isnan(carried.xy[3]).all()
     flow = FlowState(np.arange(3.0), np.ones(3), np.ones((3, 3)), 0.0, np.array([4, 5, 6])).of(np.array([4, 9, 6]))
     assert np.isnan(flow.inverse_range[1]) and flow.inverse_range[2] == 2.0 and flow.information.tolist() == [1, 0, 1]
+
+
+@pytest.mark.parametrize("ransac", ["homography", "essential", "none"])
+def test_points_that_were_followed_astray_are_dropped_as_wrong_matches_are(ransac: Any, monkeypatch: pytest.MonkeyPatch):
+    """Lucas-Kanade is made to lead six points 15 px aside; the epipolar constraint misses those that went along their line."""
+    detector = Keypoints(features=Orb(most=400), track=Klt(redetect_every=50), ransac=ransac, subpixel=False)
+    there = homography_of((0.03, 0.01, -0.61), (0, 0, 0))
+    state, before = seen(detector, begun(detector), there)
+    rows = np.flatnonzero(before.seen)[:6]
+    angle = np.arange(6.0)
+
+    def astray(*given: Any) -> Array:
+        uv = followed(*given)
+        uv[rows] += 15 * np.column_stack([np.cos(angle), np.sin(angle)])
+        return uv
+
+    monkeypatch.setattr(keypoints, "followed", astray)
+    after = seen(detector, state, there)[1].seen
+    assert after[rows].sum() <= {"homography": 0, "essential": 2, "none": 6}[ransac] and after.sum() > 12
+    assert ransac != "none" or after[rows].all()

@@ -136,11 +136,9 @@ class Camera(ABC):
         if self.depth_sensor is not None and not self.with_depth:
             words = "camera perspective, with distortion or without: depth cameras have no wide lenses"
             raise ParameterError.only_for("depth_sensor", words)
-        if self.depth_sensor is not None and (lens := self.depth_sensor.lens) is not None:
-            if lens.width < self.width or lens.height < self.height:
-                raise ParameterError.bound("depth_sensor.lens", "at least", f"{self.width} x {self.height} px", [lens.width, lens.height])
-            if self.renderer == "rays":
-                raise ParameterError.excluded("renderer", "rays with depth_sensor.lens", why="only OpenGL draws two lenses")
+        lens = self.depth_sensor.lens if self.depth_sensor is not None else None
+        if lens is not None and (lens.width < self.width or lens.height < self.height):
+            raise ParameterError.bound("depth_sensor.lens", "at least", f"{self.width} x {self.height} px", [lens.width, lens.height])
         if not self.imaged:
             return
         if len(self.panels) > 1:

@@ -207,9 +207,8 @@ def _away(blob: Blob, uv: Array) -> float:
 
 # Tracking of blobs over a camera's panels: search windows around predicted blobs, handover between panels.
 MEASURED_PX = 2  # blobs are measured so far beyond their mask's box [px], which may touch the window in which they were searched
-SAME_MARKER_COSINE = math.cos(
-    math.radians(3)
-)  # of two blobs of one hue, in overlapping panels, that are one marker seen twice: 3 degrees apart
+# Two blobs of one hue, in overlapping panels, are one marker seen twice where their rays are under 3 degrees apart.
+SAME_MARKER_COSINE = math.cos(math.radians(3))
 
 
 @dataclass(frozen=True, slots=True)

@@ -466,16 +466,27 @@ class Keypoints(DetectorBase):
             return None
         slots = state.slots.moved(followed(self.track, state.last, dim, state.slots.uv))
         there = slots.taken
-        found = planar_map(camera, slots.uv_goal[there], slots.uv[there], self.ransac_px) if there.any() else None
-        if found is None:
-            return slots
-        H, agree = found
+        pairs = slots.uv_goal[there], slots.uv[there]
+        found = self._plane(camera, pairs)
+        agree = self._agreeing(camera, pairs, found)
         uv = slots.uv.copy()
-        if self.ransac == "homography":
+        if agree is not None:  # with too few for a plane or a motion, those that were followed stay
             uv[np.flatnonzero(there)[~agree]] = np.nan
-        if self.subpixel:
-            uv[there] = self._refined(state, slots.uv_goal[there], uv[there], dim, camera, H)
+        if found is not None and self.subpixel:
+            uv[there] = self._refined(state, slots.uv_goal[there], uv[there], dim, camera, found[0])
         return slots.moved(uv)
+
+    def _plane(self, camera: Camera, pairs: Pairs) -> tuple[Array, NDArray[np.bool_]] | None:
+        """The homography of the pairs and which agree with it, where `ransac` or `subpixel` need one."""
+        return planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
+
+    def _agreeing(self, camera: Camera, pairs: Pairs, plane: tuple[Array, NDArray[np.bool_]] | None) -> NDArray[np.bool_] | None:
+        """Which of the pairs `ransac` keeps (M,); None where they are too few to tell."""
+        if self.ransac == "none":
+            return np.ones(len(pairs[0]), dtype=bool)
+        if self.ransac == "essential":
+            return of_one_motion(camera, *pairs, self.ransac_px)
+        return None if plane is None else plane[1]
 
     def _matches(self, state: KeypointsState, image: Image, target: Target) -> Pairs:
         if self._extractor is not None and state.learned is not None:
@@ -494,10 +505,9 @@ class Keypoints(DetectorBase):
         if kept is not None:
             new = ~(pairs[0][:, None] == kept[0]).all(axis=2).any(axis=1)
             pairs = np.concatenate([kept[0], pairs[0][new]]), np.concatenate([kept[1], pairs[1][new]])
-        found = planar_map(camera, *pairs, self.ransac_px) if self.ransac == "homography" or self.subpixel else None
-        if self.ransac != "none":
-            agree = found and found[1] if self.ransac == "homography" else of_one_motion(camera, *pairs, self.ransac_px)
-            pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first)
+        found = self._plane(camera, pairs)
+        agree = self._agreeing(camera, pairs, found)
+        pairs, first = those(pairs, np.zeros(len(pairs[0]), dtype=bool) if agree is None else agree, first)
         agreeing = len(pairs[0])
         if found is None or not self.subpixel:
             return self._best(pairs, first, self.best), agreeing

@@ -35,11 +35,16 @@ def both(changes: dict[str, object]) -> tuple[DepthImage, DepthImage]:
     return eyes[0].depth, eyes[1].depth
 
 
-@pytest.mark.parametrize("changes", [{}, {"camera.principal_px": [150.25, 131.5]}, {"camera.distortion": [-0.2, 0.05, 0, 0, 0]}])
+UNALIGNED = {"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 640, "height": 360, "fovx_deg": 85}}}
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"camera.principal_px": [150.25, 131.5]}, {"camera.distortion": [-0.2, 0.05, 0, 0, 0]}, UNALIGNED], ids=str
+)
 def test_opengl_measures_what_rays_do(changes: dict[str, object]):
     gl, rays = both(changes)
     sky = np.isinf(rays)
-    assert 0.3 < sky.mean() < 0.5 and np.mean(np.isinf(gl) != sky) < 2e-3  # the sky is nothing, although MuJoCo draws it as a solid
+    assert 0.3 < sky.mean() < 0.7 and np.mean(np.isinf(gl) != sky) < 2e-3  # the sky is nothing, although MuJoCo draws it as a solid
     solid = ~sky & np.isfinite(gl) & (rays < (1.1 if "camera.distortion" in changes else 2.0))
     error = np.abs(gl[solid] - rays[solid])
     # The buffer has 24 bits, steps of 1e-5 Z^2 / m. Resampled, the floor towards the horizon has the nearest pixel's depth.
@@ -67,12 +72,8 @@ def test_an_unaligned_picture_is_that_of_its_own_lens():
     floor = -truth.T_world_camera[2, 3] / ray[..., 2]
     error = np.minimum(np.abs(taken[1][1][230:250, 310:330] - on_board), np.abs(taken[1][1][230:250, 310:330] - floor))
     assert error.max() < 2e-5 and np.abs(taken[0][1] - taken[1][1])[230:250, 310:330].min() > 0.05
-    for changes, words in (
-        ({"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 320}}}, "depth_sensor.lens: must be at least 640 x 480 px"),
-        ({"camera.depth_sensor": {"kind": "ideal", "lens": lens}, "camera.renderer": "rays"}, "may not be rays with depth_sensor.lens"),
-    ):
-        with pytest.raises(ScenarioError, match=words):
-            vs.load("camera_vitvs", changes)
+    with pytest.raises(ScenarioError, match=r"depth_sensor\.lens: must be at least 640 x 480 px"):
+        vs.load("camera_vitvs", {"camera.depth_sensor": {"kind": "ideal", "lens": {"width": 320}}})
 
 
 def test_a_distorted_edge_has_the_depth_of_one_surface():

@@ -6,6 +6,7 @@ import copy
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Panel, Perspective, Regions, Window
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
-from vstestbed.core.geometry import Array, lengths
+from vstestbed.core.geometry import Array, lengths, pixel_grid
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
@@ -243,12 +244,21 @@ class RayRenderer:
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
-            self.depth = ray_depth(
-                self._rasters[0].rays((0, 0, self._camera.width, self._camera.height)), self._stage.camera_pose(), self._caster.hits
-            )
+            self.depth = ray_depth(self._depth_rays, self._stage.camera_pose(), self._caster.hits)
         self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
+
+    @cached_property
+    def _depth_rays(self) -> Array:
+        """Unit rays (H, W, 3) of the depth picture: those of the colour picture, or of as many pixels of the depth camera's own lens."""
+        width, height = self._camera.width, self._camera.height
+        lens = self._camera.depth_sensor.lens if self._camera.depth_sensor else None
+        if lens is None:
+            return self._rasters[0].rays((0, 0, width, height))
+        xy = (pixel_grid(width, height) - lens.centre) / lens.f
+        ray = np.concatenate([xy, np.ones((height, width, 1))], axis=-1)
+        return ray / lengths(ray)
 
     def _draw(self, panel: Panel, name: int, windows: tuple[Window, ...] | None, rows: Rows | None = None) -> Image:
         if name not in self._rasters:
