@@ -159,6 +159,10 @@ def test_one_pair_of_many_that_differs_is_no_real_difference() -> None:
 def test_many_pairs_are_resampled_less_often() -> None:
     found = paired_difference(np.random.default_rng(3).normal(0.2, 1, 30_000), np.zeros(30_000))
     assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(30_000), rel=0.2) and found.p < 0.02
+    skewed = np.random.default_rng(4).lognormal(size=1001)
+    bca, percentile = (paired_difference(skewed[:n], np.zeros(n)) for n in (1000, 1001))
+    ends = np.array([bca.low - percentile.low, bca.high - percentile.high]) / (bca.high - bca.low)
+    assert np.abs(ends).max() < 0.1, ends
 
 
 def test_success_is_compared_on_the_seeds_where_two_controllers_disagree() -> None:
