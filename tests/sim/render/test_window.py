@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -47,6 +48,20 @@ def test_a_part_is_what_the_whole_picture_has_there(changes: dict[str, object]):
     outside[top:bottom, left:right] = False
     assert not part[outside].any()
     np.testing.assert_array_equal(eye.full_image(), whole)  # and nothing of it stays
+
+
+@pytest.mark.parametrize(("name", "changes"), [("arm_ibvs", {"camera.principal_px": [300.25, 255.5]}), ("quadrotor_hover", {})])
+def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[str, object]):
+    stage = stage_of(vs.load(name, changes))
+    for view in OpenGLRenderer(stage, stage.parts.camera)._views:
+        camera = view._camera
+        for window in (None, (100, 40, 220, 120)):
+            drawn = view.raw(window).copy()
+            kinds = [geom.type for geom in camera._scene.ptr.geoms[: camera._scene.ptr.ngeom]]
+            assert mujoco.mjtGeom.mjGEOM_LABEL in kinds
+            camera.local = False
+            np.testing.assert_array_equal(view.raw(window), drawn)
+            camera.local = True
 
 
 def test_the_next_part_has_nothing_of_the_last():

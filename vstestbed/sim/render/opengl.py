@@ -32,6 +32,9 @@ from vstestbed.sim.scene.scene import Scene
 REACH = 0.05  # Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered
 
 
+_PLANE, _LABEL, _GEOM = (int(word) for word in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_LABEL, mujoco.mjtObj.mjOBJ_GEOM))
+
+
 class PartCamera(dm.Camera):
     """dm_control's camera with a window: only that part of the image is drawn and read back; the rest is black.
 
@@ -39,31 +42,44 @@ class PartCamera(dm.Camera):
     floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
 
     window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
+    local: there are no shadows and mirrors, by which a geom changes the image elsewhere as well.
     reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
     """
 
     window: Window | None = None
+    local: bool = False
     reads_depth: bool = False
     beyond: tuple[float, float, float, float] | None = None  # a part of the image plane, in pixels, that is drawn in place of the image
     _drawn: tuple[slice, slice] = (slice(None), slice(None))
 
     def update(self, scene_option: Any = None) -> None:
-        """Update the scene. Planes are made decoration, which casts no shadow.
+        """Update the scene within the window. Planes are made decoration, which casts no shadow; what is outside is left out if `local`.
 
         Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own shadow (shadow acne).
         """
         super().update(scene_option)
+        if (part := self.window or self.beyond) is not None:
+            for camera in self._scene.ptr.camera:
+                _narrow(camera, part, self._width, self._height)
+        outside = self._outside() if self.local else []
         for geom in self._scene.ptr.geoms[: self._scene.ptr.ngeom]:
-            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            if geom.type == _PLANE:
                 geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+            elif outside and geom.objtype == _GEOM and outside[geom.objid]:
+                geom.type = _LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+
+    def _outside(self) -> list[bool]:
+        """Whether the sphere around each geom of the model lies outside of the frustum; a plane has none."""
+        model, data, camera = self._physics.model.ptr, self._physics.data.ptr, self._render_camera.fixedcamid
+        p = (data.geom_xpos - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(3, 3)
+        left, right, bottom, top = np.mean([_frustum(eye, self._width / self._height) for eye in self._scene.ptr.camera], axis=0)
+        normals = np.array([[-1, 0, -left], [1, 0, right], [0, -1, -bottom], [0, 1, top], [0, 0, 1]])
+        return (p @ normals.T > model.geom_rbound[:, None] * np.linalg.norm(normals, axis=1)).any(axis=1).tolist()
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
         """As dm_control's, within the window. The buffer has the lowest row first, as OpenGL does."""
         if self.window is None:
             self._drawn = slice(None), slice(None)
-            if (part := self.beyond) is not None:
-                for camera in self._scene.ptr.camera:
-                    _narrow(camera, part, self._width, self._height)
             super()._render_on_gl_thread(depth, overlays)
             if not self.reads_depth:
                 return
@@ -75,8 +91,6 @@ class PartCamera(dm.Camera):
             mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
             return
         left, top, right, bottom = self.window
-        for camera in self._scene.ptr.camera:
-            _narrow(camera, self.window, self._width, self._height)
         rect = mujoco.MjrRect(0, 0, right - left, bottom - top)
         mujoco.mjr_render(rect, self._scene.ptr, context)
         part = np.empty((rect.height, rect.width, 3), np.uint8)
@@ -94,6 +108,13 @@ class PartCamera(dm.Camera):
         near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
         b = self._depth_buffer[::-1].astype(float)
         return np.where(b > 0, near * far / (near + b * (far - near)), np.inf).astype(np.float32)
+
+
+def _frustum(eye: mujoco.MjvGLCamera, aspect: float) -> tuple[float, ...]:
+    """Left, right, lower and upper end of a camera's frustum, at a distance of 1."""
+    half = eye.frustum_width or (eye.frustum_top - eye.frustum_bottom) * aspect / 2  # MuJoCo: 0 means "from the viewport's aspect ratio"
+    ends = eye.frustum_center - half, eye.frustum_center + half, eye.frustum_bottom, eye.frustum_top
+    return tuple(end / eye.frustum_near for end in ends)
 
 
 def _narrow(camera: mujoco.MjvGLCamera, window: tuple[float, float, float, float], width: int, height: int) -> None:
@@ -166,6 +187,7 @@ class SceneCamera:
             self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
             made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
             self._camera, self.renderer = made
+            self._camera.local = not (shadows or self._flags["reflection"])
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise (lack_of(error) or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())) from error
 
@@ -180,7 +202,7 @@ class SceneCamera:
 
     def part(self, window: Window) -> Image | None:
         """The image now, valid within a window until the next call; None with shadows and mirrors, where things move elsewhere as well."""
-        return None if self._flags["shadow"] or self._flags["reflection"] else self.raw(window)
+        return self.raw(window) if self._camera.local else None
 
     def raw(self, window: Window | None = None, with_depth: bool = False) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.
