@@ -31,7 +31,6 @@ class StateIndices:
         qpos, qvel: of its measured joints, in the order of `Robot.joints`, in `data.qpos` and `data.qvel`.
         ctrl: of its actuators, in the order of `Robot.actuators`, in `data.ctrl`; a slice, which is quicker, where they adjoin.
         motor_qpos, motor_qvel: of what its encoders read and its servos turn: `rotor_<joint>`, which an effect has added, else the joint.
-            Without any such joint they are `qpos` and `qvel` themselves.
         act: of those actuators that have an activation (an integrating servo, a rotor), in `data.act`.
     """
 
@@ -45,19 +44,11 @@ class StateIndices:
     @classmethod
     def of(cls, model: mujoco.MjModel, joints: Sequence[str], actuators: Sequence[str], prefix: str) -> StateIndices:
         """The indices of the robot under a prefix (`robot/`, `leader/`)."""
-        # By name, not by number: attached models are renumbered, and a joint's number is not its place in qpos once a free joint,
-        # which takes seven places, comes before it.
-        found = [model.joint(prefix + name) for name in joints]
+        named = {model.joint(i).name for i in range(model.njnt)}
+        motors = [name if (name := f"{prefix}{MOTOR}{joint}") in named else prefix + joint for joint in joints]
+        (qpos, qvel), (motor_qpos, motor_qvel) = _places(model, [prefix + joint for joint in joints]), _places(model, motors)
         numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
         activations, ctrl = model.actuator_actadr[numbers], model.actuator_ctrladr[numbers]
-        qpos, qvel = (np.array(at, dtype=int) for at in ([j.qposadr[0] for j in found], [j.dofadr[0] for j in found]))
-        motor_qpos, motor_qvel = qpos, qvel
-        named = {model.joint(i).name for i in range(model.njnt)}
-        parted = [f"{prefix}{MOTOR}{name}" in named for name in joints]
-        if any(parted):
-            names = [f"{prefix}{MOTOR if apart else ''}{name}" for name, apart in zip(joints, parted, strict=True)]
-            motors = [model.joint(name) for name in names]
-            motor_qpos, motor_qvel = (np.array(at, dtype=int) for at in ([j.qposadr[0] for j in motors], [j.dofadr[0] for j in motors]))
         return cls(
             qpos=qpos,
             qvel=qvel,
@@ -66,6 +57,14 @@ class StateIndices:
             ctrl=slice(int(ctrl[0]), int(ctrl[-1]) + 1) if len(ctrl) and (np.diff(ctrl) == 1).all() else ctrl,
             act=activations[activations >= 0],  # MuJoCo's -1: an actuator without one
         )
+
+
+def _places(model: mujoco.MjModel, names: Sequence[str]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Where joints are in qpos and in qvel."""
+    # By name, not by number: attached models are renumbered, and a joint's number is not its place in qpos once a free joint,
+    # which takes seven places, comes before it.
+    found = [model.joint(name) for name in names]
+    return np.array([j.qposadr[0] for j in found], dtype=int), np.array([j.dofadr[0] for j in found], dtype=int)
 
 
 @dataclass

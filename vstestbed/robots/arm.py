@@ -302,8 +302,8 @@ class Arm(Realistic):
         Raises ParameterError: a stiffness that needs a shorter step than SHORTEST_STEP_S, or a joint without rotor.
         """
         assert self.elastic is not None
-        M, rotors = reader().inertias_at(self.file, self.chain.names, tuple(self.configuration().tolist()))
-        rotors = rotors if self.elastic.rotors is None else self.elastic.rotors
+        whole, own = reader().inertia_at(self.file, self.chain.names, tuple(self.configuration().tolist()))
+        M, rotors = whole - np.diag(own), own if self.elastic.rotors is None else self.elastic.rotors
         k = self.elastic.stiffest
         for i in np.flatnonzero((k > 0) & (rotors <= 0)).tolist():
             words = "must be 0 for {joint}, which has no rotor that could move by itself; give it an `armature` in its file{or_here}"

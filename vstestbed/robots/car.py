@@ -247,29 +247,19 @@ def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     if slant == BUGGY.slant:
         return CRANK, WHEEL
+    from scipy.optimize import least_squares  # here: only a car of another shape pays for the import
+
     most = min(1.05, math.atan(1 / (1 / math.tan(MOST_WHEEL_RAD) + slant)) + 0.05)
     d = most * np.cos(np.linspace(0, np.pi, 121))  # denser at the ends, where polynomials miss most
     wanted = np.arctan2(np.sin(d), np.cos(d) - slant * np.sin(d))
-    x = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array([1, 2, 3, 0, 1, 2, 3])
-    damping, (error, J) = 1e-3, _miss(x, d, wanted)
-    for _ in range(300):
-        tried = x - np.linalg.solve(J.T @ J + damping * np.diag((J**2).sum(axis=0)), J.T @ error)
-        now = _miss(tried, d, wanted)
-        if now[0] @ now[0] < error @ error:
-            x, (error, J), damping = tried, now, max(damping / 4, 1e-12)
-        else:
-            damping *= 4
-    a, b, c, *q = x.tolist()
+
+    def miss(x: Array) -> Array:
+        crank = d + d[:, None] ** np.arange(2, 5) @ x[:3]
+        return crank[:, None] ** np.arange(1, 5) @ x[3:] - wanted
+
+    first = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array([1, 2, 3, 0, 1, 2, 3])
+    a, b, c, *q = least_squares(miss, first, method="lm").x.tolist()
     return (0.0, 1.0, a, b, c), (0.0, *q)
-
-
-def _miss(x: Array, d: Array, wanted: Array) -> tuple[Array, Array]:
-    """Errors (N,) of the two polynomials (7,) and their Jacobian (N, 7)."""
-    powers = np.arange(2, 5)
-    crank = d + d[:, None] ** powers @ x[:3]
-    of_crank = crank[:, None] ** np.arange(1, 5)
-    slope = (np.arange(1, 5) * crank[:, None] ** np.arange(4)) @ x[3:]
-    return of_crank @ x[3:] - wanted, np.hstack([slope[:, None] * d[:, None] ** powers, of_crank])
 
 
 _STEERING, _REAR = 0, slice(3, 5)  # indices of the steering and of the rear wheels in `Car.joints`

@@ -22,12 +22,8 @@ class ChainReader(Protocol):
         """The joints from the root to a flange; names: in their order, () for all."""
         ...
 
-    def inertia_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
-        """What each joint's motor has to move at positions q [rad, m]: [kg m^2, kg]."""
-        ...
-
-    def inertias_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[Array, Array]:
-        """Inertia of the links (n, n) at positions q [rad, m], and of the joints' rotors (n,) [kg m^2, kg]."""
+    def inertia_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[Array, Array]:
+        """The mass matrix (n, n) at positions q [rad, m], and what of its diagonal are the joints' rotors (n,) [kg m^2, kg]."""
         ...
 
 

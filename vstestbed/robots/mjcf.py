@@ -116,11 +116,9 @@ class Mjcf(Arm):
                 object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
-        at = tuple(self.configuration().tolist())
-        if self.elastic is None or self.elastic.rotors is None:
-            return reader().inertia_at(self.file, chain.names, at)
-        links, _ = reader().inertias_at(self.file, chain.names, at)
-        return tuple((links.diagonal() + self.elastic.rotors).tolist())
+        M, own = reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))
+        given = self.elastic and self.elastic.rotors
+        return tuple((M.diagonal() if given is None else M.diagonal() - own + given).tolist())
 
     @property
     def chain(self) -> JointChain:

@@ -36,7 +36,7 @@ from vstestbed.effects.body import Change, put, scale, stretch
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, WheelSpread
 from vstestbed.robots.allocation import Allocation, Mount
-from vstestbed.robots.base import BodyFile, Onboard, Reading, faded
+from vstestbed.robots.base import BodyFile, Onboard, Reading
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Level
 from vstestbed.robots.vehicle import PLANE, GroundStart, Vehicle
@@ -260,10 +260,6 @@ class Omni(Vehicle, Onboard):
         most = np.full(len(wheels), p.wheel_speed_radps)
         J = self.motion_basis(mount, reading.q)
         return OwnModel.of_motions(("vx", "vy", "wz"), J, speeds, speeds / self.stop_s, sums=wheels, most=most)
-
-    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
-        """All wheels fall to rest within `stop_s`."""
-        return faded(setpoint, elapsed_s, self.stop_s)
 
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.

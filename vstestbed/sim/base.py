@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, UnreachableError
-from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
+from vstestbed.core.geometry import Array, inverse
 from vstestbed.imaging.shutter import Contribution, Rows
 from vstestbed.robots import Robot
 from vstestbed.robots.base import Reading
@@ -210,9 +210,9 @@ class Plant(ABC):
         """Put the plate in reserve at a pose (4, 4), or away. ParameterError where the scene has none."""
         if self._stage is None or self._stage.hand_plate is None:
             raise ParameterError.missing("plate", "a session has one with plate_m=0.1")
-        T = np.eye(4) if T_world_plate is None else T_world_plate
-        self._stage.data.mocap_pos[self._stage.hand_plate] = AWAY if T_world_plate is None else T[:3, 3]
-        self._stage.data.mocap_quat[self._stage.hand_plate] = quaternion_wxyz(T[:3, :3])
+        away = np.eye(4)
+        away[:3, 3] = AWAY
+        self._stage.put(self._stage.hand_plate, away if T_world_plate is None else T_world_plate)
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -64,28 +64,15 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 
 
 @functools.lru_cache(maxsize=64)
-def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[float, ...]:
-    """What each joint's motor has to move at positions q [rad, m], gears included: the diagonal of the mass matrix [kg m^2, kg]."""
-    return tuple(_mass_matrix(compiled(file), joints, q)[0].diagonal().tolist())
-
-
-@functools.lru_cache(maxsize=64)
-def inertias_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Inertia of the links (n, n) about the joints at positions q [rad, m], and of the rotors (n,), the joints' armature [kg m^2, kg]."""
+def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The mass matrix (n, n) of joints at positions q [rad, m], and what of its diagonal are rotors, the armature (n,) [kg m^2, kg]."""
     model = compiled(str(model_path(file)))
-    M, dofs = _mass_matrix(model, joints, q)
-    rotors = model.dof_armature[dofs].copy()
-    return M - np.diag(rotors), rotors
-
-
-def _mass_matrix(model: mujoco.MjModel, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, list[int]]:
-    """The mass matrix (n, n) of joints at positions q, and their degrees of freedom."""
     data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
     data.qpos[[j.qposadr[0] for j in places]] = q
     mujoco.mj_forward(model, data)
     M, dofs = np.zeros((model.nv, model.nv)), [j.dofadr[0] for j in places]
     mujoco.mj_fullM(model, data, M)
-    return M[np.ix_(dofs, dofs)], dofs
+    return M[np.ix_(dofs, dofs)], model.dof_armature[dofs].copy()
 
 
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:

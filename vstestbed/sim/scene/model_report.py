@@ -311,7 +311,8 @@ def _of_joints(chain: JointChain, lines: list[str]) -> Iterator[Line]:
 
 def _of_servos(file: str, model: mujoco.MjModel, chain: JointChain, q: Array) -> Iterator[Line]:
     """The gains of the servos that `actuation: velocity` adds for a start at q (n,), and of the file's own, with friction's effect."""
-    for i, (name, m) in enumerate(zip(chain.names, inertia_at(file, chain.names, tuple(q.tolist())), strict=True)):
+    M, _ = inertia_at(file, chain.names, tuple(q.tolist()))
+    for i, (name, m) in enumerate(zip(chain.names, M.diagonal().tolist(), strict=True)):
         friction, slides = float(chain.friction[i]), bool(chain.slides[i])
         yield "servo", True, f"{name}: {_gains(*servo_gains(m, friction, slides), friction, slides)}, added by actuation: velocity", ""
         if chain.drives[i] in ("velocity", "position"):

@@ -107,12 +107,9 @@ class Scene:
         self.place_target(T_world_target)
         self.place_plates(t)
         self.data.qpos[self.at.qpos] = q
-        if self.at.motor_qpos is not self.at.qpos:
-            self.data.qpos[self.at.motor_qpos] = q  # gears unwound; `sim.plant.settle` winds them up
+        self.data.qpos[self.at.motor_qpos] = q  # gears unwound; `sim.plant.settle` winds them up
         if self._free is not None and T_world_camera is not None:
-            T = T_world_camera @ self.mount_inverse
-            self.data.mocap_pos[self._free] = T[:3, 3]
-            self.data.mocap_quat[self._free] = quaternion_wxyz(T[:3, :3])
+            self.put(self._free, T_world_camera @ self.mount_inverse)
         elif self.root is not None and T_world_camera is not None:
             self.root.put(self.data.qpos, T_world_camera @ self.mount_inverse)
         mujoco.mj_kinematics(self.model, self.data)
@@ -154,9 +151,11 @@ class Scene:
     def place_plates(self, t: float) -> None:
         """Put plates, decoys and a lamp that moves at their poses at a time [s]."""
         for path, mocap in zip(self._plate_paths, self._plates, strict=True):
-            T = path(t)
-            self.data.mocap_pos[mocap] = T[:3, 3]
-            self.data.mocap_quat[mocap] = quaternion_wxyz(T[:3, :3])
+            self.put(mocap, path(t))
+
+    def put(self, mocap: int, T_world_body: Array) -> None:
+        """Put a mocap body, by its number among them, at a pose (4, 4)."""
+        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = T_world_body[:3, 3], quaternion_wxyz(T_world_body[:3, :3])
 
     def target_pose(self) -> Array:
         """Pose (4, 4) of the target in the world."""
