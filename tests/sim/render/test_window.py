@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.render.opengl import REACH, OpenGLRenderer, SceneCamera, part_round
+from vstestbed.sim.render.opengl import LABEL, REACH, OpenGLRenderer, SceneCamera, part_round
 from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
@@ -58,7 +57,7 @@ def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[st
         for window in (None, (100, 40, 220, 120)):
             drawn = view.raw(window).copy()
             kinds = [geom.type for geom in camera._scene.ptr.geoms[: camera._scene.ptr.ngeom]]
-            assert mujoco.mjtGeom.mjGEOM_LABEL in kinds
+            assert LABEL in kinds
             camera.local = False
             np.testing.assert_array_equal(view.raw(window), drawn)
             camera.local = True

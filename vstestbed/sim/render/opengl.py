@@ -32,7 +32,7 @@ from vstestbed.sim.scene.scene import Scene
 REACH = 0.05  # Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered
 
 
-_PLANE, _LABEL, _GEOM = (int(word) for word in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_LABEL, mujoco.mjtObj.mjOBJ_GEOM))
+PLANE, LABEL, GEOM = (int(word) for word in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_LABEL, mujoco.mjtObj.mjOBJ_GEOM))
 
 
 class PartCamera(dm.Camera):
@@ -63,10 +63,10 @@ class PartCamera(dm.Camera):
                 _narrow(camera, part, self._width, self._height)
         outside = self._outside() if self.local else []
         for geom in self._scene.ptr.geoms[: self._scene.ptr.ngeom]:
-            if geom.type == _PLANE:
+            if geom.type == PLANE:
                 geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
-            elif outside and geom.objtype == _GEOM and outside[geom.objid]:
-                geom.type = _LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+            elif outside and geom.objtype == GEOM and outside[geom.objid]:
+                geom.type = LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
 
     def _outside(self) -> list[bool]:
         """Whether the sphere around each geom of the model lies outside of the frustum; a plane has none."""
