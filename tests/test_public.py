@@ -73,6 +73,19 @@ def test_loading_a_scenario_builds_few_validators_and_reads_no_docstring(vstestb
 
 
 @pytest.mark.process
+def test_an_ideal_run_needs_neither_mujoco_nor_opencv_nor_opengl(vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
+    """A free camera with exact pixels and depths, as in a browser, where none of the three is installed."""
+    code = """if True:
+        import sys
+        absent = ["mujoco", "dm_control", "cv2", "OpenGL"]
+        sys.modules.update(dict.fromkeys(absent))  # importing one of them fails
+        import vstestbed as vs
+        print(vs.run(vs.load("ibvs_book", {"detector": "oracle", "law.depth": "oracle"})).outcome.name)"""
+    done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "converged"
+
+
+@pytest.mark.process
 def test_a_run_imports_nothing_before_it_needs_it(tmp_path: Path, vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
     """Until its first frame; each of these takes .1 to .5 s to import."""
     late = ["polars", "matplotlib", "spatialmath", "scipy.interpolate", "scipy.stats", "OpenGL.GL", "av"]

@@ -17,7 +17,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, adjoint, inverse, log
 from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.robots import Puma560
-from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 JOINTS = np.radians([[0, 45, -180, 0, 45, -45], [30, -20, -60, 80, -40, 100], [-100, 120, -10, -50, 70, 10]])

@@ -8,7 +8,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.effects.floor import CELLS, UnevenFloor
-from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 HALF_M = 20.0

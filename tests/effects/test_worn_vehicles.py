@@ -17,10 +17,9 @@ from vstestbed.effects.wheels import WHEELS, TyreForces, Tyres, WheelSpread
 from vstestbed.robots.car import Car, CarLimits, CarParameters
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.vehicle import GroundStart
-from vstestbed.sim.base import Truth
+from vstestbed.sim.base import SceneDescription, Truth
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 

@@ -9,7 +9,8 @@ import vstestbed as vs
 from tests.shortcuts import jacobian
 from vstestbed.core.geometry import Array
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.scene.compose import SceneDescription, compose
+from vstestbed.sim.base import SceneDescription
+from vstestbed.sim.scene.compose import compose
 
 SEEDS = 20
 JOINTS = [f"joint_{i}" for i in range(1, 7)]

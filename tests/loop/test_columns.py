@@ -13,7 +13,7 @@ import pytest
 import vstestbed as vs
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.loop.columns import Layout, text_of
-from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 

@@ -13,8 +13,8 @@ from vstestbed.core.geometry import Array
 from vstestbed.robots.flight import HOLD
 from vstestbed.robots.quadrotor import FlightPose, FlightStart, Quadrotor
 from vstestbed.robots.rotors import X4
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.plant import MujocoPlant
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.base import Pad
 

@@ -10,9 +10,9 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.sim import gl_context as contexts
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import repeated
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 NAMES = ("arm_ibvs", "arm_tags", "spherical_book")

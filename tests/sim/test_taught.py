@@ -7,9 +7,8 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.core.geometry import inverse, rigid_error
-from vstestbed.sim.base import flange_for, posture_at
+from vstestbed.sim.base import SceneDescription, flange_for, posture_at
 from vstestbed.sim.plant import shown_at
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 

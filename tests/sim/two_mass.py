@@ -13,9 +13,8 @@ from vstestbed.core.geometry import Array, Pose
 from vstestbed.robots import Mjcf
 from vstestbed.robots.arm import ArmStart, Positions
 from vstestbed.robots.base import longest_step
-from vstestbed.sim.base import Plant
+from vstestbed.sim.base import Plant, SceneDescription
 from vstestbed.sim.build import build_plant
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS

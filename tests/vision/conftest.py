@@ -16,8 +16,8 @@ from vstestbed.camera import Camera, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Plate, World
 from vstestbed.targets.base import Target

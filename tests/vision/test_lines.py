@@ -12,9 +12,9 @@ from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import ImageNoise
 from vstestbed.robots import Omni
 from vstestbed.robots.vehicle import GroundStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Plate, World
 from vstestbed.targets.ground_lines import GroundLines

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, pixel_grid
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.imaging.sensor import Floats
@@ -167,8 +168,6 @@ class LensEffects:
 
     def _magnified(self, channel: Floats, px: float) -> Floats:
         """A colour (H, W) magnified about the principal point, so that the farthest corner moves out by `px`."""
-        import cv2
-
         scale, (cx, cy) = 1 + px / float(self._radius_px.max()), self._centre
         inverse = np.array([[1 / scale, 0, cx - cx / scale], [0, 1 / scale, cy - cy / scale]])
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -219,8 +218,6 @@ def _blurred(image: Floats, kernel: Floats) -> Floats:
     """An image (H, W, ...) convolved with a kernel, continued beyond its border as it ends there."""
     if kernel.size == 1:
         return image
-    import cv2
-
     # Of large kernels OpenCV multiplies Fourier transforms, which leaves -1e-20 where nothing shines.
     return np.asarray(np.maximum(cv2.filter2D(image, -1, kernel, borderType=cv2.BORDER_REPLICATE), 0), np.float32)
 

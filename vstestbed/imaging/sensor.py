@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Image, Images
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.imaging.exposure import ExposureSetting
@@ -156,8 +157,6 @@ class SensorNoise:
 
     def demosaiced(self, numbers: Numbers) -> Numbers:
         """Numbers of all three colours (H, W, 3) from those of the pixels (H, W)."""
-        import cv2
-
         way = "_EA" if self.demosaic == "edge_aware" else ""
         return np.asarray(cv2.demosaicing(numbers, getattr(cv2, f"COLOR_Bayer{self.mosaic.upper()}2RGB{way}")), np.uint16)
 

@@ -12,6 +12,7 @@ from annotated_types import Ge, Le
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Image
+from vstestbed.core.lazy import cv2
 from vstestbed.core.registry import Registry
 from vstestbed.core.spec import spec
 
@@ -140,8 +141,6 @@ def round_trip(stream: VideoStream | None, rate_hz: float) -> Callable[[Image], 
 
 
 def _jpeg(stream: JpegStream, image: Image) -> Image:
-    import cv2
-
     size = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if stream.colours == "half" else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
     options = [cv2.IMWRITE_JPEG_QUALITY, stream.quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, size]
     _, packet = cv2.imencode(".jpg", image[..., ::-1], options)

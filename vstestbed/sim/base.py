@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -13,17 +14,53 @@ from vstestbed.camera import Camera, DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, UnreachableError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.imaging.shutter import Contribution, Rows
-from vstestbed.robots import Robot
+from vstestbed.robots import VEHICLES, Robot
 from vstestbed.robots.base import Reading
-from vstestbed.sim.scene.world import AWAY
-from vstestbed.targets.base import Target
+from vstestbed.sim.scene.world import AWAY, World
+from vstestbed.targets import Target
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import Interpolator, SetpointBuffer, Stop
 
 if TYPE_CHECKING:
     from vstestbed.sim.render.image_sensor import ImageSensor
-    from vstestbed.sim.scene.compose import SceneDescription
     from vstestbed.sim.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class SceneDescription:
+    """The parts of a scene.
+
+    `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
+    in reserve, out of sight until a person holds it somewhere; 0 for none [m].
+    """
+
+    robot: Robot
+    camera: Camera
+    target: Target
+    world: World
+    step: float
+    sights: tuple[tuple[float, float, float], ...] = ()
+    plate_m: float = 0.0
+
+    @property
+    def leader(self) -> Robot | None:
+        """The vehicle that carries the target; None without one."""
+        return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
+
+    @property
+    def glossy(self) -> bool:
+        """Whether the target is a picture that shows highlights, or the floor does."""
+        return self.world.floor.gloss > 0 or (self.target.sheet is not None and self.target.sheet.gloss > 0)
+
+    @property
+    def T_world_target(self) -> Array:
+        """Pose of the target at the start (4, 4)."""
+        return target_start(self.robot, self.target)
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
+        return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
 
 
 class Truth(NamedTuple):

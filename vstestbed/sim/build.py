@@ -55,8 +55,8 @@ def build_plant(
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
+    from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.ideal import IdealPlant
-    from vstestbed.sim.scene.compose import SceneDescription
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
     parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m)
@@ -100,7 +100,8 @@ def scene_files(
     Its keyframe `start` is the nominal start. sights: points that the outside view must show [m].
     """
     from vstestbed.core.geometry import quaternion_wxyz
-    from vstestbed.sim.scene.compose import SceneDescription, compose
+    from vstestbed.sim.base import SceneDescription
+    from vstestbed.sim.scene.compose import compose
     from vstestbed.sim.scene.scene import Scene
 
     parts = SceneDescription(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)

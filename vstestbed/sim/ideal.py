@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.base import Reading
-from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.render.image_sensor import ImageSensor
-from vstestbed.sim.scene.compose import SceneDescription
-from vstestbed.sim.scene.scene import Scene
+from vstestbed.sim.base import Plant, SceneDescription, Truth
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import Interpolator
+
+if TYPE_CHECKING:
+    from vstestbed.sim.render.image_sensor import ImageSensor
+    from vstestbed.sim.scene.scene import Scene
 
 NONE, STILL_AIR = np.zeros(0), np.zeros(3)
 NO_JOINTS = Reading(NONE, NONE)

@@ -14,10 +14,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.follow import FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids, texels_of
 from vstestbed.sim.scene.overview import LEAST_REACH

@@ -7,8 +7,8 @@ import time
 import mujoco
 
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.pictures import bare_renderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 

@@ -9,13 +9,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Len
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.lazy import cv2
 from vstestbed.core.named_files import absolute_file, folder, place_of_file
 from vstestbed.core.quantity import Pixel, PositiveLength
 from vstestbed.core.spec import spec

@@ -15,7 +15,7 @@ from vstestbed.loop.session import run, uninterrupted
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target

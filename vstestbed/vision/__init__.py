@@ -1,9 +1,4 @@
-"""Vision: from pixels to what a law may see. The only room with OpenCV, besides the renderer's remap and the video.
-
-OpenCV keeps to one thread: a run's numbers do not depend on the machine's cores, and parallel runs do not fight for them.
-"""
-
-import cv2
+"""Vision: from pixels to what a law may see. The only room with OpenCV, besides the renderer's remap and the video."""
 
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.vision.base import Detection, Detector, DetectorBase, TruthView
@@ -17,8 +12,6 @@ from vstestbed.vision.patch import PatchDetector
 from vstestbed.vision.pnp import solve_pose, solve_pose_from_rays
 from vstestbed.vision.region import RegionDetector
 from vstestbed.vision.tags import Tags
-
-cv2.setNumThreads(1)
 
 _KINDS = Blobs, Tags, Lines, Keypoints, PatchDetector, RegionDetector, Oracle, NoDetector
 DETECTORS = Registry("detector", *_KINDS, default="blobs", contract=Contract(Detector, base=DetectorBase))

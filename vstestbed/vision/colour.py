@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Image, Window
+from vstestbed.core.lazy import cv2
 
 Rim = Literal["sharp", "binary", "grey"]
 

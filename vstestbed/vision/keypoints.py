@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, cast
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositivePixels, check_ordered
 from vstestbed.core.registry import Registry, kind_of
 from vstestbed.core.spec import spec

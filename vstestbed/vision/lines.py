@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Lt
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera, Image, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositiveAngle, PositiveLength, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target

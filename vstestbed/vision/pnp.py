@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from functools import cache, lru_cache
 from itertools import combinations, permutations, product
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import cv2
 import numpy as np
-from cv2.typing import MatLike
 
 from vstestbed.core.geometry import Array, exp, inverse, skew, turn_between
+from vstestbed.core.lazy import cv2
 from vstestbed.vision.homography import homography
+
+if TYPE_CHECKING:
+    from cv2.typing import MatLike
 
 # The two poses of a planar target: infinitesimal plane-based pose estimation (IPPE), which has no degenerate frontal view.
 PLANE_ROUNDING = 1e-12  # elements and singular values below this share of the largest are rounding
@@ -148,7 +150,7 @@ SAME_SCENE = 0.5  # of the up to four poses of three markers, one farther than t
 WIDE = 0.2  # least z of a unit ray (78 degrees off axis) for which the solvers are given x/z, y/z
 FITS = 0.5  # a pose whose reprojection error exceeds this share of the image points' spread is no solution
 ROUNDING = 1e-12  # reprojection errors (normalised) that differ by this are equal
-_SETTLED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-14)
+_SETTLED = (3, 30, 1e-14)  # EPS + COUNT
 """The refinement ends after as many steps or with one this small. OpenCV's default, single precision, would stop on the way from a
 tilted previous pose to a far frontal view, where each step only halves the tilt."""
 Layout = Literal["line", "line and one", "plane", "space"]  # collinear; collinear but for one point; coplanar; in space

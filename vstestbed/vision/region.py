@@ -5,17 +5,16 @@ from __future__ import annotations
 import colorsys
 import math
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
-from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Picture, Regions, Window
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import Pixels, PositiveAngle, PositivePixels, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal
@@ -23,6 +22,9 @@ from vstestbed.targets import Target
 from vstestbed.targets.regions import LEAST_AHEAD, centroid, covariance, evenly_along
 from vstestbed.vision.base import Detection, DetectorBase, Move, TruthView, windows_round
 from vstestbed.vision.colour import Region, chroma_mask, noise_level
+
+if TYPE_CHECKING:
+    from cv2.typing import MatLike
 
 REACH = 2  # pixels to each side of the border that are added up
 NEIGHBOURS = np.ones((3, 3), np.uint8)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, ClassVar, Literal
 
-import cv2
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Picture, Regions, Window
 from vstestbed.core.geometry import Array
+from vstestbed.core.lazy import cv2
 from vstestbed.core.quantity import PositivePixels
 from vstestbed.core.spec import spec
 from vstestbed.targets.base import Target

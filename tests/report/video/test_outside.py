@@ -17,7 +17,7 @@ from vstestbed.report.video.film import DRAFT, FINE, Film, Pictures, error_in_wo
 from vstestbed.report.video.outside import DRAWN_FOR, GOAL, MOST_PLACES, Outside, Pen
 from vstestbed.report.video.overlay import GOOD, FilmFrame, draw_ending
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.scene.compose import SceneDescription
+from vstestbed.sim.base import SceneDescription
 
 SIZE = 320, 180
 

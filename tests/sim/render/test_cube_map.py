@@ -11,9 +11,9 @@ from vstestbed.camera.wide import Radial
 from vstestbed.core.geometry import Array, Pose, direction
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.cube_map import cube_of
 from vstestbed.sim.render.opengl import OpenGLRenderer, SceneCamera
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points

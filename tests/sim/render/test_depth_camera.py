@@ -11,11 +11,10 @@ import vstestbed as vs
 from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ScenarioError
 from vstestbed.loop.plants import plant_of
-from vstestbed.sim.base import Plant
+from vstestbed.sim.base import Plant, SceneDescription
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 SMALL = {"camera.width": 320, "camera.height": 240}

@@ -18,9 +18,9 @@ from vstestbed.core.geometry import Pose, inverse
 from vstestbed.core.named_files import folder
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Light, World
 from vstestbed.targets import MeshTarget, PictureTarget, Target

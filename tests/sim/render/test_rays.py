@@ -20,11 +20,11 @@ from vstestbed.imaging.sensor import ImageNoise
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.sim import gl_probe as gl
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.pictures import servo_renderer
 from vstestbed.sim.render.pixel_check import pixel_convention
 from vstestbed.sim.render.rays import BLANK, Caster, RayRenderer, RaySceneCamera
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World

@@ -10,8 +10,8 @@ import pytest
 import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import LABEL, REACH, OpenGLRenderer, SceneCamera, part_round
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 
 WINDOWS = ((300, 100, 420, 180), (250, 150, 270, 170))

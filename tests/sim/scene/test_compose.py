@@ -15,8 +15,9 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import FLIP, Pose, transform
 from vstestbed.robots.puma560 import ACTUATIONS, JOINT_LIMITS
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import scene_files
-from vstestbed.sim.scene.compose import SceneDescription, compose
+from vstestbed.sim.scene.compose import compose
 from vstestbed.timing.clock import Clock
 
 MOUNT = {"xyz": [0.03, -0.02, 0.1], "rpy_deg": [20, -30, 50]}

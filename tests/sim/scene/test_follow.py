@@ -13,8 +13,8 @@ from tests.shortcuts import one_quick
 from vstestbed.camera import Perspective
 from vstestbed.core.geometry import FLIP, Array, exp, inverse, log, transform
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.replay import FOOT, FREE
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.follow import LEAST_SHARE, FollowCamera, Things
 from vstestbed.sim.scene.scene import Scene
 

@@ -12,10 +12,10 @@ import vstestbed as vs
 from tests.sim.scene.views import DOWN, LENS, pixel_of, seen
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
 from vstestbed.core.geometry import Pose
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import refuse
 from vstestbed.sim.render.still import Lamp
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
 from vstestbed.targets.base import Square

@@ -15,8 +15,9 @@ from vstestbed.core.named_files import model_path
 from vstestbed.core.planar import moved
 from vstestbed.report.run.tracks import Setting, ideal_bicycle_path
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.scene.attach import extent_of
-from vstestbed.sim.scene.compose import SceneDescription, compose
+from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.overview import WIDE_PICTURE, frame_drive
 from vstestbed.targets.ground_lines import GroundLines
 

@@ -11,10 +11,10 @@ from PIL import Image
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.scenario.load import for_another_folder
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import scene_files
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.meshes import solids
 from vstestbed.sim.scene.model_report import examine_model

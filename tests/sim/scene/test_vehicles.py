@@ -8,9 +8,9 @@ import vstestbed as vs
 from vstestbed.core.geometry import inverse
 from vstestbed.core.planar import place_of, relative
 from vstestbed.robots.base import Reading
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.build import build_plant, scene_files
 from vstestbed.sim.plant import LeadVehicle
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.overview import WIDE_PICTURE, eye_for
 from vstestbed.sim.scene.scene import Scene
 

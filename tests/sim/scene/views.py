@@ -11,9 +11,9 @@ from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.geometry import Pose
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import Target

@@ -215,6 +215,7 @@ def _bootstrap(samples: tuple[Array, ...], statistic: Any) -> tuple[float, float
         return math.nan, math.nan
     from scipy.stats import bootstrap
 
+    low = high = math.nan
     with warnings.catch_warnings(action="ignore"):  # where hardly any resample differs BCa is undefined, and the percentiles are taken
         for method in ("BCa", "percentile") if n <= MOST else ("percentile",):
             drawn: dict[str, Any] = {"n_resamples": _resamples(n), "rng": np.random.default_rng(0), "vectorized": True}

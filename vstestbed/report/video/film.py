@@ -13,11 +13,11 @@ from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import inverse
+from vstestbed.core.lazy import cv2
 from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.log_file import Log
 from vstestbed.loop.recording import read_summary

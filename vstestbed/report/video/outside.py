@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-import cv2
 import numpy as np
 
 from vstestbed.camera import Camera, Perspective
 from vstestbed.core.geometry import Array, inverse, transform
+from vstestbed.core.lazy import cv2
 from vstestbed.report.video.overlay import INK, PAPER, SHIFT, SMALL, UNIT, Color, overlay_of
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.geometry import Array, inverse, pose_from
+from vstestbed.core.lazy import cv2
 from vstestbed.loop.columns import POSE
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.randomise import GOAL_STREAM

@@ -11,9 +11,9 @@ from itertools import chain, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import cv2
 import numpy as np
 
+from vstestbed.core.lazy import cv2
 from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, INK, PAPER, Color, draw_banner, draw_text, shortened, text_width
 from vstestbed.report.video.writer import Image, VideoWriter
 

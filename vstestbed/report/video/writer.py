@@ -10,12 +10,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import EnvironmentLackError, OutputError
 from vstestbed.core.files import NO_SPACE, PartFile
+from vstestbed.core.lazy import cv2
 
 if TYPE_CHECKING:
     from av import VideoFrame, VideoStream

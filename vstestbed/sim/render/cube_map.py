@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Perspective, Window
 from vstestbed.camera.wide import CUBE
 from vstestbed.core.geometry import Array, pixel_grid
+from vstestbed.core.lazy import cv2
 
 
 @dataclass(frozen=True)

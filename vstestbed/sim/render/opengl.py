@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Literal
 
-import cv2
 import mujoco
 import numpy as np
 from dm_control import mujoco as dm
@@ -19,6 +18,7 @@ from vstestbed.camera import Camera, DepthImage, Image, Perspective, Regions, Wi
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array, pixel_grid
 from vstestbed.core.lacks import lack_of
+from vstestbed.core.lazy import cv2
 from vstestbed.imaging.depth import EDGE, DepthLens
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl

@@ -12,8 +12,8 @@ from vstestbed.camera import Camera, Perspective, Picture
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.pictures import servo_renderer
-from vstestbed.sim.scene.compose import SceneDescription
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Points

@@ -10,16 +10,13 @@ scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.core.named_files import model_path
-from vstestbed.robots import VEHICLES, Robot
-from vstestbed.sim.base import camera_start, target_start
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.cube_map import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
 from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
@@ -27,7 +24,7 @@ from vstestbed.sim.scene.light import light_scene
 from vstestbed.sim.scene.model_files import ASSETS
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
-from vstestbed.sim.scene.world import AWAY, World
+from vstestbed.sim.scene.world import AWAY
 from vstestbed.targets import Target
 from vstestbed.targets.base import Body
 from vstestbed.targets.markers import HALF_THICKNESS_M, Solid
@@ -97,43 +94,6 @@ PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
 PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a hard floor
 BEHIND_SHEET_M = 1e-3  # How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away
 PITCH_M = 1e-5  # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels
-
-
-@dataclass(frozen=True)
-class SceneDescription:
-    """The parts of a scene.
-
-    `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
-    in reserve, out of sight until a person holds it somewhere; 0 for none [m].
-    """
-
-    robot: Robot
-    camera: Camera
-    target: Target
-    world: World
-    step: float
-    sights: tuple[tuple[float, float, float], ...] = ()
-    plate_m: float = 0.0
-
-    @property
-    def leader(self) -> Robot | None:
-        """The vehicle that carries the target; None without one."""
-        return None if self.target.carrier is None else VEHICLES[self.target.carrier.by]()
-
-    @property
-    def glossy(self) -> bool:
-        """Whether the target is a picture that shows highlights, or the floor does."""
-        return self.world.floor.gloss > 0 or (self.target.sheet is not None and self.target.sheet.gloss > 0)
-
-    @property
-    def T_world_target(self) -> Array:
-        """Pose of the target at the start (4, 4)."""
-        return target_start(self.robot, self.target)
-
-    @property
-    def start(self) -> tuple[Array, Array]:
-        """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
-        return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
 
 
 def compose(parts: SceneDescription) -> mujoco.MjSpec:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from vstestbed.core.geometry import FLIP, Array, inverse, quaternion_wxyz
 from vstestbed.core.planar import place_of
 from vstestbed.effects.base import RobotBody, StateIndices
+from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import Physics
-from vstestbed.sim.scene.compose import SceneDescription, compose
+from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import placed
 from vstestbed.targets.markers import HIDDEN_M
