@@ -17,6 +17,7 @@ from vstestbed.studies.delay import displaced, growth, prepared
 GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "first_law.md"
 LINES = 16
 """The example's lines, blank ones included."""
+pytestmark = pytest.mark.usefixtures("own_kinds")  # the law leaves the registry again
 
 
 @pytest.fixture(scope="module")
