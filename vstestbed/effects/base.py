@@ -46,7 +46,7 @@ class StateIndices:
         """The indices of the robot under a prefix (`robot/`, `leader/`)."""
         named = {model.joint(i).name for i in range(model.njnt)}
         motors = [name if (name := f"{prefix}{MOTOR}{joint}") in named else prefix + joint for joint in joints]
-        (qpos, qvel), (motor_qpos, motor_qvel) = _places(model, [prefix + joint for joint in joints]), _places(model, motors)
+        (qpos, qvel), (motor_qpos, motor_qvel) = places_of(model, [prefix + joint for joint in joints]), places_of(model, motors)
         numbers = np.array([model.actuator(prefix + name).id for name in actuators], dtype=int)
         activations, ctrl = model.actuator_actadr[numbers], model.actuator_ctrladr[numbers]
         return cls(
@@ -59,8 +59,8 @@ class StateIndices:
         )
 
 
-def _places(model: mujoco.MjModel, names: Sequence[str]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Where joints are in qpos and in qvel."""
+def places_of(model: mujoco.MjModel, names: Sequence[str]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Where joints of one degree of freedom (n,) are in qpos and in qvel, by their names."""
     # By name, not by number: attached models are renumbered, and a joint's number is not its place in qpos once a free joint,
     # which takes seven places, comes before it.
     found = [model.joint(name) for name in names]
@@ -74,7 +74,7 @@ class RobotModel:
     Attributes:
         spec: its own model, in which names have no prefix. scene: the scene, with the geom `floor`.
         compiled: its file's model compiled without effects, in which all orientations are quaternions.
-        actuators: names of those that the robot uses. flange: the body that carries the camera.
+        joints, actuators: names of those that the robot uses. flange: the body that carries the camera.
         T_body_flange: pose of the flange in it (4, 4); an effect may replace it.
         carried: the share of a body's weight that the drives' gravity compensation carries [1].
         assets: files in memory that an effect adds to the scene, by their paths.
@@ -83,6 +83,7 @@ class RobotModel:
     spec: mujoco.MjSpec
     scene: mujoco.MjSpec
     compiled: Callable[[], mujoco.MjModel]
+    joints: tuple[str, ...]
     actuators: tuple[str, ...]
     flange: mujoco.MjsBody
     T_body_flange: Array

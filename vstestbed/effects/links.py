@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
+from vstestbed.core.geometry import Array, Pose, pose_from, quaternion_wxyz
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect, RobotBody, RobotModel
@@ -19,7 +18,7 @@ Offsets = Annotated[tuple[Pose, ...], Len(0, 7)]
 
 
 @spec
-class GeometryError:
+class GeometryError(Effect):
     """The true geometry of the arm differs from the one that it computes with: the next joint, or the flange, is displaced on its link.
 
     T_i = A_i(q_i) D_i, with the nominal motion A_i of joint i and the displacement D_i in the frame of its link (of the Puma, standard
@@ -66,17 +65,6 @@ class GeometryError:
             raise ParameterError.count("geometry_error.offsets", n, "items, one for each link", len(self.offsets))
         return np.array([pose.T for pose in self.offsets])
 
-
-@dataclass(frozen=True, eq=False)
-class DisplacedLinks(Effect):
-    """`GeometryError` of an arm in plain numbers.
-
-    joints: names in the file. D: displacement of the next joint, or the flange, in the frame of each link (n, 4, 4).
-    """
-
-    joints: tuple[str, ...]
-    D: Array
-
     def edit(self, robot: RobotModel) -> None:
         """Displace the body of each joint but the first by D of the link before it, in the frame of that link, and the flange.
 
@@ -84,22 +72,20 @@ class DisplacedLinks(Effect):
         """
         import mujoco
 
-        compiled = robot.compiled()
-        for name, D in zip(self.joints[1:], self.D[:-1], strict=True):
+        compiled, displaced = robot.compiled(), self.displacements(len(robot.joints))
+        if displaced is None:
+            return
+        for name, D in zip(robot.joints[1:], displaced[:-1], strict=True):
             body = robot.spec.joint(name).parent
             if len(body.joints) > 1 or body.frame is not None:
                 where = "shares its body with another joint" if len(body.joints) > 1 else "is inside a <frame>"
                 words = f"cannot displace {name}, which {where} in the file; works: a body for each joint"
                 raise ParameterError("robot.geometry_error", words)
             number = compiled.jnt_bodyid[compiled.joint(name).id]
-            R = np.zeros(9)
-            mujoco.mju_quat2Mat(R, compiled.body_quat[number])
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.body_pos[number]
-            T = D @ T
+            T = D @ pose_from(compiled.body_pos[number], compiled.body_quat[number])
             body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
-        robot.T_body_flange = self.D[-1] @ robot.T_body_flange
+        robot.T_body_flange = displaced[-1] @ robot.T_body_flange
 
 
 @spec

@@ -22,7 +22,7 @@ from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
-from vstestbed.effects.links import DisplacedLinks, GeometryError, Payload
+from vstestbed.effects.links import GeometryError, Payload
 from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
 from vstestbed.robots.base import STOP_S, BodyFile, Reading, SensorModel, random_of
 from vstestbed.robots.chain import JointChain, reader
@@ -276,9 +276,8 @@ class Arm(Realistic):
             found.append(Motors(cogging, each("ripple.cycles", ripple.cycles, slides), ripple.share, self.drives))
         if self.elastic is not None:
             found.append(self.elastic)
-        names = self.chain.names
-        if self.geometry_error is not None and (D := self.geometry_error.displacements(len(names))) is not None:
-            found.append(DisplacedLinks(names, D))
+        if self.geometry_error is not None and self.geometry_error.displacements(len(self.chain.names)) is not None:
+            found.append(self.geometry_error)
         return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:

@@ -103,6 +103,7 @@ def add_robot(
         spec=model,
         scene=scene,
         compiled=functools.partial(_compiled, body.file, body.changes),
+        joints=robot.joints,
         actuators=body.actuators,
         flange=_flange_body(model, body.flange),
         T_body_flange=found[1].copy(),

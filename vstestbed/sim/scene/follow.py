@@ -9,7 +9,7 @@ import numpy as np
 
 from vstestbed.core.geometry import Array, inverse, transform
 from vstestbed.sim.scene.groups import RANGE_GROUP
-from vstestbed.sim.scene.joint_chain import turned
+from vstestbed.sim.scene.joint_chain import before, turned
 from vstestbed.sim.scene.overview import AZIMUTHS, LEAST_REACH, ROOM, Axes, extremes, eye_of, holds, slanting
 from vstestbed.sim.scene.scene import Scene
 
@@ -188,8 +188,4 @@ class FollowCamera:
 
     def _sees(self, eye: Array, point: Array, slack: float) -> bool:
         """Whether nothing hides a point (3,) from the eye."""
-        way = point - eye
-        length, geom, groups = float(np.linalg.norm(way)), np.zeros(1, np.int32), np.ones(6, np.uint8)
-        groups[RANGE_GROUP] = 0
-        hit = mujoco.mj_ray(self._stage.model, self._stage.data, eye, way / max(length, 1e-9), groups, 1, -1, geom)
-        return not 0 <= hit < length - slack
+        return bool(before(self._stage.model, self._stage.data, eye, (point - eye)[None], slack, (RANGE_GROUP,))[0] < 0)

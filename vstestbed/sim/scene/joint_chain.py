@@ -9,6 +9,7 @@ import numpy as np
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import model_path, place_of_file
+from vstestbed.effects.base import places_of
 from vstestbed.robots.chain import JointChain
 from vstestbed.sim.scene.model_files import cannot_compile, read_model
 
@@ -67,10 +68,10 @@ def joint_chain(file: str, flange: str, names: tuple[str, ...]) -> JointChain:
 def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     """The mass matrix (n, n) of joints at positions q [rad, m], and what of its diagonal are rotors, the armature (n,) [kg m^2, kg]."""
     model = compiled(str(model_path(file)))
-    data, places = mujoco.MjData(model), [model.joint(name) for name in joints]
-    data.qpos[[j.qposadr[0] for j in places]] = q
+    data, (places, dofs) = mujoco.MjData(model), places_of(model, joints)
+    data.qpos[places] = q
     mujoco.mj_forward(model, data)
-    M, dofs = np.zeros((model.nv, model.nv)), [j.dofadr[0] for j in places]
+    M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     return M[np.ix_(dofs, dofs)], model.dof_armature[dofs].copy()
 
@@ -87,6 +88,22 @@ def turned(quat: np.ndarray) -> np.ndarray:
     R = np.zeros(9)
     mujoco.mju_quat2Mat(R, quat)
     return R.reshape(3, 3)
+
+
+def before(
+    model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, ways: np.ndarray, slack: float = 0.0, left_out: tuple[int, ...] = ()
+) -> np.ndarray:
+    """The geom that hides each of the points eye + ways (N, 3) from an eye (3,), shape (N,); -1 for none, and where a point is NaN.
+
+    slack: a geom that the ray hits less than this before the point does not hide it [m]. left_out: groups of geoms that hide nothing.
+    """
+    groups, geom, found = np.ones(6, dtype=np.uint8), np.zeros(1, dtype=np.int32), np.full(len(ways), -1)
+    groups[list(left_out)] = 0
+    reach = np.linalg.norm(ways, axis=1)
+    for i in np.flatnonzero(np.isfinite(reach)):
+        if 0 <= mujoco.mj_ray(model, data, eye, ways[i] / max(reach[i], 1e-9), groups, 1, -1, geom) < reach[i] - slack:
+            found[i] = geom[0]
+    return found
 
 
 def flange_in(model: mujoco.MjModel, flange: str) -> tuple[int, np.ndarray] | None:

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose
 from vstestbed.core.named_files import place_of_file
+from vstestbed.effects.base import places_of
 from vstestbed.robots.arm import INNER, unit_scale
 from vstestbed.robots.chain import JointChain
 from vstestbed.robots.mjcf import WIND_UP_M, WIND_UP_RAD, servo_gains
-from vstestbed.sim.scene.joint_chain import compiled, drivers, inertia_at, joint_chain
+from vstestbed.sim.scene.joint_chain import before, compiled, drivers, inertia_at, joint_chain
 from vstestbed.sim.scene.model_files import speeds_in
 from vstestbed.sim.scene.scenery import check_scenery, examine_scenery
 
@@ -112,7 +112,7 @@ def torques(file: str, chain: JointChain) -> list[float]:
     Weight and inertia are the largest ones of TRIED postures.
     """
     model = compiled(file)
-    data, places, dofs = mujoco.MjData(model), *_addresses(model, chain)
+    data, places, dofs = mujoco.MjData(model), *places_of(model, chain.names)
     M = np.zeros((model.nv, model.nv))
     weight, inertia = np.zeros(len(dofs)), np.zeros(len(dofs))
     for q in _drawn(chain)[:TRIED]:
@@ -123,11 +123,6 @@ def torques(file: str, chain: JointChain) -> list[float]:
         inertia = np.maximum(inertia, M.diagonal()[dofs])
     guess = 2 * (weight + chain.friction + inertia * np.where(chain.slides, SLIDE_SPEED, SPEED) / SPEED_UP_S)
     return [float(f"{most:.2g}" if np.isinf(given) else f"{given:g}") for most, given in zip(guess, chain.torque, strict=True)]
-
-
-def _addresses(model: mujoco.MjModel, chain: JointChain) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    joints = [model.joint(name) for name in chain.names]
-    return np.array([j.qposadr[0] for j in joints], dtype=np.intp), np.array([j.dofadr[0] for j in joints], dtype=np.intp)
 
 
 def _drawn(chain: JointChain) -> Array:
@@ -154,7 +149,7 @@ def _at(file: str, chain: JointChain, q: Array) -> tuple[mujoco.MjModel, mujoco.
     """The file's model at a posture."""
     model = compiled(file)
     data = mujoco.MjData(model)
-    data.qpos[_addresses(model, chain)[0]] = q
+    data.qpos[places_of(model, chain.names)[0]] = q
     mujoco.mj_forward(model, data)
     return model, data
 
@@ -169,12 +164,9 @@ def _sees(file: str, chain: JointChain, posture: Posture) -> bool:
     """Whether nothing is between the camera and the target's middle and corners."""
     model, data = _at(file, chain, posture.q)
     eye = (chain.kinematics(posture.q)[0] @ Pose(xyz=(0, 0, posture.mount)).T)[:3, 3]
-    size, nearest = posture.distance / 6, np.zeros((1, 1), dtype=np.int32)
-    for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size)):
-        way = posture.T_world_target[:3] @ [x, y, 0, 1] - eye
-        if 0 <= mujoco.mj_ray(model, data, eye, way, None, 1, -1, nearest) < 1:  # in lengths of the way
-            return False
-    return True
+    size = posture.distance / 6
+    points = [[x, y, 0, 1] for x, y in ((0, 0), (size, size), (size, -size), (-size, size), (-size, -size))]
+    return bool((before(model, data, eye, points @ posture.T_world_target[:3].T - eye) < 0).all())
 
 
 FLANGE_NAME = re.compile(r"flange|attach|wrist|tool|tcp|hand|grip|end_?eff|(^|_)eef?(_|$)", re.IGNORECASE)

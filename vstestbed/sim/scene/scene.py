@@ -17,7 +17,7 @@ from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.gl_context import Physics
 from vstestbed.sim.scene.compose import compose
 from vstestbed.sim.scene.groups import HAND_PLATE, LENS_GROUP, RANGE_GROUP
-from vstestbed.sim.scene.joint_chain import placed
+from vstestbed.sim.scene.joint_chain import before, placed
 from vstestbed.targets.markers import HIDDEN_M
 
 PLANAR = ("root_x", "root_y", "root_yaw")
@@ -184,19 +184,9 @@ class Scene:
         """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
         marker = self.parts.target.marker
         slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
-        groups = np.ones(6, dtype=np.uint8)
-        groups[[LENS_GROUP, RANGE_GROUP]] = 0  # the lens lies inside the former; both are not in the picture either
-        p_world = p_camera @ T_world_camera[:3, :3].T
-        reach = np.linalg.norm(p_world, axis=1)
-        geom = np.zeros(1, dtype=np.int32)
-        origin = np.ascontiguousarray(T_world_camera[:3, 3])
-        rays = np.where(np.isfinite(reach), (p_world / reach[:, None]).T, [[0.0], [0.0], [1.0]]).T
-        found = np.full(len(rays), -1)
-        for i, d in enumerate(rays):
-            hit = mujoco.mj_ray(self.model, self.data, origin, np.ascontiguousarray(d), groups, 1, -1, geom)
-            if 0 <= hit < reach[i] - slack:
-                found[i] = geom[0]
-        return found
+        eye = np.ascontiguousarray(T_world_camera[:3, 3])
+        # The lens lies inside the first of these groups; neither is in the picture.
+        return before(self.model, self.data, eye, p_camera @ T_world_camera[:3, :3].T, slack, (LENS_GROUP, RANGE_GROUP))
 
     @property
     def body_names(self) -> list[str]:

@@ -23,6 +23,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
+from vstestbed.sim.scene.joint_chain import before
 from vstestbed.sim.scene.meshes import own_colours, texels_of
 from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_model, take_jpeg
 
@@ -131,13 +132,9 @@ def parts_before(file: str, T_scenery_camera: Array, p_camera: Array, slack: flo
     A ray from the camera hits it more than `slack` [m] before the point. Groups from 3 on are not drawn, and hide nothing.
     """
     model = _model(place_of_file(file))
-    data, drawn, hit = _placed(model), np.array([1, 1, 1, 0, 0, 0], np.uint8), np.zeros(1, np.int32)
-    eye, names = np.ascontiguousarray(T_scenery_camera[:3, 3]), []
-    for way in p_camera @ T_scenery_camera[:3, :3].T:
-        reach = float(np.linalg.norm(way))
-        distance = mujoco.mj_ray(model, data, eye, np.ascontiguousarray(way / max(reach, 1e-9)), drawn, 1, -1, hit)
-        names.append(f"geom {_name(model, int(hit[0]))}" if 0 <= distance < reach - slack else "")
-    return tuple(names)
+    eye, ways = np.ascontiguousarray(T_scenery_camera[:3, 3]), p_camera @ T_scenery_camera[:3, :3].T
+    hides = before(model, _placed(model), eye, ways, slack, (3, 4, 5)).tolist()
+    return tuple(f"geom {_name(model, g)}" if g >= 0 else "" for g in hides)
 
 
 def add_scenery(scene: mujoco.MjSpec, file: str, T: Array, floor_z: float) -> dict[str, bytes]:
