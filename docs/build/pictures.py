@@ -33,6 +33,8 @@ from vstestbed.report.comparison import grid as effects
 from vstestbed.report.comparison.figures import Data
 from vstestbed.report.comparison.page import COLUMN_IN
 from vstestbed.report.comparison.results import ComparisonResults
+from vstestbed.report.run.space import SUFFIXES, coordinates, turns_joined
+from vstestbed.report.run.tracks import LogArrays, Setting
 from vstestbed.report.video.film import FINE, Pictures, replay_of, rows_of
 from vstestbed.report.video.overlay import INK, PAPER, FilmFrame, draw_text
 from vstestbed.report.video.side_by_side import FrameReader, scaled
@@ -70,6 +72,13 @@ GRIDS = ("realism_arm", "realism_camera", "realism_pictures", "realism_omni", "r
 """Comparisons of effects and laws, whose figures are drawn of the same kept results as the pages' tables, in seconds."""
 LATENCY = "latency_laws"
 """The figure of three laws over latency, of kept results, too."""
+POLAR = "polar_planes"
+POLAR_RUNS: dict[str, dict[str, object]] = {
+    "mean matrix": {"law.interaction": "mean"},
+    "present matrix, 100 Hz": {"camera.rate_hz": 100},
+    "present matrix, start on the axis": {"robot.start.nominal.xyz": [0, 0, -2]},
+}
+"""Title, and what is changed in `polar_book`."""
 SHOWN_S = Fraction(18, 5)
 CAMERA = "camera_effects"
 CAMERA_EFFECTS: dict[str, dict[str, object]] = {
@@ -207,6 +216,29 @@ def latency_laws(name: str, folder: Path) -> Image:
     return figure(folder / f"{name}.png")
 
 
+def polar_planes(name: str, folder: Path) -> Image:
+    """The markers of three runs of `polar_book` in the plane of phi and r; circles where they start, crosses where they shall be."""
+    import matplotlib.pyplot as plt
+
+    with style():
+        drawn, panels = plt.subplots(1, len(POLAR_RUNS), figsize=(COLUMN_IN[2], 2.6), layout="constrained")
+        for axes, (title, changes) in zip(panels, POLAR_RUNS.items(), strict=True):
+            scenario = vs.load("polar_book", {"law.interaction": "current", "detector": "oracle"} | changes)
+            tracks = LogArrays.of(vs.run(scenario).frame(), Setting.of(scenario))
+            measured, true, goal = (coordinates(tracks, scenario.law.feature, suffix) for suffix in SUFFIXES)
+            turns_joined(*(way[..., 0] for way in (measured, true, goal)))
+            for i in range(measured.shape[1]):
+                (line,) = axes.plot(measured[:, i, 0] / np.pi, measured[:, i, 1], lw=1.2)
+                axes.plot(measured[0, i, 0] / np.pi, measured[0, i, 1], "o", ms=4, color=line.get_color(), mfc="none")
+                axes.plot(goal[-1, i, 0] / np.pi, goal[-1, i, 1], "x", ms=5, color=line.get_color())
+            axes.set_title(title)
+            axes.set_xlabel("φ [π rad]")
+            axes.set_ylim(bottom=0)
+        panels[0].set_ylabel("r [1]")
+        save(drawn, folder / f"{name}.png", DPI)
+    return figure(folder / f"{name}.png")
+
+
 def figure(path: Path) -> Image:
     """A figure, scaled down to FIGURE pixels where it is wider."""
     whole = cv2.imread(str(path))
@@ -251,20 +283,20 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *STUDIES]
+    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *STUDIES]
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
     given = parser.parse_args()
     make_folder(given.out)
-    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, *(STUDIES if given.studies else ())]
+    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *(STUDIES if given.studies else ())]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
                 write_whole(given.out / f"{name}.webp", moving(name, Path(folder)))
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
-            of_runs = grid_of if name in GRIDS else latency_laws if name == LATENCY else study
+            of_runs = grid_of if name in GRIDS else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
             made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
