@@ -30,7 +30,7 @@ MilliSeconds = Annotated[float, Ge(0), Le(0.1)]
 
 
 def each(field: str, given: Sequence[float], slides: NDArray[np.bool_], turns: bool = True) -> Array:
-    """A value for each joint (n,): one that is given alone holds for all hinges, and of an angle (`turns`) not for joints that slide.
+    """A value for each joint (n,), from one for all of them or one for each. Of an angle (`turns`) joints that slide get 0.
 
     Raises ParameterError: another number of values, or an angle for a joint that slides.
     """
@@ -190,9 +190,9 @@ def _add_rotor(model: mujoco.MjSpec, name: str) -> None:
 class ElasticJoints(Effect):
     """`Gears` of an arm of n joints in plain numbers.
 
-    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each stage of a stiffness that grows
-    is a tendon more, whose rest lengths reach to the stage's beginning. Armature, friction, torque limit and actuators of an elastic joint
-    go to the side of its rotor, the joint `rotor_<joint>`.
+    A fixed tendon of length theta - q is the spring; its rest lengths from -b/2 to b/2 are the play b. Each further stage of the stiffness
+    is one more tendon, whose rest lengths reach to the stage's beginning. Armature, friction, torque limit and actuators of an elastic
+    joint go to the side of its rotor, the joint `rotor_<joint>`.
 
     Attributes:
         joints: names in the file. stiffness, damping, play: (n,) [Nm/rad, Nm s/rad, rad]; a joint of stiffness 0 is rigid.

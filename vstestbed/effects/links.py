@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, Pose, pose_from, quaternion_wxyz
+from vstestbed.core.geometry import Array, Pose, quaternion_wxyz
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect, RobotBody, RobotModel
@@ -82,7 +82,10 @@ class GeometryError(Effect):
                 words = f"cannot displace {name}, which {where} in the file; works: a body for each joint"
                 raise ParameterError("robot.geometry_error", words)
             number = compiled.jnt_bodyid[compiled.joint(name).id]
-            T = D @ pose_from(compiled.body_pos[number], compiled.body_quat[number])
+            R, T = np.zeros(9), np.eye(4)
+            mujoco.mju_quat2Mat(R, compiled.body_quat[number])
+            T[:3, :3], T[:3, 3] = R.reshape(3, 3), compiled.body_pos[number]
+            T = D @ T
             body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             body.pos, body.quat = T[:3, 3], quaternion_wxyz(T[:3, :3])
         robot.T_body_flange = displaced[-1] @ robot.T_body_flange

@@ -14,7 +14,7 @@ from vstestbed.imaging.sensor import NO_DRIFT, Drift, Floats, ImageNoise, Sensor
 from vstestbed.imaging.stream import VideoStream, round_trip
 
 Change = Callable[[float, Images, DepthImage | None], Images]
-"""Of the images of all panels, taken at a time [s], with the true depths (H, W) [m] where they are needed."""
+"""One step: from the time [s], the images of all panels, and the true depths (H, W) [m] where a step needs them, to new images."""
 
 
 class Imaging:
@@ -90,7 +90,7 @@ class Imaging:
 
 
 class Chain:
-    """All that becomes of a rendered picture; `next` has it in the order in which light and numbers pass.
+    """All changes of a rendered picture on its way to the detector; `next` gives them in their order.
 
     imaging: lens, exposure, sensor and stream; None where the camera has none of them.
     noise, drift: of the scenario. changed: gives further changes of each next picture.

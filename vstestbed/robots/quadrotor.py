@@ -141,7 +141,7 @@ class FlightLog(RobotLog):
 
 STEP_S = 0.001  # period of the flight loops, and the largest physics step, at which the rate loop is tuned [s]
 STANDING_M = 0.172  # height of the centre over what the feet stand on, by models/quadrotor.xml [m]
-FAR_M = 100.0  # a measured range beyond this, or none, is given to a learned policy as this [m]
+FAR_M = 100.0  # the range that a learned policy is given where the measured one is larger, or there is none [m]
 NO_JOINTS = np.zeros(0)
 LEVEL_AXES = [0, 1, 2, 5]  # of vx, vy, vz and wz in a twist: the four velocities that a level craft can track
 
@@ -204,7 +204,10 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         if self.gains.rotor_s > (lag := self.parameters.rotor_lag_s):
             words = f"{lag:g} s, the rotors' own lag (parameters.rotor_lag_s)"
             raise ParameterError.bound("gains.rotor_s", "at most", words, self.gains.rotor_s)
-        # With its battery and listed motors it must hover at its start; motors that are drawn are not known yet.
+        self._check_hover()
+
+    def _check_hover(self) -> None:
+        """Refuse a battery or listed motors with which it cannot hover at its start; motors that are drawn are not known yet."""
         craft = self.parameters
         share = self.battery.share_at_start(craft) if self.battery else 1.0
         least = max(GRAVITY / (GRAVITY + MAX_TRIM), craft.hover / craft.limit)

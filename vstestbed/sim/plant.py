@@ -96,7 +96,7 @@ class SensorReader:
                 sensors = felt(sensors)
             q = qd = NO_JOINTS  # to index with nothing takes as long as the flight loops' filters
             if self._has_encoders:
-                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # of what the encoders are on
+                q, qd = self._data.qpos[self._at.motor_qpos], self._data.qvel[self._at.motor_qvel]  # the encoders are on the motors
             self._reading, self.read_at = self._model(q, qd, sensors), step
         return self._reading
 
@@ -128,9 +128,9 @@ def shown_at(stage: Scene, T_world_flange: Array, q: Array) -> Array:
 def check_static_load(stage: Scene) -> None:
     """Refuse a start at which the weight of the links and the payload is more than motors and friction of a joint hold.
 
-    tau = g(q) of the whole arm, of which a file's own compensation (springs, counterweights) is taken off, and not that of the drives,
-    whose torque is the motors'. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes 0.1 ms at
-    the start of a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
+    tau = g(q) of the whole arm, less what springs or counterweights in its file carry. Gravity compensation by the drives does not count:
+    its torque is the motors' own. A joint holds |tau| <= tau_max + its Coulomb friction; motors without a limit hold all. It takes 0.1 ms
+    at the start of a run. Raises UnreachableError: a joint that holds less, with the torques, and the payload that it would hold.
     """
     robot, model, data = stage.parts.robot, stage.model, stage.data
     if stage.root is not None or not robot.joints:
@@ -156,7 +156,7 @@ def check_static_load(stage: Scene) -> None:
 
 
 def _largest_torques(stage: Scene) -> Array:
-    """Of the motors of each joint (n,) [Nm, N], by the limits of its actuators and its own; infinite without one."""
+    """Largest torque of each joint's motors (n,) [Nm, N]: the lower of the actuators' limit and the joint's; infinite without both."""
     model, found = stage.model, []
     motors = np.array([model.actuator(f"robot/{name}").id for name in stage.body.actuators], dtype=int)
     motors = motors[model.actuator_trntype[motors] == mujoco.mjtTrn.mjTRN_JOINT]

@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Pose
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import refuse
-from vstestbed.sim.render.still import Lamp
+from vstestbed.sim.render.still import lamp_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.sim.scene.world import Floor, Light, Plate, WindowPane, World
 from vstestbed.targets.base import Square
@@ -216,11 +216,11 @@ class TestALampThatMoves:
     def test_is_noticed_by_views_that_are_kept(self):
         s = vs.load("arm_ibvs")
         stage = Scene(SceneDescription(s.robot, s.camera, s.target, World(light=self.light()), step=0.002))
-        lamp = Lamp(stage.model, stage.data)
+        lamp = lamp_of(stage.model, stage.data)
         stage.place(0.0, s.target.pose.T, s.robot.configuration())
-        assert lamp.has_moved() and not lamp.has_moved()
+        assert (first := lamp()) and lamp() == first
         stage.place(0.1, s.target.pose.T, s.robot.configuration())
-        assert lamp.has_moved()
+        assert lamp() != first
         stage.close()
 
     def test_to_where_the_sun_does_not_show_it_is_refused(self):

@@ -19,7 +19,7 @@ from vstestbed.core.geometry import Array, lengths, pixel_grid
 from vstestbed.imaging.shutter import Rows
 from vstestbed.sim import gl_probe as gl
 from vstestbed.sim.render.shade import Paint
-from vstestbed.sim.render.still import Lamp
+from vstestbed.sim.render.still import lamp_of
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.vision.colour import noise_rows
@@ -302,14 +302,14 @@ class RaySceneCamera:
         self._pixel = 2 / lens.f if samples else 0.0  # angle by which antialiasing looks beyond a tile [rad]
         self._image = np.empty((height, width, 3), np.uint8)
         self._before: tuple[Array, Array, Array] | None = None
-        self._lamp = Lamp(stage.model, stage.data)
+        self._lamp, self._lit = lamp_of(stage.model, stage.data), b""
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy."""
         data = self._stage.data
-        T = self._stage.pose_of(self._camera)
-        if self._lamp.has_moved():
-            self._before = None
+        T, lit = self._stage.pose_of(self._camera), self._lamp()
+        if lit != self._lit:
+            self._before, self._lit = None, lit
         stale = tuple(tile for tile, cone in self._tiles if self._changed(T, cone))
         self._raster.draw(self._image, stale, self._caster, T)
         self._before = T, data.geom_xpos.copy(), data.geom_xmat.copy()

@@ -21,22 +21,13 @@ CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in
 ASIDE = 1.02  # margin of the tangents beyond which a geom is out of sight
 
 
-class Lamp:
-    """Tells whether the lamp of a scene (`world.light`) has moved: what it lights and its shadows are then other ones everywhere.
+def lamp_of(model: mujoco.MjModel, data: mujoco.MjData) -> Callable[[], bytes]:
+    """Place and direction of a scene's lamp (`world.light`) now, to be compared: where it has moved, light and shadows differ everywhere.
 
-    model, data: the scene, which need not have a lamp that moves.
+    Empty where the scene has no lamp that moves.
     """
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData):
-        body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP)
-        self._lights, self._data = np.flatnonzero(model.light_bodyid == body), data
-        self._before = b""
-
-    def has_moved(self) -> bool:
-        """Whether it has since this was asked last; at first, whether there is one."""
-        now = self._data.light_xpos[self._lights].tobytes() + self._data.light_xdir[self._lights].tobytes()
-        before, self._before = self._before, now
-        return now != before
+    lights = np.flatnonzero(model.light_bodyid == mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, LAMP))
+    return lambda: data.light_xpos[lights].tobytes() + data.light_xdir[lights].tobytes()
 
 
 class StillView:
@@ -65,15 +56,15 @@ class StillView:
         self._view, self._model, self._data, self._f, self._part = view, model, data, f, part
         self._camera, self._sides = model.camera(camera).id, sides
         self._corners = model.geom_aabb[:, None, :3] + model.geom_aabb[:, None, 3:] * CORNERS
-        self._lamp = Lamp(model, data)
+        self._lamp, self._lit = lamp_of(model, data), b""
         self._drawn: tuple[NDArray[Any], ...] = ()
         self._image: Image | None = None
 
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
-        state = self._state()
-        if self._lamp.has_moved() or self._image is None:
-            self._image, self._drawn = self._view(), state
+        state, lit = self._state(), self._lamp()
+        if lit != self._lit or self._image is None:
+            self._image, self._drawn, self._lit = self._view(), state, lit
             return self._image.copy()
         of_geoms, of_camera = self._motion(state)
         seen = max(of_geoms.max(), of_camera) > UNSEEN_PX

@@ -21,7 +21,7 @@ from vstestbed.sim.render.cube_map import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
 from vstestbed.sim.scene.groups import FACE_VIEWER, GLOW, HAND_PLATE, LENS_GROUP, ROBOT_GROUP, SITE_GROUP, TARGET_GROUP
 from vstestbed.sim.scene.light import light_scene
-from vstestbed.sim.scene.model_files import ASSETS
+from vstestbed.sim.scene.model_files import ASSETS, lay_picture
 from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY
@@ -56,12 +56,9 @@ def add_stripe(scene: mujoco.MjSpec, body: mujoco.MjsBody, edges: tuple[Array, A
 
 def add_sheet(scene: mujoco.MjSpec, body: mujoco.MjsBody, sheet: PictureTarget, front: float) -> float:
     """A picture with its face at z = front in the target's frame; where its back is [m]."""
-    scene.texturedir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/target_picture.png": sheet.png}
-    scene.add_texture(name="target/picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="target_picture.png")
     rgba, paint = _paint(scene, "picture", np.full(3, sheet.albedo), sheet.lit)
     paint.specular, paint.shininess, paint.texrepeat = sheet.gloss, SHININESS, (SHARE, SHARE)
-    paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "target/picture"
+    lay_picture(scene, paint, "target/picture", "target_picture.png", sheet.png)
     size, pos = [sheet.width / 2, sheet.height / 2, HALF_THICKNESS_M], [0, 0, front + HALF_THICKNESS_M]
     geom = _visual(body, "target/picture", mujoco.mjtGeom.mjGEOM_BOX, size, rgba, TARGET_GROUP, pos, FACE_VIEWER)
     geom.material = paint.name
@@ -244,10 +241,7 @@ def _add_marker(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target, i: i
     rgba, paint = _paint(scene, f"color_{i}", np.full(3, marker.albedo) if marker.textured else target.colors[i], marker.lit)
     if marker.textured:
         name, png = printed(marker, i)  # in memory; `scene_files` writes it beside model.xml
-        scene.texturedir = ASSETS
-        scene.assets = {**scene.assets, f"{ASSETS}/{name}.png": png}
-        scene.add_texture(name=f"target/{name}", type=mujoco.mjtTexture.mjTEXTURE_2D, file=f"{name}.png")
-        paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"target/{name}"
+        lay_picture(scene, paint, f"target/{name}", f"{name}.png", png)
     shape, half_sizes = solid
     # In a plane the front face of a flat marker lies in z = 0; on a solid it lies on the surface.
     inwards = 0.0 if marker.height_m else HALF_THICKNESS_M if target.body is None else -HALF_THICKNESS_M

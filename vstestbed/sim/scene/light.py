@@ -7,7 +7,7 @@ import numpy as np
 
 from vstestbed.core.geometry import quaternion_wxyz
 from vstestbed.sim.scene.groups import GLOW
-from vstestbed.sim.scene.model_files import ASSETS
+from vstestbed.sim.scene.model_files import lay_picture
 from vstestbed.sim.scene.world import LAMP, Floor, Light, WindowPane, World
 from vstestbed.targets.picture import place_of_picture, read_tile
 
@@ -87,9 +87,6 @@ def _paint_floor(scene: mujoco.MjSpec, floor: Floor) -> None:
     if floor.texture is None:
         return
     png, (width, height) = read_tile(place_of_picture(floor.texture), floor.albedo)
-    scene.texturedir = ASSETS
-    scene.assets = {**scene.assets, f"{ASSETS}/floor_picture.png": png}
-    scene.add_texture(name="floor_picture", type=mujoco.mjtTexture.mjTEXTURE_2D, file="floor_picture.png")
-    paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor_picture"
+    lay_picture(scene, paint, "floor_picture", "floor_picture.png", png)
     # `texuniform`: so many tiles in two metres
     paint.texrepeat = [2 / floor.tile_m, 2 / (floor.tile_m * height / width)]

@@ -52,7 +52,7 @@ def panes(model: mujoco.MjModel) -> list[Pane]:
     """The pictures of a scene: what is printed on the front of a target's boxes, as tags are."""
     found = []
     for i in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
-        texture = _texture(model, int(i))
+        texture = texture_of(model, int(i))
         if texture < 0 or not _shows_print(model, int(i)):
             continue
         R, half = turned(model.geom_quat[i]), model.geom_size[i].astype(float)
@@ -76,7 +76,8 @@ def _shows_print(model: mujoco.MjModel, i: int) -> bool:
     return bool(model.geom_type[i] == mujoco.mjtGeom.mjGEOM_BOX and model.geom_group[i] == TARGET_GROUP)
 
 
-def _texture(model: mujoco.MjModel, i: int) -> int:
+def texture_of(model: mujoco.MjModel, i: int) -> int:
+    """The number of the texture on a geom; -1 for none."""
     material = int(model.geom_matid[i])
     return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
 
@@ -112,7 +113,7 @@ def _colour(model: mujoco.MjModel, i: int) -> tuple[float, float, float]:
     colour, material = own_colours(model)[i], int(model.geom_matid[i])
     if material < 0:
         return _rgb(colour)
-    texture = _texture(model, i)
+    texture = texture_of(model, i)
     if texture >= 0 and _shows_print(model, i):
         return PAPER_RGB
     if texture >= 0:

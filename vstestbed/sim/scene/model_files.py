@@ -16,6 +16,14 @@ from vstestbed.targets.picture import as_png
 JPEG = ".jpg", ".jpeg"
 
 
+def lay_picture(scene: mujoco.MjSpec, paint: mujoco.MjsMaterial, name: str, file: str, png: bytes) -> None:
+    """Lay a picture in memory on a material of the scene, as a texture of a name and as a file among the scene's assets."""
+    scene.texturedir = ASSETS
+    scene.assets = {**scene.assets, f"{ASSETS}/{file}": png}
+    scene.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+    paint.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
 def carry_files(model: mujoco.MjSpec, file: Path, scene: mujoco.MjSpec, prefix: str) -> dict[str, bytes]:
     """The files that a model refers to, under names of their own, for the scene's assets; keyframes, which fit no other scene, go.
 

@@ -24,7 +24,7 @@ from vstestbed.core.geometry import Array, quaternion_wxyz
 from vstestbed.core.named_files import place_of_file
 from vstestbed.sim.scene.groups import RANGE_GROUP
 from vstestbed.sim.scene.joint_chain import before
-from vstestbed.sim.scene.meshes import own_colours, texels_of
+from vstestbed.sim.scene.meshes import own_colours, texels_of, texture_of
 from vstestbed.sim.scene.model_files import cannot_compile, carry_files, read_model, take_jpeg
 
 PREFIX = "scenery/"
@@ -33,7 +33,6 @@ BRIGHTEST = 1.3  # Brightness of a surface under the scene's lights, at most: it
 CHROMA = 60  # of pictures, from which on detectors by default take a pixel for a marker's [grey levels]
 MOST_TOLD = 3
 LEFT_OUT = "cameras", "sensors", "keys", "equalities", "tendons"
-RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 FLAT = PLANE, int(mujoco.mjtGeom.mjGEOM_BOX)
 
@@ -195,8 +194,7 @@ def _saturated(path: Path, chroma: int, who: str) -> str:
 def _saturations(model: mujoco.MjModel) -> Iterator[tuple[str, float]]:
     colours = own_colours(model)
     for g in np.flatnonzero((model.geom_group <= 2) & (colours[:, 3] > 0)):
-        material, rgb = int(model.geom_matid[g]), colours[g, :3]
-        texture = int(model.mat_texid[material, RGB]) if material >= 0 else -1
+        texture, rgb = texture_of(model, int(g)), colours[g, :3]
         yield f"geom {_name(model, int(g))}", float(np.ptp(rgb)) if texture < 0 else _spread(texels_of(model, texture), rgb)
     for texture in np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX):
         yield "the skybox", _spread(texels_of(model, int(texture)), np.ones(3))

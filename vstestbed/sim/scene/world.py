@@ -162,7 +162,7 @@ def path_from(rest: Array, motion: MotionBase) -> Path:
 
 LAMP = "lamp"  # name of the body of a lamp that moves
 SAMPLES_S = (0.0, 0.37, 1.13, 2.9, 7.3, 41.0)
-"""Times at which a motion is looked at for whether it turns a lamp [s]: without a common period."""
+"""Times at which it is checked whether a motion turns a lamp [s]; they have no common period."""
 Colour = Annotated[tuple[Annotated[float, Ge(0), Le(1)], ...], Len(3, 3)]
 
 
