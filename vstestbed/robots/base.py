@@ -221,7 +221,6 @@ class Robot:
     body: ClassVar[BodyFile | None] = None  # Its body in MuJoCo; None for the ideal camera
     onboard: ClassVar[Onboard | None] = None  # Its onboard controller; None where the setpoint is the actuators' controls
     acting: ClassVar[tuple[Effect, ...]] = ()  # Its imperfections, in the order in which they change its model and act
-    stop_s: ClassVar[float] = STOP_S  # How long it takes to stop [s]
     draws: ClassVar[bool] = False  # Whether the scenario's seed makes a difference to its body or its sensors, besides the start
 
     @property
@@ -311,9 +310,9 @@ class Robot:
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
         """Its own way to stop: the setpoint `elapsed_s` [s] after the last one, `setpoint`, has lost its force.
 
-        By default all velocities fall to zero within `stop_s` by the same factor: the motion keeps its direction.
+        By default all velocities fall to zero within STOP_S by the same factor: the motion keeps its direction.
         """
-        return setpoint * max(0.0, 1.0 - elapsed_s / self.stop_s)
+        return setpoint * max(0.0, 1.0 - elapsed_s / STOP_S)
 
 
 RobotBase = Robot

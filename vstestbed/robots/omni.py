@@ -261,6 +261,10 @@ class Omni(Vehicle, Onboard):
         J = self.motion_basis(mount, reading.q)
         return OwnModel.of_motions(("vx", "vy", "wz"), J, speeds, speeds / self.stop_s, sums=wheels, most=most)
 
+    def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
+        """All wheels fall to rest within `stop_s`."""
+        return setpoint * max(0.0, 1.0 - elapsed_s / self.stop_s)
+
     def odometry(self, before: Reading, now: Reading, duration: float) -> Array:
         """Mean motion (vx, vy, wz) of the base between two readings of its encoders, with the calibrated radius.
 
