@@ -258,7 +258,7 @@ def ackermann(slant: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
         return crank[:, None] ** np.arange(1, 5) @ x[3:] - wanted
 
     first = np.array([*CRANK[2:], *WHEEL[1:]]) * (slant / BUGGY.slant) ** np.array([1, 2, 3, 0, 1, 2, 3])
-    a, b, c, *q = least_squares(miss, first, method="lm").x.tolist()
+    a, b, c, *q = least_squares(miss, first, method="lm", ftol=1e-15, xtol=1e-15).x.tolist()
     return (0.0, 1.0, a, b, c), (0.0, *q)
 
 

@@ -101,19 +101,22 @@ class Mjcf(Arm):
                 words = {"speed_limits": "speeds", "torque_limits": "torques"}.get(field, "gains")
                 raise ParameterError.count(field, n, f"{words}, of {', '.join(chain.names)}, or one for all", list(given))
         self._check()
-        if self.actuation == "file":
-            for name, drive in zip(chain.names, chain.drives, strict=True):
-                if drive not in ("velocity", "position"):
-                    found = f"a {drive} actuator" if drive else "no actuator"
-                    words = f"must not be file: {name} has {found} there, which follows no speed; works: velocity, which adds servos"
-                    raise ParameterError("actuation", words)
-        elif self.actuation == "velocity":
-            # Gains that are not given become those of this start: a run's copies, started elsewhere, keep them.
-            if not self.servo_kp:
-                each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
-                object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))
-            if not self.servo_kv:
-                object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
+        unfit = [pair for pair in zip(chain.names, chain.drives, strict=True) if pair[1] not in ("velocity", "position")]
+        if self.actuation == "file" and unfit:
+            name, drive = unfit[0]
+            found = f"a {drive} actuator" if drive else "no actuator"
+            words = f"must not be file: {name} has {found} there, which follows no speed; works: velocity, which adds servos"
+            raise ParameterError("actuation", words)
+        if self.actuation == "velocity":
+            self._fill_gains(chain)
+
+    def _fill_gains(self, chain: JointChain) -> None:
+        """Gains that are not given become those of this start: a run's copies, started elsewhere, keep them."""
+        if not self.servo_kp:
+            each = zip(self._inertia(chain), chain.friction.tolist(), chain.slides, strict=True)
+            object.__setattr__(self, "servo_kp", tuple(servo_gains(*joint)[0] for joint in each))  # frozen, as above
+        if not self.servo_kv:
+            object.__setattr__(self, "servo_kv", tuple(four_digits(kp * RATIO_S) for kp in self.servo_kp))
 
     def _inertia(self, chain: JointChain) -> tuple[float, ...]:
         M, own = reader().inertia_at(self.file, chain.names, tuple(self.configuration().tolist()))

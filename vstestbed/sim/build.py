@@ -112,7 +112,9 @@ def scene_files(
     else:
         stage = Scene(parts)
         spec = stage.spec
-        spec.add_key(name="start", qpos=stage.start_qpos(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
+        stage.place(0.0, parts.T_world_target, *parts.start)
+        stage.rest()
+        spec.add_key(name="start", qpos=stage.data.qpos.copy(), act=stage.data.act.copy(), ctrl=stage.data.ctrl.copy())
         stage.close()
     spec.compile()
     return spec.to_xml(), dict(spec.assets)

@@ -269,7 +269,7 @@ class MujocoPlant(Plant):
     ):
         robot, world = stage.parts.robot, stage.parts.world
         super().__init__(stage.parts, steps_per_frame, stage, eye, path, order_s, interpolator)
-        self._robot, self._scenery = robot, bool(world.movers or path)
+        self._robot, self._scenery = robot, bool(world.movers) or stage.hand_plate is not None
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
@@ -351,7 +351,7 @@ class MujocoPlant(Plant):
     def _show(self) -> None:
         """Move plates, decoys, a lamp and a target with a path of its own to their present poses."""
         stage, t = self._stage, self._t
-        if self._scenery:
+        if self._scenery or self._path is not None:
             stage.place_plates(t)
             if self._path is not None:
                 stage.place_target(self._path(t))
@@ -461,16 +461,6 @@ class MujocoPlant(Plant):
             raise ParameterError.bound("duration_s", "more than", f"0 and at most {LONGEST_PUSH_S:g} s", duration_s)
         self._stage.data.xfrc_applied[self._stage.flange_body, :3] = given
         self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
-
-    def move_target(self, T_world_target: Array) -> None:
-        """Put the target at a pose (4, 4); one that moves goes on from there."""
-        super().move_target(T_world_target)
-        self._scenery = True
-
-    def hold_plate(self, T_world_plate: Array | None) -> None:
-        """Put the plate in reserve at a pose (4, 4), or away."""
-        super().hold_plate(T_world_plate)
-        self._scenery = True
 
     def close(self) -> None:
         """Free pictures and physics."""

@@ -112,7 +112,7 @@ class TestOverview:
     def test_start_goal_landmarks_and_route_are_in_the_picture(self, name):
         s = vs.load(name)
         stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002, s.sights))
-        stage.start_qpos()
+        stage.place(0.0, stage.parts.T_world_target, *stage.parts.start)
         mujoco.mj_forward(stage.model, stage.data)
         camera = stage.model.camera("overview").id
         R, o = stage.data.cam_xmat[camera].reshape(3, 3), stage.data.cam_xpos[camera]

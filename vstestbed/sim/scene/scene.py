@@ -198,13 +198,6 @@ class Scene:
         """Positions (B, 3) [m] and quaternions (B, 4), wxyz, of all bodies in the state; valid until the next one."""
         return self.data.xpos, self.data.xquat
 
-    def start_qpos(self) -> Array:
-        """MuJoCo's whole state of positions (nq,) at the nominal start."""
-        q, T = self.parts.start
-        self.place(0.0, self.parts.T_world_target, q, T)
-        self.rest()
-        return self.data.qpos.copy()
-
     def close(self) -> None:
         """Free the OpenGL context."""
         self.physics.free()
