@@ -11,7 +11,7 @@ import vstestbed as vs
 from vstestbed.camera import Perspective
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import SceneDescription
-from vstestbed.sim.render.opengl import LABEL, REACH, OpenGLRenderer, SceneCamera, part_round
+from vstestbed.sim.render.opengl import LABEL, REACH, SKYBOX, OpenGLRenderer, SceneCamera, part_round
 from vstestbed.sim.scene.scene import Scene
 
 WINDOWS = ((300, 100, 420, 180), (250, 150, 270, 170))
@@ -59,6 +59,7 @@ def test_geoms_outside_of_the_frustum_are_not_missed(name: str, changes: dict[st
             kinds = [geom.type for geom in camera._scene.ptr.geoms[: camera._scene.ptr.ngeom]]
             assert LABEL in kinds
             camera.local = False
+            camera._scene.ptr.flags[SKYBOX] = 1
             np.testing.assert_array_equal(view.raw(window), drawn)
             camera.local = True
 

@@ -32,7 +32,8 @@ from vstestbed.sim.scene.scene import Scene
 REACH = 0.05  # Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered
 
 
-PLANE, LABEL, GEOM = (int(word) for word in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_LABEL, mujoco.mjtObj.mjOBJ_GEOM))
+PLANE, LABEL = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_LABEL)
+GEOM, SKYBOX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 
 
 class PartCamera(dm.Camera):
@@ -53,7 +54,7 @@ class PartCamera(dm.Camera):
     _drawn: tuple[slice, slice] = (slice(None), slice(None))
 
     def update(self, scene_option: Any = None) -> None:
-        """Update the scene within the window. Planes are made decoration, which casts no shadow; what is outside is left out if `local`.
+        """Update the scene within the window. Planes are made decoration, which casts no shadow.
 
         Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own shadow (shadow acne).
         """
@@ -61,20 +62,29 @@ class PartCamera(dm.Camera):
         if (part := self.window or self.beyond) is not None:
             for camera in self._scene.ptr.camera:
                 _narrow(camera, part, self._width, self._height)
-        outside = self._outside() if self.local else []
-        for geom in self._scene.ptr.geoms[: self._scene.ptr.ngeom]:
-            if geom.type == PLANE:
-                geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
-            elif outside and geom.objtype == GEOM and outside[geom.objid]:
-                geom.type = LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+        geoms = self._scene.ptr.geoms[: self._scene.ptr.ngeom]
+        planes = [geom for geom in geoms if geom.type == PLANE]
+        for geom in planes:
+            geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        if self.local:
+            self._leave_out(geoms, planes)
 
-    def _outside(self) -> list[bool]:
-        """Whether the sphere around each geom of the model lies outside of the frustum; a plane has none."""
+    def _leave_out(self, geoms: list[Any], planes: list[Any]) -> None:
+        """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a plane fills the image."""
         model, data, camera = self._physics.model.ptr, self._physics.data.ptr, self._render_camera.fixedcamid
-        p = (data.geom_xpos - data.cam_xpos[camera]) @ data.cam_xmat[camera].reshape(3, 3)
-        left, right, bottom, top = np.mean([_frustum(eye, self._width / self._height) for eye in self._scene.ptr.camera], axis=0)
+        R, place, eyes = data.cam_xmat[camera].reshape(3, 3), data.cam_xpos[camera], self._scene.ptr.camera
+        left, right, bottom, top = (
+            sum(ends) / 2 for ends in zip(*(_frustum(eye, self._width / self._height) for eye in eyes), strict=True)
+        )
         normals = np.array([[-1, 0, -left], [1, 0, right], [0, -1, -bottom], [0, 1, top], [0, 0, 1]])
-        return (p @ normals.T > model.geom_rbound[:, None] * np.linalg.norm(normals, axis=1)).any(axis=1).tolist()
+        beyond = (data.geom_xpos - place) @ R @ normals.T > np.outer(model.geom_rbound, np.sqrt((normals**2).sum(axis=1)))
+        outside = beyond.any(axis=1).tolist()
+        for geom in geoms:
+            if geom.type != PLANE and geom.objtype == GEOM and outside[geom.objid]:
+                geom.type = LABEL  # of which nothing is drawn; MuJoCo would take all its vertices to OpenGL
+        corners = np.array([[left, bottom, -1], [left, top, -1], [right, bottom, -1], [right, top, -1]]) @ R.T
+        filled = any(_fills(plane, place, corners, SKY * eyes[0].frustum_far) for plane in planes)
+        self._scene.ptr.flags[SKYBOX] = not filled
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
         """As dm_control's, within the window. The buffer has the lowest row first, as OpenGL does."""
@@ -108,6 +118,16 @@ class PartCamera(dm.Camera):
         near, far = (float(plane) * model.stat.extent for plane in (model.vis.map.znear, model.vis.map.zfar))
         b = self._depth_buffer[::-1].astype(float)
         return np.where(b > 0, near * far / (near + b * (far - near)), np.inf).astype(np.float32)
+
+
+def _fills(plane: Any, place: Array, corners: Array, far: float) -> bool:
+    """Whether an opaque plane fills the image of a camera at `place` (3,): it is hit, nearer than `far` [m], along all corners."""
+    R = plane.mat.reshape(3, 3)
+    p, d = (place - plane.pos) @ R, corners @ R
+    if plane.rgba[3] < 1 or p[2] <= 0 or (d[:, 2] >= 0).any():
+        return False
+    t = -p[2] / d[:, 2]
+    return bool(t.max() < far and (np.abs(p[:2] + t[:, None] * d[:, :2]) < 0.99 * plane.size[:2]).all())
 
 
 def _frustum(eye: mujoco.MjvGLCamera, aspect: float) -> tuple[float, ...]:
@@ -164,11 +184,14 @@ class SceneCamera:
     """One pinhole camera of a stage, kept between images.
 
     stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the image [px]. shadows: draw shadows.
-    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything. Raises
+    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything.
+    culls: OpenGL gets only what may be in the picture; MuJoCo itself gives it all geoms. Raises
     EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
     """
 
-    def __init__(self, stage: Scene, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"]):
+    def __init__(
+        self, stage: Scene, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"], culls: bool = True
+    ):
         gl.require()
         _must_be_drawable(stage)
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
@@ -187,7 +210,7 @@ class SceneCamera:
             self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
             made = stage.physics.with_context(lambda: (PartCamera(stage.physics, height, width, camera_id=camera), gl.renderer_string()))
             self._camera, self.renderer = made
-            self._camera.local = not (shadows or self._flags["reflection"])
+            self._camera.local = culls and not (shadows or self._flags["reflection"])
         except Exception as error:  # EGL, PyOpenGL and MuJoCo raise half a dozen types when a driver is broken
             raise (lack_of(error) or EnvironmentLackError(f"OpenGL does not work here: {error}", gl.remedy())) from error
 

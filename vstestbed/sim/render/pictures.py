@@ -46,13 +46,13 @@ def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camer
 def bare_renderer(stage: Scene, camera: Camera) -> Callable[[Array], object]:
     """The cheapest rendering of the servo camera, as a function of the markers (N, 3) [m] in its frame; for speed baselines.
 
-    With OpenGL that is what is drawn before the lens and the noise, of several faces of a cube only those with a marker; with
+    With OpenGL that is what MuJoCo draws before the lens and the noise, of several faces of a cube only those with a marker; with
     rays it is the whole image.
     """
 
     def by_gl() -> Callable[[Array], object]:
         drawn = drawn_for(camera)
-        views = [_opengl().SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own") for face in drawn]
+        views = [_opengl().SceneCamera(stage, face.name, face.width, face.height, camera.shadows, "own", culls=False) for face in drawn]
         return lambda p: [v.raw() for v, face in zip(views, drawn, strict=True) if len(drawn) == 1 or face.holds(p)]
 
     def by_rays() -> Callable[[Array], object]:
