@@ -65,6 +65,7 @@ STUDIES: dict[str, tuple[str, str]] = {
     "depth_error": ("sweep depth_error", "convergence.png"),
     "calibration_error": ("sweep calibration_error", "convergence.png"),
     "delay_arm": ("gain-limit arm_ibvs", "delay.png"),
+    "flow_polar": ("optical-flow --feature polar", "flow_polar.png"),
     "flow_spherical_sphere": ("optical-flow --feature spherical", "flow_spherical_sphere.png"),
 }
 """The command, and the file in its folder; of a film the picture at SHOWN_S."""
@@ -188,7 +189,7 @@ def study(name: str, folder: Path) -> Image:
     words = shlex.split(command)
     place = folder / "-".join(words).replace("/", "-")
     if not place.exists():
-        out = place / "flow_spherical.png" if words[0] == "optical-flow" else place
+        out = place / f"flow_{words[-1]}.png" if words[0] == "optical-flow" else place
         make_folder(out.parent)
         subprocess.run([sys.executable, "-m", "vstestbed", *words, "--out", str(out)], check=True)
     if not file.endswith(".mp4"):

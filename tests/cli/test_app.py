@@ -377,6 +377,7 @@ def test_bench_tells_of_the_loop_and_its_floor(command, quick: Path) -> None:
 
 
 def test_flow_makes_the_folder_of_its_figure(command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vstestbed.report.optical_flow.write_flow", lambda feature, depth, out: [out])
-    ended = command("optical-flow", "--out", tmp_path / "not/there/x.png")
-    assert ended.code == 0 and ended.out.strip() == str(tmp_path / "not/there/x.png") and (tmp_path / "not/there").is_dir()
+    monkeypatch.chdir(tmp_path)
+    for options, place in (((), "runs/optical_flow/polar.png"), (("--out", "not/there/x.svg"), "not/there/x.svg")):
+        ended = command("optical-flow", "--feature", "polar", *options)
+        assert ended.code == 0 and ended.out.strip() == place and (tmp_path / place).stat().st_size > 10_000

@@ -178,13 +178,12 @@ def doctor(
 def optical_flow(
     feature: Annotated[str, typer.Option(metavar="NAME", help="point, polar or spherical.")] = "point",
     depth: Annotated[float, typer.Option(metavar="METRES", help="Depth (spherical: distance) of every point.")] = 1.0,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: flow_NAME.png]")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="A .png, .svg or .pdf. [default: runs/optical_flow/NAME.png]")] = None,
 ) -> None:
     """Draw the optical flow of the six camera motions, in a feature's own coordinates."""
-    from vstestbed.core.files import make_parents
     from vstestbed.report.optical_flow import write_flow
 
-    for path in write_flow(feature, depth, None if out is None else make_parents(out)):
+    for path in write_flow(feature, depth, out):
         typer.echo(str(path))
 
 

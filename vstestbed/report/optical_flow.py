@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.files import make_parents
 from vstestbed.core.geometry import Array
 from vstestbed.features import Feature, Point, Polar, Spherical
 from vstestbed.report.canvas import new_figure, save, style
@@ -135,17 +136,18 @@ def draw_sphere(depth: float = 1.0) -> Figure:
 
 
 def write_flow(name: str, depth: float = 1.0, out: Path | None = None) -> list[Path]:
-    """Draw a feature's flow into a file (`flow_NAME.png`), for `spherical` also on the sphere beside it (`_sphere`); returns the paths.
+    """Draw a feature's flow into a file (`runs/optical_flow/NAME.png`), for `spherical` also on the sphere (`NAME_sphere`).
 
-    ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
+    Returns the paths. ParameterError: no such plane, depth or format. OutputError: the file cannot be written.
     """
-    out = out or Path(f"flow_{name}.png")
     if name not in PLANES:
         raise ParameterError.choice("feature", PLANES, name, why="only these have two coordinates per point, which span a plane")
     if not (math.isfinite(depth) and depth > 0):
         raise ParameterError.bound("depth", ">", "0 m, and finite", depth)
+    out = out or Path("runs", "optical_flow", f"{name}.png")
     if out.suffix.lower() not in FORMATS:
         raise ParameterError.choice("ending of --out", FORMATS, str(out))
+    make_parents(out)
     with style():
         paths = [save(draw_plane(name, depth), out)]
         if name == "spherical":
