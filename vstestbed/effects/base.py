@@ -130,7 +130,7 @@ class Actor:
         return orders
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
-        """What the robot's sensors meet: the perfect readings by name, with what the effect adds to them. Once an instant."""
+        """What the robot's sensors meet: the perfect readings by name, with what the effect adds to them. It is called once per instant."""
         return sensors
 
     def row(self) -> Sequence[float]:
@@ -142,7 +142,7 @@ class Effect:
     """An imperfection of a robot's body or its drives; by default it does nothing.
 
     columns: of the log, with the values of `Actor.row`; no two effects of a robot may have the same.
-    uneven: the robot stands as the ground tilts it, which is no plane.
+    uneven: the ground is no plane, and tilts the robot that stands on it.
     """
 
     columns: ClassVar[tuple[str, ...]] = ()
@@ -174,7 +174,7 @@ class Effect:
         return None
 
     def remedy(self, body: RobotBody, weight: Array, holds: Array) -> tuple[str, str, float] | None:
-        """What would work where the weight (n,) is more than each joint holds (n,) [Nm, N]; None where it does not add to the weight.
+        """What would work where the load by weight (n,) is more than a joint holds (n,) [Nm, N]; None for an effect that adds no weight.
 
         Returns the field, in words what to give there, and its present value.
         """

@@ -18,7 +18,7 @@ Change = Callable[[float, Images, DepthImage | None], Images]
 
 
 class Imaging:
-    """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It remembers: one for each run.
+    """A camera's lens, exposure, sensor and stream, in the order in which light passes them. It has a state: each run has its own.
 
     Its random numbers are two: the fixed pattern first, then one seed for each picture.
 

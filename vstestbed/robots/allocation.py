@@ -84,7 +84,7 @@ class Actuation:
         friction: joints keep their damping and Coulomb friction.
         gravity_compensated: links are weightless to the joints (MuJoCo's gravcomp).
         servos: take the place of the file's actuators on their joints.
-        gravity_error: share of the weight that a gravity compensation leaves uncarried, of which the servos do not know; None: none.
+        gravity_error: share of the weight that a gravity compensation leaves uncarried, which the servos do not know; None: no error.
     """
 
     prefix: str | None

@@ -161,7 +161,7 @@ class RobotLog:
 
 
 LARGEST_STEP_S = 0.002  # the largest default physics step of a robot that names no other [s]
-STOP_S = 0.25  # how long a robot takes to stop that names no other time [s], from any speed: decelerations are at most speed limits over it
+STOP_S = 0.25  # default time in which a robot stops from any speed [s]: it decelerates by its speed limits over this time at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)

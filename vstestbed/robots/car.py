@@ -72,9 +72,7 @@ def yaw_rate(v: Array | float, steering: Array | float, wheelbase: float) -> Arr
     return np.asarray(v * np.tan(steering) / wheelbase)
 
 
-def within_limits(
-    v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: BicycleLimits | CarLimits
-) -> tuple[Array, Array]:
+def within_limits(v: Array | float, w: Array | float, held: Array | float, wheelbase: float, limits: Limits) -> tuple[Array, Array]:
     """The speed and steering angle that come nearest to a commanded (v, w) within a car's limits.
 
     A command that is too fast becomes a slower motion along the same arc. On an arc that is too tight the steering angle saturates, with

@@ -25,7 +25,7 @@ from vstestbed.effects.base import Four, Vector
 from vstestbed.effects.body import Change, put
 
 LEAST_THRUST_TO_WEIGHT = 1.3
-"""Under it the rotors' margin over the weight no longer flies the flight loops' tilt of 30 degrees, which takes 1.15 of the weight."""
+"""The flight loops' largest tilt, 30 degrees, takes a thrust of 1.15 times the weight; under this limit no margin is left."""
 LEAST_TURN = 10.0  # least angular acceleration about x and y that the rotors must make at hover [rad/s^2]: the X-4's is 27
 HUB_M = 0.075  # radius of the hub, where the arms begin [m]
 Inertia = Annotated[tuple[Annotated[float, Gt(0), Le(1e3)], ...], Len(3, 3)]  # Moments of inertia about x, y and z [kg m^2]

@@ -143,7 +143,7 @@ class Vehicle(Realistic):
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)  # x of its rear and of its front end in the base frame [m]
     turning_radius_m: ClassVar[float] = 0.0  # of its tightest circle [m]; 0: it turns on the spot
     top_speed_mps: ClassVar[float] = np.inf  # largest forward speed [m/s]
-    # Whether the seed makes a difference to its measured heading, which counts where landmarks tell its place.
+    # Whether its measured heading has noise drawn from the seed; this matters where the place is estimated from landmarks.
     draws_heading: ClassVar[bool] = False
 
     @property

@@ -16,11 +16,11 @@ from vstestbed.sim.scene.scene import Scene
 ELEVATIONS = np.radians([26.0, 36.0, 16.0, 10.0, 5.0])
 """Elevations from which the view may look down [rad]; of equally good ones the first is taken."""
 ENOUGH = 0.12
-"""Extent of a moving robot over the picture's width beyond which a larger one is hardly better: from low the floor is not seen well."""
+"""Share of the picture's width beyond which a moving robot need not appear larger: views from nearer the ground show less of the floor."""
 SIDES = np.radians([0.0, 10.0, 20.0, -10.0, -20.0])  # Turns of the view of a free camera about its vertical, from the composed one [rad]
 AROUND = 2.2  # Extent shown round a moving robot over its own: it never fills the picture, and the floor beside it shows its motion
 LEAST_SHARE = 0.08
-"""Least extent of the robot over the picture's width; where robot, target and goal are too far apart for it, the robot counts."""
+"""Least extent of the robot over the picture's width. Where robot, target and goal are too far apart for it, the others may be cut off."""
 RATE = 2.5  # Natural frequency of the filter that smooths the following [rad/s]: the camera starts and stops within about a second
 ROOM_TO_MOVE, SLACK = 1.2, 1.02
 """Margin of the view of a robot that stays, and what is left of it when the view is taken anew: until then it rests, and of the picture
