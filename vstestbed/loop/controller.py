@@ -198,6 +198,7 @@ class Controller:
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
         self.observer = observer_of(scenario)
+        self.observer.prepare(scenario.detector.needs_image)
         self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self._start = scenario.robot.start_joints()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vstestbed.camera import Camera
 from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
+from vstestbed.core.lazy import cv2
 from vstestbed.core.planar import arc, composed
 from vstestbed.features.depth import Depth, DepthCues, Estimate
 from vstestbed.features.observation import EgoMotion, Goal, Observation
@@ -298,6 +299,11 @@ class Observer:
         if self.perturbed is not None:
             uv, T = self.perturbed.pixels(uv, t), None  # the detector's pose is not perturbed
         return uv, T
+
+    def prepare(self, needs_image: bool) -> None:
+        """Import OpenCV where the first frame needs it, for pictures or a pose: a robot does not wait for it between two pictures."""
+        if needs_image or self.needs_pose:
+            cv2.setNumThreads(1)
 
     def _solves(self, T: Array | None) -> bool:
         return self.needs_pose and (T is None or self.pixel_sigma_px > 0)
