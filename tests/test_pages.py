@@ -127,5 +127,5 @@ def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
 
 
 def test_the_first_pages_are_short() -> None:
-    for page, lines in (("README.md", 160), ("scenarios/README.md", 150), ("docs/README.md", 100)):
+    for page, lines in (("README.md", 160), ("docs/README.md", 100)):
         assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines

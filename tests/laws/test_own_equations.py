@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -72,3 +73,19 @@ def test_its_feedforward_removes_the_lag_behind_a_moving_target(plugin: str):
 
     assert behind_m("none") == pytest.approx(0.05, rel=0.05)
     assert behind_m("kalman_cv") < 1e-3  # what exp(-8) leaves of the start
+
+
+def test_equations_of_a_wrong_shape_are_named_with_what_they_gave():
+    @vs.LAWS.add
+    @vs.spec
+    class Transposed(vs.ErrorLaw):
+        """J is transposed."""
+
+        kind: Literal["transposed"] = "transposed"
+
+        def equations(self, view, goal):
+            return np.zeros(8), np.zeros((6, 8))
+
+    ended = vs.run(vs.load("ibvs_book", {"law": "transposed", "detector": "oracle"}))
+    assert ended.outcome is vs.Outcome.law_failed
+    assert "Transposed.equations must give e (..., rows) and J (..., rows, 6); it gave e (8,) and J (6, 8)" in ended.reason

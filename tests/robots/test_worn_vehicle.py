@@ -10,6 +10,7 @@ import pytest
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.planar import GroundPose
+from vstestbed.core.spec import spec
 from vstestbed.effects.body import loosen, put
 from vstestbed.effects.floor import UnevenFloor
 from vstestbed.effects.wheels import WHEELS, Tyres, WheelSpread
@@ -17,7 +18,7 @@ from vstestbed.robots.base import Reading
 from vstestbed.robots.car import Car, CarLimits
 from vstestbed.robots.omni import Omni
 from vstestbed.robots.realism import Level
-from vstestbed.robots.vehicle import GroundBox, GroundStart
+from vstestbed.robots.vehicle import GroundBox, GroundStart, Vehicle
 
 BOX = GroundStart(nominal=GroundPose(x=1.0), random=GroundBox(x=1.0, y=1.0, heading_deg=20.0))
 
@@ -141,3 +142,15 @@ def test_planar_wheels_have_nothing_of_the_floor(wrong: dict[str, object]) -> No
 def test_a_motor_too_weak_for_the_rolling_resistance_is_refused() -> None:
     with pytest.raises(ParameterError, match="motor_torque_nm"):
         Car(rolling_resistance=0.3)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("wheel_spread", WheelSpread(sigma=0.01)), ("rolling_resistance", 0.02), ("drive_lag_s", 0.1), ("realism", "lab")]
+)
+def test_a_vehicle_whose_class_has_no_imperfect_wheels_refuses_them(field: str, value: object) -> None:
+    @spec
+    class Kart(Vehicle):
+        """A vehicle whose model knows no imperfection of its wheels."""
+
+    with pytest.raises(ParameterError, match=f"^{field} "):
+        Kart(**{field: value})

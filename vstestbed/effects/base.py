@@ -114,9 +114,11 @@ class Actor:
         force: generalised forces of this effect, an array (nv,) [Nm, N] of its own, in force until it is changed; the plant adds those of
             all effects. A force F and a torque at a point of a body: `self.force[:] = 0`, then `mujoco.mj_applyFT(model, data, F, torque,
             point, body, self.force)`. MuJoCo's own `xfrc_applied` belongs to pushes by hand and to tyres. None: it applies none.
+        of_motors: `force` is the torque of the motors, which the log's `tau_<joint>` then has beside MuJoCo's actuators.
     """
 
     with_controller: ClassVar[bool] = False
+    of_motors: ClassVar[bool] = False
     force: Any = None
 
     def start(self) -> None:

@@ -333,6 +333,8 @@ class MotorTorques(Actor):
     u + (tau - u) (1 - exp(-h / T)) T / h with T = 1 / (2 pi bandwidth).
     """
 
+    of_motors = True
+
     def __init__(self, body: RobotBody, motors: Motors):
         import mujoco
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, exp
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
@@ -99,6 +100,12 @@ class ErrorLaw(Law[ErrorState], ABC):
         markers, without leading axes: the goal, or for the feedforward the frame before, which has these fields alone.
         """
 
+    def _checked(self, e: Array, J: Array) -> tuple[Array, Array]:
+        if J.ndim < 2 or J.shape[-1] != 6 or e.shape[-1:] != J.shape[-2:-1]:
+            works = f"{type(self).__name__}.equations must give e (..., rows) and J (..., rows, 6)"
+            raise ParameterError("law", f"{works}; it gave e {e.shape} and J {J.shape}")
+        return e, J
+
     def change(self, before: Observation, now: Observation, goal: Goal) -> tuple[Array, Array]:
         """The error of this view from the last one (rows,) and its Jacobian (rows, 6), for the feedforward.
 
@@ -140,7 +147,7 @@ class ErrorLaw(Law[ErrorState], ABC):
         if isinstance(rows, str):
             return self._unseen(state, basis, rows)
         view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
-        e, J = self.equations(view, at)
+        e, J = self._checked(*self.equations(view, at))
         after, shift, tau = state, None, None
         if known.motion is not None and isinstance(self.feedforward, Estimator):
             after, shift, tau = self._estimated(state, known, goal, basis, why)
@@ -175,7 +182,7 @@ class ErrorLaw(Law[ErrorState], ABC):
 
         state: NaN before the first frame. views: the current views. goal: the goal view of the same markers.
         """
-        e, J = self.equations(views, goal)
+        e, J = self._checked(*self.equations(views, goal))
         extra, u, _ = self.motion(state[:, : self.extra_size], e, J, views, goal, None, None)
         assert not isinstance(u, str)
         if not self._shapes:

@@ -343,6 +343,7 @@ class Car(Vehicle, Onboard):
     tyres: Tyres | None = None
     steering_play_deg: Annotated[AngleWidth, TighterBounds(le=20)] | None = None
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = CAR
+    imperfect_wheels: ClassVar[bool] = True
     joints: ClassVar[tuple[str, ...]] = (
         *("steering", "front_left_steer", "front_right_steer"),
         *("rear_left", "rear_right", "front_left", "front_right"),

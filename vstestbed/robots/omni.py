@@ -201,6 +201,7 @@ class Omni(Vehicle, Onboard):
     start: GroundStart = GroundStart()
     wheel_radius_error: Annotated[float, Gt(-0.5), Lt(1)] = 0.0
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = OMNI
+    imperfect_wheels: ClassVar[bool] = True
     control_period_s: ClassVar[float] = 0.004
 
     def __post_init__(self) -> None:

@@ -51,6 +51,10 @@ class Realistic(Robot):
         level: Level = values.get("realism", "none")
         if level not in LEVELS:
             return given  # which is refused
+        if level != "none" and level not in cls.presets:
+            raise ParameterError(
+                "realism", f"fills nothing: {cls.__name__} has no preset of that name; works: none, and single effects", level
+            )
         if isinstance(given, ArgsKwargs):
             cls._refuse_another_level(level, values)
         own: dict[str, Any] = dict(values)

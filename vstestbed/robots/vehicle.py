@@ -13,7 +13,9 @@ from typing import Annotated, ClassVar, Self, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le
+from pydantic import model_validator
 
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
 from vstestbed.core.planar import GroundPose, place_of, pose_on_ground, relative, wrapped
 from vstestbed.core.quantity import AngleWidth, Distance, TighterBounds, Time
@@ -138,6 +140,7 @@ class Vehicle(Realistic):
     uneven_floor: UnevenFloor | None = None
 
     start: ClassVar[GroundStart]
+    imperfect_wheels: ClassVar[bool] = False  # Whether the class's model and drive follow the three fields of its wheels
     base: ClassVar[Base] = "planar"
     proprioception_names: ClassVar[tuple[str, ...]] = ("odo_x", "odo_y", "odo_heading")  # pyright: ignore[reportIncompatibleMethodOverride] - a constant
     ends_m: ClassVar[tuple[float, float]] = (0.0, 0.0)  # x of its rear and of its front end in the base frame [m]
@@ -145,6 +148,13 @@ class Vehicle(Realistic):
     top_speed_mps: ClassVar[float] = np.inf  # largest forward speed [m/s]
     # Whether its measured heading has noise drawn from the seed; this matters where the place is estimated from landmarks.
     draws_heading: ClassVar[bool] = False
+
+    @model_validator(mode="after")
+    def _refuse_what_it_has_not(self) -> Self:
+        for name in () if self.imperfect_wheels else ("wheel_spread", "rolling_resistance", "drive_lag_s"):
+            if getattr(self, name) is not None:
+                raise ParameterError.only_for(name, f"robots whose class says `imperfect_wheels`, and {type(self).__name__} does not")
+        return self
 
     @property
     def acting(self) -> tuple[Effect, ...]:

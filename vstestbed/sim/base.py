@@ -74,7 +74,7 @@ class Truth(NamedTuple):
             feet.
         act: activations of those of its actuators that have one. wind: velocity of the air in the world (3,) [m/s].
         effects: values of the columns of the robot's effects.
-        tau: torques (forces of joints that slide) of the actuators at the joints, in the last physics step [Nm, N].
+        tau: torques (forces of joints that slide) of the motors, referred to the joint, in the last physics step [Nm, N].
     """
 
     T_world_camera: Array

@@ -277,6 +277,7 @@ class MujocoPlant(Plant):
         self._actors = [actor for _, actor in made if actor is not None]
         self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
         self._forces = [actor.force for actor in self._actors if actor.force is not None]
+        self._motors = [actor.force for actor in self._actors if actor.of_motors]
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
@@ -373,7 +374,8 @@ class MujocoPlant(Plant):
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
-        tau, wind = stage.data.qfrc_actuator[stage.at.qvel], stage.model.opt.wind.copy()
+        motors, wind = stage.at.motor_qvel, stage.model.opt.wind.copy()  # behind an elastic gear the motor turns the rotor
+        tau = sum((force[motors] for force in self._motors), stage.data.qfrc_actuator[motors])
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, wind, effects, tau)
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
