@@ -375,7 +375,9 @@ class MujocoPlant(Plant):
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
         motors, wind = stage.at.motor_qvel, stage.model.opt.wind.copy()  # behind an elastic gear the motor turns the rotor
-        tau = sum((force[motors] for force in self._motors), stage.data.qfrc_actuator[motors])
+        tau: Array = stage.data.qfrc_actuator[motors]
+        for force in self._motors:
+            tau = tau + force[motors]
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, wind, effects, tau)
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
