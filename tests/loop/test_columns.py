@@ -26,7 +26,7 @@ def test_every_column_of_every_bundled_scenario_is_explained() -> None:
 
 @pytest.mark.parametrize("realism", ["none", "field"])
 def test_torques_at_rest_are_those_that_carry_the_arm(realism: str) -> None:
-    """At the goal the motors hold what gravity and dry friction pull: at most the friction away from the bias force of the model.
+    """At the goal the motors hold what gravity and dry friction pull: each at most its friction away from the bias force of the model.
 
     At the level `field` current loops and ripple apply the torque, to rotors behind elastic gears.
     """
@@ -38,7 +38,8 @@ def test_torques_at_rest_are_those_that_carry_the_arm(realism: str) -> None:
     mujoco.mj_forward(scene.model, scene.data)
     bias, friction = scene.data.qfrc_bias[scene.at.qvel], scene.model.dof_frictionloss[scene.at.motor_qvel]
     assert np.abs(bias).max() > 10
-    np.testing.assert_allclose(tau, bias, atol=float(friction.max()) + 0.5)
+    assert (np.abs(tau - bias) < friction + 0.5).all()  # of each joint: no torque at all would fail at joint 2
+    assert (np.abs(bias) > friction + 0.5).any()
 
 
 @pytest.fixture
