@@ -136,5 +136,7 @@ def test_the_unit_in_a_sentence() -> None:
         ("half widths [m, deg].", "m, deg"),
         ("positions [deg; m for a joint that slides].", "deg"),
         ("noise [grey levels].", "grey levels"),
+        ("of the winding, above which it is derated [degC].", "degC"),
+        ("thermal resistance of the housing [K/W].", "K/W"),
     ):
         assert unit_in(words) == unit

@@ -31,6 +31,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
 from vstestbed.sim.build import build_plant
 from vstestbed.sim.linear import LinearArm, linear_arm
+from vstestbed.tasks.metrics import TWIST
 from vstestbed.tasks.stop import Converged, Stop
 from vstestbed.vision import Oracle
 
@@ -180,9 +181,12 @@ def _seen(age: int, states: int, n: int) -> slice:
 
 HALVINGS = 9  # bisections of a bracket of 0.5 to 1.5 times the prediction: 0.2 % of it remains
 SWINGS = 16  # a run lasts this many periods of the oscillation at the limit, and 40 frames more in which other modes decay
-OFF, OFF_WITH_FRICTION = 0.002, 0.02
+OFF, OFF_WITH_FRICTION = 1e-5, 0.02
 """Offset from the goal at the start of a run: along each axis [m], and about each axis or in each joint [rad]. Small enough for the
-loop to be linear and its actuators unsaturated; for joints with friction large enough for the motion to dominate friction."""
+loop to be linear and its actuators unsaturated, while the oscillation grows by GROWN too; for joints with friction large enough for the
+motion to dominate friction."""
+SMALLER, LINEAR = 0.01, 0.05
+"""A law counts as linear whose command changes with the offset, down to this share of it, but for this share."""
 GROWN = 20.0
 """Growth of the error that counts as unstable whatever follows; so do actuators that still saturate in
 the second half of the run."""
@@ -292,15 +296,26 @@ def _fields_of(law: Law[Any]) -> set[str]:
     return names
 
 
-def displaced(at_goal: Scenario) -> Scenario:
-    """The scenario started at a small offset from its goal in all directions."""
-    signs = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # all six directions are displaced
+def displaced(at_goal: Scenario, share: float = 1.0) -> Scenario:
+    """The scenario started at a small offset from its goal in all directions; share: of that offset."""
+    signs = share * np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])  # all six directions are displaced
     robot = at_goal.robot
     if robot.body is None:
         T = robot.flange_pose(robot.configuration()) @ exp(OFF * signs)
         return replace(at_goal, robot=robot.started_at(T.ravel()))
     q = robot.configuration()
     return replace(at_goal, robot=robot.started_at(q + _off(robot) * np.resize(signs, len(q))))
+
+
+def _warn_unless_linear(at_goal: Scenario) -> None:
+    """Say so where the law's gain depends on the error already at this offset: the limit is that of swings of this size."""
+    one_frame = replace(at_goal, stop=replace(at_goal.stop, duration_s=at_goal.camera.period))
+    first = {share: uninterrupted(run(displaced(one_frame, share))) for share in (1.0, SMALLER)}
+    sizes = {share: float(np.linalg.norm([log[f"cmd_{name}"][0] for name in TWIST])) for share, log in first.items()}
+    gain = sizes[1.0] * SMALLER / sizes[SMALLER] if sizes[SMALLER] else math.nan
+    if abs(gain - 1) > LINEAR:
+        words = "the law's gain depends on the error: at the offset from which the limit is measured it is %.3g of that at the goal itself"
+        logging.getLogger("vstestbed").warning(words + "; the limit holds for swings of that size, not for smaller ones", gain)
 
 
 def _off(robot: Robot) -> float:
@@ -411,6 +426,7 @@ def find_limits(scenario: Scenario, frames: Sequence[int], on_limit: Callable[[L
     """The gain limit at each of the delays of `delays_of`; `on_limit` is called with each as it is found."""
     delays = delays_of(scenario, frames)
     at_goal, limits = prepared(scenario), []
+    _warn_unless_linear(at_goal)
     for d in delays:
         limits.append(find_limit(at_goal, int(d) if d == int(d) else d))
         on_limit(limits[-1])

@@ -19,6 +19,7 @@ from vstestbed.tasks.monitor import Setup
 
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
+Title = tuple[str, str] | tuple[str, str, float] | tuple[str, str, float, int]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-6  # a start nearer to its goal than this has no share [m, rad]
 
@@ -176,10 +177,11 @@ class MetricContract(Protocol):
     """A metric.
 
     Attributes:
-        titles: the figures that it adds to `summary.json`, by name, each with the title and the unit of the reports.
+        titles: the figures that it adds to `summary.json`, by name, each with its title and unit in reports and, where they are not 1 and
+            -1, `Metric.scale` and `Metric.better`: ("Charge left", "%", 100, 1) is a share that is shown as per cent, and more is better.
     """
 
-    titles: ClassVar[Mapping[str, tuple[str, str]]]
+    titles: ClassVar[Mapping[str, Title]]
 
     @property
     def kind(self) -> str:

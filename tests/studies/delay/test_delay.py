@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -20,6 +21,7 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.delay import (
     OFF,
     OFF_WITH_FRICTION,
+    _warn_unless_linear,
     Lag,
     Limit,
     delays_of,
@@ -77,6 +79,32 @@ def test_a_predictor_whose_stamps_are_those_of_the_arrival_is_none():
     gain = 1.3 * closed_form(2) / PERIOD
     stamps = {by: replace(start, timing=Timing(camera_clock=CameraStamps(stamped=by))) for by in ("middle", "arrival")}
     assert growth(stamps["middle"], gain, 2) < 1 < growth(stamps["arrival"], gain, 2)
+
+
+@pytest.mark.usefixtures("own_kinds")
+def test_a_law_whose_gain_falls_with_the_error_has_the_limit_of_its_gain_at_the_goal(free, caplog, monkeypatch):
+    """Over it the loop swings at the size at which its gain is that of the limit, which is no stable loop."""
+    points = vs.features.Point()
+
+    @vs.LAWS.add
+    @vs.spec
+    class Soft(vs.ErrorLaw):
+        """The law of points, whose gain falls with the error: lambda / (1 + |e| / 0.01)."""
+
+        kind: Literal["soft"] = "soft"
+        inputs = ("xy", "depth")
+
+        def equations(self, view, goal):
+            e = points.measure(view.xy) - points.measure(goal.xy)
+            return e / (1 + np.linalg.norm(e) / 0.01), points.interaction(view.xy, view.depth)
+
+    soft = replace(free, law=Soft())
+    assert find_limit(soft, 1).g == pytest.approx(1.0, rel=0.02)
+    _warn_unless_linear(soft)
+    assert not caplog.text
+    monkeypatch.setattr("vstestbed.studies.delay.OFF", 0.02)  # that of joints with friction
+    _warn_unless_linear(soft)
+    assert "the law's gain depends on the error" in caplog.text
 
 
 def test_bisection_lands_on_the_limit(free):

@@ -27,7 +27,7 @@ class MyMetric:
 
     kind: Literal["my_metric"] = "my_metric"  # its word in a scenario
     limit_px: Annotated[float, Gt(0)] = 50.0
-    titles: ClassVar[Mapping[str, tuple[str, str]]] = {  # name in summary.json: title and unit in the reports
+    titles: ClassVar[Mapping[str, tuple[str, str]]] = {  # name in summary.json: title, unit; (..., 100, 1): shown times 100, more is better
         "my_metric_mean_px": ("Mean image error", "px"),
         "my_metric_over_s": ("Time over the limit", "s"),
     }
@@ -35,7 +35,7 @@ class MyMetric:
     def figures(self, log, setup):
         """A number for each name of `titles`, None where it is undefined.
 
-        log: its columns by name (README, "log.parquet"), one row a frame; NaN in `error_px` where nothing is seen. setup: the experiment's
+        log: its columns by name (`vstestbed describe log`), one row a frame; NaN in `error_px` where nothing is seen. setup: the experiment's
         robot, camera, target, law, detector.
         """
         error = log["error_px"][np.isfinite(log["error_px"])]
