@@ -49,7 +49,9 @@ def rendered(page: Path, kept: Kept) -> str:
         autoescape=False,
     )
     made.globals.update(command=kept, run=lambda words: kept(f"run {words}"), scenarios=scenarios, comparisons=comparisons)
-    made.globals.update(other_robots=lambda: sorted({s.robot.kind for s in _bundled()} - {"free", "puma560", "mjcf", "omni", "car", "quadrotor"}))
+    made.globals.update(
+        other_robots=lambda: sorted({s.robot.kind for s in _bundled()} - {"free", "puma560", "mjcf", "omni", "car", "quadrotor"})
+    )
     made.globals.update(
         fields=parameters.fields,
         puma_links=parameters.puma_links,

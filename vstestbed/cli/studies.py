@@ -182,7 +182,8 @@ def gain_limit(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="A free camera or an arm, with a law of one gain: ibvs, pbvs, hybrid, predictive, or your own ErrorLaw.", autocompletion=complete.scenarios
+            help="A free camera or an arm, with a law of one gain: ibvs, pbvs, hybrid, predictive, or your own ErrorLaw.",
+            autocompletion=complete.scenarios,
         ),
     ],
     frames: Annotated[

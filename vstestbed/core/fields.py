@@ -150,7 +150,10 @@ def _default(field: dataclasses.Field[Any]) -> tuple[Any, bool]:
 
 DIMENSIONLESS = "1"
 _UNIT = re.compile(r" \[([^\[\]]{1,40})\]")
-_SYMBOL = r"(?:1|rad|deg|[mun]?m|[mu]?s|h|[kMG]?Hz|px|k?g|[mk]?N|[mk]?Nm|[mk]?W|m?V|m?A|K|degC|[kM]?J|[kM]?Pa|T|H|F|C|ohm|lx|dB|%|e-|DN|k?bit|grey levels)(?:\^[234])?"
+_SYMBOL = (
+    r"(?:1|rad|deg|[mun]?m|[mu]?s|h|[kMG]?Hz|px|k?g|[mk]?N|[mk]?Nm|[mk]?W|m?V|m?A|K|degC|[kM]?J|[kM]?Pa|T|H|F|C|ohm|lx|dB|%"
+    r"|e-|DN|k?bit|grey levels)(?:\^[234])?"
+)
 _IS_UNIT = re.compile(rf"{_SYMBOL}(?:[ /]{_SYMBOL})*(?: per [a-z_ ]+)?|unit (?:of|as in) .+")
 _EXAMPLE = re.compile(r"; e\.g\. `([^`]+)`(?=\.$)")
 _SOURCE = re.compile(r"References?: ")

@@ -48,6 +48,7 @@ _STYLE: Any = {
     "figure.facecolor": "none",
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
+    "text.hinting": "no_hinting",  # hinted text is narrower in the layout than in the vector formats: labels at the edge would be cut
     "svg.fonttype": "none",  # text stays text: small, searchable, in the page's own font
     "svg.hashsalt": "vstestbed",  # the same run gives the same bytes
     "pdf.fonttype": 42,  # embedded TrueType: journals refuse Type 3 fonts, matplotlib's default

@@ -19,7 +19,6 @@ from vstestbed.tasks.monitor import Setup
 
 ERRORS = ("position_error_m", "rotation_error_rad")
 Figures = dict[str, object]
-Title = tuple[str, str] | tuple[str, str, float] | tuple[str, str, float, int]
 QUATERNION = ("cam_qw", "cam_qx", "cam_qy", "cam_qz")
 LEAST = 1e-6  # a start nearer to its goal than this has no share [m, rad]
 
@@ -181,7 +180,7 @@ class MetricContract(Protocol):
             -1, `Metric.scale` and `Metric.better`: ("Charge left", "%", 100, 1) is a share that is shown as per cent, and more is better.
     """
 
-    titles: ClassVar[Mapping[str, Title]]
+    titles: ClassVar[Mapping[str, Any]]
 
     @property
     def kind(self) -> str:

@@ -60,11 +60,18 @@ def test_labels_name_what_differs() -> None:
 
 
 def test_labels_of_values_that_are_no_words() -> None:
-    frame = table(**{"law.limits": [None, None], "law.on": [True, False]})
-    assert [c.label for c in ComparisonResults(frame, ("law.limits", "law.on")).controllers] == [
-        "limits=null, on=true",
-        "limits=null, on=false",
-    ]
+    """What is the same in all says nothing; of blocks their kind and what differs is named; of lists their items."""
+
+    def labels(**columns):
+        frame = table(**columns)
+        return [c.label for c in ComparisonResults(frame, tuple(columns)).controllers]
+
+    assert labels(**{"law.limits": [None, None], "law.on": [True, False]}) == ["on=true", "on=false"]
+    laws = ['{"kind": "ibvs", "gain": 0.8, "interaction": "mean"}', '{"kind": "ibvs", "gain": 0.8, "interaction": "desired"}']
+    assert labels(law=laws) == ["interaction=mean", "interaction=desired"]
+    assert labels(law=[laws[0], '{"kind": "pbvs", "gain": 0.8}']) == ["ibvs, interaction=mean", "pbvs"]
+    assert labels(law=["pbvs", laws[0]]) == ["pbvs", "ibvs, gain=0.8, interaction=mean"]
+    assert labels(**{"robot.effects": ["[]", '["thermal"]']}) == ["none", "thermal"]
 
 
 def test_names_are_as_short_as_they_can_be() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -91,3 +92,11 @@ def test_a_metric_that_no_run_has_makes_no_panel(tmp_path: Path) -> None:
     assert [m.name for m in data.shown] == ["path_ratio", "peak_speed_mps"]
     with style():
         assert sum(axes.get_visible() for axes in distributions(data, 5.0).axes) == 2
+
+
+def test_long_names_are_inside_the_figure(tmp_path: Path) -> None:
+    data = read(tmp_path, build(tmp_path, {"ibvs, interaction=desired": 0.8, "ibvs, interaction=current": 1.0}, 6))
+    with style():
+        text = publish(distributions(data, 3.4), "d", "names")
+    left = [float(x) for x in re.findall(r'translate\((-?[\d.]+) [\d.]+\)">(?:ibvs|interaction)', text)]
+    assert len(left) > 1 and min(left) >= 0, left

@@ -21,9 +21,9 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.delay import (
     OFF,
     OFF_WITH_FRICTION,
-    _warn_unless_linear,
     Lag,
     Limit,
+    _warn_unless_linear,
     delays_of,
     displaced,
     find_limit,

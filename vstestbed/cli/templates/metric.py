@@ -35,8 +35,8 @@ class MyMetric:
     def figures(self, log, setup):
         """A number for each name of `titles`, None where it is undefined.
 
-        log: its columns by name (`vstestbed describe log`), one row a frame; NaN in `error_px` where nothing is seen. setup: the experiment's
-        robot, camera, target, law, detector.
+        log: its columns by name (`vstestbed describe log`), one row a frame; NaN in `error_px` where nothing is seen. setup: the
+        experiment's robot, camera, target, law, detector.
         """
         error = log["error_px"][np.isfinite(log["error_px"])]
         over_s = float((error > self.limit_px).sum() * setup.camera.period)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections import Counter
@@ -138,13 +139,14 @@ class ComparisonResults:
         rows: dict[tuple[Any, ...], list[int]] = {}
         for i, key in enumerate(keys):
             rows.setdefault(key, []).append(i)
-        several = len({key[0] for key in rows}) > 1  # the scenario is part of a label only where there are several
-        names = [
-            "" if all(_word(key[k]) for key in rows) else name for k, name in enumerate(short_names(self.axes), 1)
-        ]  # a word says by itself what is varied, a number does not
-        labels = [_label((str(key[0]), *map(value_text, key[1:])), names, several) for key in rows]
+        scenarios, *values = zip(*rows, strict=True) if rows else ((),)
+        columns = [_words_of(name, each) for name, each in zip(short_names(self.axes), values, strict=True)]
+        several = len(set(scenarios)) > 1  # the scenario is part of a label only where there are several, or nothing else is
+        parts = zip([str(name) if several else "" for name in scenarios], *columns, strict=True)
+        labels = [", ".join(filter(None, each)) or str(name) for each, name in zip(parts, scenarios, strict=True)]
         if len(set(labels)) < len(labels):  # two values differ only beyond the 6 digits of `:g`, or two axes have the same words
-            labels = [_label(tuple(map(str, key)), short_names(self.axes), several) for key in rows]
+            names = ("", *(f"{name}=" for name in short_names(self.axes)))
+            labels = [", ".join(f"{name}{value}" for name, value in zip(names, key, strict=True)) for key in rows]
         return tuple(ControllerResults(label, self.table[index].sort("seed")) for label, index in zip(labels, rows.values(), strict=True))
 
     @cached_property
@@ -165,13 +167,36 @@ class ComparisonResults:
         return replace(self, table=pl.concat([c.runs for c in self.controllers[:n]]))
 
 
-def _word(value: object) -> bool:
+def _words_of(name: str, values: Sequence[object]) -> list[str]:
+    """What a varied field adds to the label of each controller: nothing where it is the same in all of them.
+
+    A word says by itself what is varied, and a number does not: `ideal`, `gain=0.5`. Of blocks their kind and what differs between them is
+    named: `ibvs, interaction=mean`.
+    """
+    if len(set(values)) < 2:
+        return [""] * len(values)
+    blocks = [_block(value) for value in values]
+    if not any(len(block) > 1 for block in blocks):
+        words = all(map(_is_word, values))
+        return [value_text(value) if words else f"{name}={value_text(value)}" for value in values]
+    keys = [key for key in dict.fromkeys(chain.from_iterable(blocks)) if len({str(block.get(key)) for block in blocks}) > 1]
+    named = [{key: block[key] for key in keys if key in block} or block for block in blocks]
+    return [", ".join(_plain(v) if k == "kind" else f"{k}={_plain(v)}" for k, v in block.items()) for block in named]
+
+
+def _block(value: object) -> dict[str, object]:
+    """A varied value as a block; a bare word is its kind."""
+    if isinstance(value, str) and value.startswith("{"):
+        return json.loads(value)
+    return {"kind": value}
+
+
+def _plain(value: object) -> str:
+    return json.dumps(value).replace('"', "") if isinstance(value, dict | list) else value_text(value)
+
+
+def _is_word(value: object) -> bool:
     return isinstance(value, str) and not re.fullmatch(r"[-+.\d].*|true|false|null", value)
-
-
-def _label(key: tuple[str, ...], names: Sequence[str], several: bool) -> str:
-    parts = [key[0]] if several or not names else []  # without varied fields the scenario is all there is to name
-    return ", ".join(parts + [f"{name}={value}" if name else value for name, value in zip(names, key[1:], strict=True)])
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
@@ -185,6 +210,8 @@ def value_text(value: object) -> str:
     """A varied value as YAML would write it."""
     if value is None or isinstance(value, bool):  # before numbers: bool is an int
         return {None: "null", True: "true", False: "false"}[value]
+    if isinstance(value, str) and value.startswith("["):
+        return value.strip("[]").replace('"', "") or "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -225,8 +252,13 @@ class Pair:
 
     @property
     def deciding(self) -> dict[Test, float]:
-        """P-values of the two tests of the verdict, each by itself; NaN where there is no test."""
-        success = self.success.p if self.seeds else math.nan
+        """P-values of the two tests of the verdict, each by itself; NaN where there is no test.
+
+        None is one of success on so few seeds with different outcomes that none of its p-values is beyond chance: it can call nothing
+        real, so it does not count among the tests for which the others are corrected (Tarone 1990, doi:10.2307/2531456).
+        """
+        decides = self.success.only_a + self.success.only_b > math.log2(2 / CHANCE)
+        success = self.success.p if decides else math.nan
         return {(SUCCESS.name, "difference"): success, (self.primary.name, "difference"): self.differences[self.primary.name].p}
 
     @property
@@ -286,10 +318,14 @@ def pairs(comparison: ComparisonResults) -> list[Pair]:
     found = [_pair(comparison, a, b, n <= MOST_CONTROLLERS or reference in (a, b)) for a, b in chosen]
     deciding = iter(stats.holm([p for pair in found for p in pair.deciding.values()]))
     exploratory = iter(stats.holm([p for pair in found for p in pair.exploratory.values()]))
-    return [
-        replace(pair, adjusted=dict(zip(pair.deciding, deciding, strict=False)) | dict(zip(pair.exploratory, exploratory, strict=False)))
-        for pair in found
-    ]
+    out = []
+    for pair in found:
+        adjusted = {
+            test: pair.success.p if math.isnan(p) and test[0] == SUCCESS.name and pair.seeds else p
+            for test, p in zip(pair.deciding, deciding, strict=False)
+        }
+        out.append(replace(pair, adjusted=adjusted | dict(zip(pair.exploratory, exploratory, strict=False))))
+    return out
 
 
 def against(all_pairs: list[Pair], reference: int) -> list[Pair]:

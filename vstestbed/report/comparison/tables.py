@@ -11,6 +11,7 @@ import polars as pl
 
 from vstestbed.report.comparison.results import (
     CENSORED,
+    CHANCE,
     CONTROLLERS,
     MOST_CONTROLLERS,
     MOST_PAIRED,
@@ -103,6 +104,11 @@ def pair_text(pair: Pair, labels: list[str]) -> str:
     words = [f"{verdict}: {goal}; {_primary_text(pair, b)}."]
     if fewer:
         words.append(f"{labels[pair.sooner or 0]} reached the goal on fewer seeds, so that it is not called better.")
+    elif better is None and (d := pair.differences[pair.primary.name]).excludes_zero:
+        alone = (
+            f"the p-value is corrected for all pairs (alone {p_text(d.p)}); more seeds, or a `reference` to test fewer pairs, could tell"
+        )
+        words.append(f"The interval is of this pair alone, {alone if d.p <= CHANCE else 'and its test does not agree'}.")
     named = [f"{m.title.lower()} ({_by_how_much(pair, m)})" for m in _others(pair)]
     more = f", and {len(named) - MOST_OTHERS} more" if len(named) > MOST_OTHERS else ""
     return " ".join([*words, *([f"Exploratory: they also differ in {', '.join(named[:MOST_OTHERS])}{more}."] if named else [])])
@@ -295,7 +301,8 @@ def statistics_text(folder: Path) -> str:
     }
     for row in every.unique("controller", keep="first", maintain_order=True).rows(named=True):
         name, found = row["controller"], of.get(row["controller"])
-        better = "" if not found else {None: "no verdict", name: "better"}.get(found["better_one"], "worse")
+        undecided = f"no verdict, {p_text(math.nan if found['p_holm'] is None else found['p_holm'])}" if found else ""
+        better = "" if not found else {None: undecided, name: "better"}.get(found["better_one"], "worse")
         lines.append((name, f"{row['succeeded']} of {row['runs']}", _plain_difference(found), better))
     widths = [max(map(len, column)) for column in zip(*lines[: MOST + 1], strict=True)]
     text = ["  " + "  ".join(map(str.ljust, line, widths)).rstrip() for line in lines[: MOST + 1]]
