@@ -92,3 +92,37 @@ def test_the_suite_refuses_an_effect_that_does_nothing(twister) -> None:
     with pytest.raises(AssertionError, match="the robot moves as without it"):
         vs.testing.check_effect(Twister())
     vs.testing.check_effect(Twister(torque_nm=5.0))
+
+
+@vs.spec
+class Derated(vs.EffectBase):
+    """Motors that give at most 3 Nm in each joint, from 0.1 s on."""
+
+    kind: Literal["derated"] = "derated"
+    columns: ClassVar[tuple[str, ...]] = ("motor_1_nm",)
+
+    def actor(self, body: Any, rng: np.random.Generator) -> Actor:
+        return Limit(body)
+
+
+class Limit(Actor):
+    def __init__(self, body: Any):
+        self.body = body
+
+    def act(self, t: float, dt: float) -> None:
+        if t >= 0.1:
+            self.body.model.actuator_forcerange[:] = [-3.0, 3.0]
+
+    def row(self) -> tuple[float, ...]:
+        return (float(self.body.motor_torque()[0]),)
+
+
+@pytest.mark.parametrize("realism", ["none", "field"])
+def test_the_torque_of_the_motors_is_known_to_it_and_may_be_limited(own_kinds, realism: str) -> None:
+    """MuJoCo's own servos and current loops keep the limit alike; their lag is over within 20 ms. Cogging and ripple come on top."""
+    vs.EFFECTS.add(Derated)
+    frame = vs.run(vs.load("arm_ibvs", QUICK | {"robot.realism": realism, "robot.effects": ["derated"]})).frame()
+    torque = frame.select("^tau_.*$").to_numpy()
+    assert np.array_equal(frame["motor_1_nm"], torque[:, 0])
+    before, after = (np.abs(torque[frame["t"].to_numpy() >= t]).max() for t in (0.0, 0.15))
+    assert before > 10 and after <= (3.0 if realism == "none" else 4.0)

@@ -95,7 +95,10 @@ class RobotModel:
 class RobotBody:
     """A robot in the running scene, where all its names have the prefix `robot/`. It is the truth: an effect is no part of the controller.
 
-    model, data: MuJoCo's. at: where its joints and actuators are. step_s: of the physics [s]. joints, actuators: names without the prefix.
+    model, data: MuJoCo's. They are this run's alone, and an actor may change the model while it lasts: `actuator_forcerange` is the
+        largest torque of a drive, which current loops keep as well.
+    at: where its joints and actuators are. step_s: of the physics [s]. joints, actuators: names without the prefix.
+    motor_forces: those of the actors that are `of_motors`; `motor_torque` adds them.
     """
 
     model: mujoco.MjModel
@@ -104,6 +107,14 @@ class RobotBody:
     step_s: float
     joints: tuple[str, ...]
     actuators: tuple[str, ...]
+    motor_forces: list[Array] = field(default_factory=list)
+
+    def motor_torque(self) -> Array:
+        """Torques (n,) of the motors in the last physics step, referred to the joints [Nm, N]: those of the log's `tau_<joint>`."""
+        tau: Array = self.data.qfrc_actuator[self.at.motor_qvel]
+        for force in self.motor_forces:
+            tau = tau + force[self.at.motor_qvel]
+        return tau
 
 
 class Actor:

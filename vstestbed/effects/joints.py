@@ -347,8 +347,8 @@ class MotorTorques(Actor):
         self._integrates = model.actuator_dyntype[self._actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         self._act = np.where(self._integrates, model.actuator_actadr[self._actuators], 0)
         joints = model.actuator_trnid[self._actuators, 0]
-        own = np.where(model.actuator_forcelimited[self._actuators].astype(bool), model.actuator_forcerange[self._actuators, 1], np.inf)
-        self._most = np.minimum(own, np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf))
+        self._most = np.where(model.jnt_actfrclimited[joints].astype(bool), model.jnt_actfrcrange[joints, 1], np.inf)
+        self._limited, self._ranges = model.actuator_forcelimited[self._actuators].astype(bool), model.actuator_forcerange
         self._ripples = motors.ripple > 0 or bool(motors.cogging.any())
         if motors.loops is not None:
             h = body.step_s
@@ -382,7 +382,9 @@ class MotorTorques(Actor):
         at, speed = data.qpos[self._qpos], data.qvel[self._qvel]
         held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
         u = np.where(self._integrates, held - kv * speed, kv * (data.ctrl[self._ctrl] - speed))
-        return np.clip(u, -self._most, self._most)
+        own = np.where(self._limited, self._ranges[self._actuators, 1], np.inf)  # of this step: another effect may lower it
+        most = np.minimum(own, self._most)
+        return np.clip(u, -most, most)
 
 
 # Strain wave gears by the sizes of their catalogue: stiffness in three stages, and the rotors before them.

@@ -273,11 +273,12 @@ class MujocoPlant(Plant):
         self._see_hidden, self._visible = see_hidden, np.zeros(len(self._target.points), dtype=bool)
         self._contacts = RobotContacts(stage.model, robot)
         # Each has a stream of its own: turbulence, drawn at the control rate, must not shift the noise that the sensors draw.
-        made = [(effect, effect.actor(stage.body, rng.spawn(1)[0])) for effect in (world.wind, *robot.acting)]
+        self._of_robot = stage.body
+        made = [(effect, effect.actor(self._of_robot, rng.spawn(1)[0])) for effect in (world.wind, *robot.acting)]
         self._actors = [actor for _, actor in made if actor is not None]
         self._rows = [(effect, actor or Actor()) for effect, actor in made if effect.columns]
         self._forces = [actor.force for actor in self._actors if actor.force is not None]
-        self._motors = [actor.force for actor in self._actors if actor.of_motors]
+        self._of_robot.motor_forces.extend(actor.force for actor in self._actors if actor.of_motors)
         self._sensors, self._ctrl = SensorReader(stage, rng, self._actors), stage.data.ctrl
         self._leader = LeadVehicle(stage) if stage.leader else None
         self._velocity = np.zeros(6)
@@ -374,10 +375,7 @@ class MujocoPlant(Plant):
         contact, feet = self._contacts.touching(stage.data)
         act = stage.data.act[stage.at.act]
         effects = tuple(value for effect, actor in self._rows for value in _row(effect, actor))
-        motors, wind = stage.at.motor_qvel, stage.model.opt.wind.copy()  # behind an elastic gear the motor turns the rotor
-        tau: Array = stage.data.qfrc_actuator[motors]
-        for force in self._motors:
-            tau = tau + force[motors]
+        wind, tau = stage.model.opt.wind.copy(), self._of_robot.motor_torque()
         return Truth(T, T_target, twist, q, qd, ctrl, p_camera, hidden, contact, feet, act, wind, effects, tau)
 
     def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:

@@ -34,7 +34,7 @@ class MyEffect(vs.EffectBase):
             raise vs.errors.ParameterError("kind", "is for a robot with joints")
 
     def actor(self, body, rng):
-        """What it does in one run. `edit`, which changes the model before it is compiled, is another way to act."""
+        """What it does in one run; `body.motor_torque()` has the motors' torques, `edit` changes the model before it is compiled."""
         return Churning(self, body)
 
 
