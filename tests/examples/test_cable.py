@@ -33,10 +33,7 @@ def test_its_tension_is_that_of_its_length(command, own_kinds, tmp_path: Path) -
 def test_it_is_described_and_its_mistakes_are_told(command, own_kinds, tmp_path: Path) -> None:
     without = command("run", "arm_ibvs", "--set", "robot.effects=[{kind: cable}]")
     assert without.code == 2 and "robot.effects.0" in without.err
-    assert (
-        command("list", "effects").out
-        == "none but the robots' own blocks, such as gears (vstestbed describe puma560); a plugin may add some\n"
-    )
+    assert command("list", "effects").out == "none; those of the package are blocks of robots (vstestbed describe puma560)\n"
     shown = command("describe", "effect.cable", "--plugin", CABLE)
     assert shown.code == 0 and "stiffness_npm" in shown.out and "N/m" in shown.out
     assert command("list", "effects").out.startswith("cable  A cable")

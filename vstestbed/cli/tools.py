@@ -98,9 +98,7 @@ def list_(
             entries = [(word, (cls.__doc__ or "").strip().split("\n")[0]) for word, cls in plugins.registry(name).members.items()]
         width = max((len(entry) for entry, _ in entries), default=0)
         if not entries:
-            typer.echo(
-                f"{'' if registry else '  '}none but the robots' own blocks, such as gears (vstestbed describe puma560); a plugin may add some"
-            )
+            typer.echo(f"{'' if registry else '  '}none; those of the package are blocks of robots (vstestbed describe puma560)")
         for entry, text in entries:
             typer.echo(f"{'' if registry else '  '}{entry:{width}}  {text}")
 
