@@ -28,6 +28,8 @@ def test_its_tension_is_that_of_its_length(command, own_kinds, tmp_path: Path) -
     found = np.array(log["cable_n"])
     assert found.max() > 10
     np.testing.assert_allclose(found, 300 * np.maximum(0, length - 0.5), atol=1e-6)
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "Columns of the law and of effects" in page and "cable_n" in page
 
 
 def test_it_is_described_and_its_mistakes_are_told(command, own_kinds, tmp_path: Path) -> None:

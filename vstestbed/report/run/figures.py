@@ -17,6 +17,7 @@ from vstestbed.report.run.tracks import LogArrays, MeasuredError
 LEAST_TWIST, LEAST_DEPTH = 2e-3, 0.02
 """Least span of the axis of twists [m/s, rad/s] and of depths (relative to the depth): below it there is only noise."""
 JOINT_PANELS = {"q": "position [rad, m]", "qd": "velocity [rad/s, m/s]", "ctrl": "input [own unit]", "tau": "torque [Nm, N]"}
+MOST_OWN = 8  # panels of columns of one's own
 ESTIMATES = (("est", "as estimated", LINE_COLORS[1]), ("odo", "by odometry alone", LINE_COLORS[3]))
 """Where a vehicle believes to be: columns, words, colour."""
 
@@ -142,6 +143,17 @@ def joints(tracks: LogArrays) -> Chart | None:
         for name in names:
             label = name if len(every) <= 16 else ""
             panel.plot(tracks.t, tracks.column(f"{stem}_{name}"), color=line_color(every.index(name)), linewidth=1.2, label=label)
+    return chart
+
+
+def own_columns(tracks: LogArrays) -> Chart | None:
+    """The first columns of the law's own and of the effects', by their names, which tell the unit."""
+    names = [name for name in tracks.setting.own if np.isfinite(tracks.column(name)).any()][:MOST_OWN]
+    if not names:
+        return None
+    chart = over_time(tracks, 0.9 + 1.5 * len(names), *names)
+    for i, (panel, name) in enumerate(zip(chart.panels, names, strict=True)):
+        panel.plot(tracks.t, tracks.column(name), color=line_color(i), **LINE)
     return chart
 
 

@@ -59,6 +59,7 @@ FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
     figures.wheels: "Wheels and steering",
     figures.slip: "Slip",
     figures.joints: "Joints and actuators",
+    figures.own_columns: "Columns of the law and of effects",
 }
 
 

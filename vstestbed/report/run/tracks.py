@@ -108,6 +108,7 @@ class Setting:
     modes: tuple[str, ...] = ()  # words for what the law does in a frame; () for a law without modes
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
+    own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
 
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
@@ -145,6 +146,7 @@ class Setting:
             outlined=scenario.target.outlined,
             modes=scenario.law.modes,
             changing=scenario.detector.changing,
+            own=(*scenario.law.columns, *(name for effect in scenario.robot.acting for name in effect.columns)),
         )
 
 
