@@ -60,7 +60,7 @@ def rendered(page: Path, kept: Kept) -> str:
         strain_waves=parameters.strain_waves,
     )
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
-    made.globals.update(preset=parameters.preset)
+    made.globals.update(preset=parameters.preset, gain_of=gain_of)
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
     made.globals.update(table_columns=RUN_COLUMNS.items)
     made.filters.update(judged=judged, g=parameters.plain)
@@ -95,6 +95,12 @@ def _bundled() -> list[vs.Scenario]:
 def comparisons() -> list[tuple[str, str]]:
     """Name and description of the bundled comparisons."""
     return [(name, yaml.safe_load(file.read_text(encoding="utf-8")).get("description", "")) for name, file in bundled_comparisons().items()]
+
+
+def gain_of(comparison: str, law: str) -> float:
+    """The gain of a law that a bundled comparison names [1/s]."""
+    given = yaml.safe_load(bundled_comparisons()[comparison].read_text(encoding="utf-8"))
+    return float(given["cases"]["law"][law]["law"]["gain"])
 
 
 def judged(summary: Row) -> str:

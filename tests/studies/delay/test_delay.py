@@ -16,6 +16,7 @@ from vstestbed import Timing
 from vstestbed.cli import app as cli
 from vstestbed.cli.studies import _summary_line
 from vstestbed.core.errors import ParameterError
+from vstestbed.laws.feedforward import Smith
 from vstestbed.loop.stability import closed_form, gain_limit
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.delay import (
@@ -143,6 +144,18 @@ def test_an_arm_with_industrial_servos_goes_unstable_where_their_lag_says(arm):
     assert g < 0.9 * closed_form(2)  # a shift that theory without lag does not explain
     start = displaced(at_goal)
     assert growth(start, 0.95 * g / PERIOD, 2) < 1 < growth(start, 1.05 * g / PERIOD, 2)
+
+
+@pytest.mark.parametrize("actuation", one_quick("industrial", "ideal"))
+def test_with_a_predictor_the_limit_of_an_arm_is_that_without_delay(arm, actuation):
+    """docs/results/constraints.md: Smith's predictor with the encoders' motion takes the delay out, so that the lag of the servos is left;
+    with ideal ones nothing is, and the limit is two a period, as deadbeat control with overshoot of the whole error."""
+    plain = arm(actuation)
+    limit = 2 / PERIOD if actuation == "ideal" else 37.3  # the table's, without delay and predictor
+    start = displaced(replace(plain, law=replace(plain.law, feedforward=Smith())))
+    assert growth(start, 0.95 * limit, 3) < 1 < growth(start, 1.05 * limit, 3)
+    assert growth(displaced(plain), 0.95 * limit, 0) < 1 < growth(displaced(plain), 1.05 * limit, 0)
+    assert growth(displaced(plain), 0.3 * limit, 3) > 1  # without the predictor
 
 
 @pytest.mark.study
