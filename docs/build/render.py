@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median as median_of
@@ -142,12 +143,15 @@ def reached(rows: Iterable[Row], interval: bool = True) -> str:
 
 
 def failed(rows: Iterable[Row], by: str = "seed") -> str:
-    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`."""
+    """The runs that did not reach the goal, by outcome: `joint_limit: 7, 15`; `random (2)` where two are called alike."""
     outcomes: dict[str, list[str]] = {}
     for row in rows:
         if not row["success"]:
             outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
-    return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in outcomes.items())
+    each_of = {
+        outcome: [name if n == 1 else f"{name} ({n})" for name, n in Counter(those).items()] for outcome, those in outcomes.items()
+    }
+    return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in each_of.items())
 
 
 def failed_seeds(rows: Iterable[Row]) -> str:
