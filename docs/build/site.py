@@ -1,62 +1,99 @@
-"""A hook of mkdocs (`docs/mkdocs.yml`): pages of the repository outside `docs/`, links to its other files, and the reference of kinds."""
+"""A hook of mkdocs (`docs/mkdocs.yml`): what the site has beside the pages of `docs/`.
+
+The pages of the repository outside that folder, the files to which pages link, a page of each bundled scenario (with film and report where
+`vstestbed run NAME` has left them in `runs/`), and the reference of names, kinds and fields.
+"""
 
 from __future__ import annotations
 
+import html
+import json
 import os
 import posixpath
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File
 
+from docs.build.kept import place_of
+from docs.build.render import judged
+from vstestbed.cli.describe import _default
+from vstestbed.core.fields import DIMENSIONLESS, class_text, fields, without_unit
+from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.scenario.catalogue import Entry, catalogue
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.scenario.yaml_marks import bundled_mapping
+from vstestbed.studies.comparison import Comparison
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     "README.md": "index.md",
-    "scenarios/README.md": "scenarios.md",
+    "docs/README.md": "documentation.md",  # mkdocs would make a second index of it
+    "scenarios/README.md": "scenarios/README.md",
     "models/README.md": "models.md",
     "tests/README.md": "accuracy.md",
     "vstestbed/README.md": "rooms.md",
     "CONTRIBUTING.md": "contributing.md",
     "CHANGELOG.md": "changes.md",
+    **{f"scenarios/{path.name}": f"scenarios/{name}.md" for name, path in bundled_scenarios().items()},
 }
-"""Pages outside `docs/` by their places in the repository, and on the site."""
-FILES = "files"  # folder of the site with files of the repository to which pages link
+"""Pages outside `docs/`, and scenarios, by their places in the repository and on the site."""
+FILES = "files"  # folder of the site with the other files of the repository to which pages link
 LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
-FENCE = re.compile(r"^( {4}|```)", re.MULTILINE)
+FILMS = {"overview.mp4": "From outside", "camera.mp4": "What the camera sees"}
+
+
+def on_config(config: Any) -> Any:
+    """Name the pages of scenarios and kinds in the navigation, which `mkdocs.yml` leaves open with `scenarios` and `kinds`."""
+    open_ends = {"scenarios": [PAGES[f"scenarios/{path.name}"] for path in bundled_scenarios().values()], "kinds": list(kind_pages())}
+
+    def filled(nav: Any) -> Any:
+        if isinstance(nav, dict):
+            return {title: open_ends[inner] if isinstance(inner, str) and inner in open_ends else filled(inner) for title, inner in nav.items()}
+        return [filled(each) for each in nav] if isinstance(nav, list) else nav
+
+    config.nav = filled(config.nav)
+    return config
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the pages outside `docs/`, the pages of the reference, and every file to which a page links."""
-    pages = {f"docs/{file.src_uri}": file.src_uri for file in files.documentation_pages()} | PAGES
-    for inside, uri in PAGES.items():
-        files.append(File.generated(config, uri, content=(ROOT / inside).read_text(encoding="utf-8")))
-    for uri, text in (("reference/kinds.md", kinds_page()), ("reference/python.md", python_page())):
+    """Add what is outside `docs/`, and what is made here."""
+    pages = {f"docs/{file.src_uri}" for file in files.documentation_pages()} | {path for path in PAGES if path.endswith(".md")}
+    made = {uri: (ROOT / path).read_text(encoding="utf-8") for path, uri in PAGES.items() if path in pages}
+    made |= {PAGES[f"scenarios/{path.name}"]: scenario_page(name, path) for name, path in bundled_scenarios().items()}
+    made |= kind_pages() | {"reference/python.md": python_page()}
+    for uri, text in made.items():
         files.append(File.generated(config, uri, content=text))
-    for inside in pages:
-        for target in _targets(inside, (ROOT / inside).read_text(encoding="utf-8")):
-            uri = f"{FILES}/{target}"
-            if target not in pages and (ROOT / target).is_file() and not target.startswith("docs/media/") and files.get_file_from_path(uri) is None:
-                files.append(File.generated(config, uri, abs_src_path=str(ROOT / target)))
+    linked = {target for path in sorted(pages) for target in _targets(path, (ROOT / path).read_text(encoding="utf-8"))}
+    copies = {f"{FILES}/{path}": ROOT / path for path in linked if _is_other(path, pages)}
+    copies |= {f"scenarios/{name}/{file.name}": file for name in bundled_scenarios() for file in _ran(name)}
+    for uri, place in copies.items():
+        files.append(File.generated(config, uri, abs_src_path=str(place)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
     """Links between the repository's files become links between the site's."""
-    inside = {uri: path for path, uri in PAGES.items()}.get(page.file.src_uri, f"docs/{page.file.src_uri}")
     here = posixpath.dirname(page.file.src_uri)
+    inside = {uri: path for path, uri in PAGES.items()}.get(page.file.src_uri, f"docs/{page.file.src_uri}")
 
     def changed(found: re.Match[str]) -> str:
         target, anchor = _target(inside, found[1])
         if target is None:
             return found[1]
-        uri = PAGES.get(target) or (target.removeprefix("docs/") if files.get_file_from_path(target.removeprefix("docs/")) else f"{FILES}/{target}")
-        if files.get_file_from_path(uri) is None:  # a folder, which is none of the site
-            return found[1]
-        return os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor
+        within = target.removeprefix("docs/")
+        uri = PAGES.get(target) or (within if files.get_file_from_path(within) else f"{FILES}/{target}")
+        known = files.get_file_from_path(uri) is not None  # else a folder, which is none of the site
+        return os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]
 
-    return LINK.sub(changed, markdown)
+    return markdown if page.file.src_uri.startswith(("reference/", "scenarios/")) and inside not in PAGES else LINK.sub(changed, markdown)
+
+
+def _is_other(path: str, pages: Iterable[str]) -> bool:
+    """Whether a link leads to a file that is on the site neither as a page nor as a picture."""
+    return path not in pages and path not in PAGES and not path.startswith("docs/media/") and (ROOT / path).is_file()
 
 
 def _targets(inside: str, text: str) -> Iterator[str]:
@@ -74,71 +111,94 @@ def _target(inside: str, link: str) -> tuple[str | None, str]:
     return posixpath.normpath(posixpath.join(posixpath.dirname(inside), path)), mark + anchor
 
 
+# A page of each scenario.
+def scenario_page(name: str, path: Path) -> str:
+    """What it shows, how it ends, its film and report where it has been run, and its file."""
+    lines = [f"# {name}", "", str(bundled_mapping(path)["description"]), "", f"    vstestbed run {name}", ""]
+    if (kept := place_of(f"run {name}")).is_file():
+        it = json.loads(kept.read_text(encoding="utf-8"))["result"]
+        lines += ["| ends as | after [s] | judged error (its limit) |", "|---|---|---|", f"| `{it['outcome']}` | {it['sim_time_s']:.1f} | {judged(it)} |", ""]
+    there = {file.name for file in _ran(name)}
+    for film, words in FILMS.items():
+        if film in there:
+            lines += [f"## {words}", "", f'<video controls muted loop preload="metadata" width="100%" src="{name}/{film}"></video>', ""]
+    if "report.html" in there:
+        lines += [f'<a class="md-button" href="{name}/report.html">The report of this run</a>', ""]
+    return "\n".join([*lines, "## Its file", "", "```yaml", path.read_text(encoding="utf-8").rstrip(), "```", ""])
+
+
+def _ran(name: str) -> list[Path]:
+    """Films and report of the last run of a scenario in this checkout; nothing where it was not run."""
+    runs = sorted((ROOT / "runs" / name).glob("[0-9]*/report.html"))
+    return [runs[-1], *(file for film in FILMS if (file := runs[-1].with_name(film)).is_file())] if runs else []
+
+
+# The reference.
 def python_page() -> str:
     """The public names of `import vstestbed as vs`, by the rooms that they come from; mkdocstrings writes what each is."""
     import vstestbed as vs
 
-    lines = ["# Python", "", "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md) shows how they go together.", ""]
-    homes: dict[str, list[str]] = vs._HOMES  # noqa: SLF001 - the table of contents of the package
-    for home, names in homes.items():
-        for name in names:
-            if not name.isupper() and name != "Array":
-                lines += [f"::: {home}.{name}", ""]
-    return "\n".join(lines)
+    head = ["# Python", "", "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md) shows how they go together.", ""]
+    homes: dict[str, tuple[str, ...]] = vs._HOMES
+    names = [f"{home}.{name}" for home, names in homes.items() for name in names if not name.isupper() and name != "Array"]
+    return "\n".join([*head, *(line for name in names for line in (f"::: {name}", ""))])
 
 
-def kinds_page() -> str:
-    """Every kind and block of a scenario with its equation, source and fields: `vstestbed describe` as one page."""
-    from vstestbed.scenario.catalogue import catalogue
-    from vstestbed.scenario.scenario import Scenario
-    from vstestbed.studies.comparison import Comparison
-
-    entries = catalogue(scenario=Scenario, comparison=Comparison)
-    words = "Every block and kind of a scenario, of a comparison, and their fields; `vstestbed describe NAME` prints the same in a terminal."
-    lines = ["# Kinds and fields", "", words, ""]
-    names = {entry.cls: entry.name for entry in reversed(entries.values()) if entry.cls is not None}
-    for entry in entries.values():
+def kind_pages() -> dict[str, str]:
+    """Every kind and block with its equation, source and fields, as `vstestbed describe` has them: a page for each list of kinds."""
+    entries = catalogue(scenario=Scenario, comparison=Comparison).values()
+    names = {entry.cls: entry.name for entry in reversed(list(entries)) if entry.cls is not None}
+    found: dict[str, list[str]] = {}
+    for entry in entries:
+        lines = found.setdefault(_page_of(entry.name), [f"# {_page_of(entry.name).capitalize()}", ""])
         lines += _kind_list(entry) if entry.cls is None else _block(entry, names)
-    return "\n".join(lines)
+    return {f"reference/{page}.md": "\n".join(lines) for page, lines in found.items()}
 
 
-def _kind_list(entry: Any) -> list[str]:
-    from vstestbed.core.fields import class_text
-
-    rows = [f"| [`{kind}`](#{_anchor(f'{entry.name}.{kind}')}) | {_cell(class_text(cls).summary)} |" for kind, cls in entry.registry.members.items()]
-    return [f"## {entry.name} {{ #{_anchor(entry.name)} }}", "", *(["| kind | what it is |", "|---|---|", *rows] if rows else ["None is bundled."]), ""]
+def _page_of(name: str) -> str:
+    """`law` for `law`, `law.ibvs` and `law.solve`."""
+    return name.partition(".")[0]
 
 
-def _block(entry: Any, names: dict[type, str]) -> list[str]:
-    from vstestbed.core.fields import DIMENSIONLESS, class_text, fields, without_unit
+def _kind_list(entry: Entry) -> list[str]:
+    assert entry.registry is not None
+    rows = [f"| {_link(f'{entry.name}.{kind}', kind)} | {_cell(class_text(cls).summary)} |" for kind, cls in entry.registry.members.items()]
+    words = ["| kind | what it is |", "|---|---|", *rows] if rows else ["None is bundled: plugins add them."]
+    return [*words, ""]
 
+
+def _block(entry: Entry, names: dict[type, str]) -> list[str]:
+    assert entry.cls is not None
     text = class_text(entry.cls)
-    level = "###" if entry.registry is not None else "##"
-    lines = [f"{level} {entry.name} {{ #{_anchor(entry.name)} }}", "", text.summary, ""]
-    lines += [paragraph if not paragraph.startswith(" ") else f"```text\n{paragraph}\n```" for paragraph in text.text.split("\n\n") for paragraph in (paragraph, "")]
+    lines = [f"## {entry.name} {{ #{_anchor(entry.name)} }}", "", _plain(text.summary), ""]
+    for paragraph in filter(None, text.text.split("\n\n")):
+        lines += [f"```text\n{paragraph}\n```" if paragraph.startswith(" ") else _plain(paragraph), ""]
     rows = []
     for name, field in fields(entry.cls).items():
-        words = text.fields[name]
-        held = [names.get(inner) if registry is None else registry.what for registry, inner in field.node.blocks()]
-        see = "".join(f" See [{word}](#{_anchor(word)})." for word in dict.fromkeys(held) if word)
-        default = "" if field.needed else _default(field)
-        unit = words.unit if words.unit != DIMENSIONLESS else ""
-        if name != "kind":
-            rows.append(f"| `{name}` | {_cell(default)} | {_cell(unit)} | {_cell(without_unit(words.description))}{see} |")
-    if rows:
-        lines += ["| field | default | unit | what it is |", "|---|---|---|---|", *rows, ""]
-    return lines + [f"Source: {source}\n" for source in text.sources]
+        if name == "kind":
+            continue
+        words, held = text.fields[name], [names.get(inner) if registry is None else registry.what for registry, inner in field.node.blocks()]
+        see = "".join(f" See {_link(word)}." for word in dict.fromkeys(held) if word)
+        unit, default = "" if words.unit == DIMENSIONLESS else words.unit, "" if field.needed else _default(field)
+        rows.append(f"| `{name}` | {_cell(default)} | {_cell(unit)} | {_cell(without_unit(words.description))}{see} |")
+    table = ["| field | default | unit | what it is |", "|---|---|---|---|", *rows, ""] if rows else []
+    return [*lines, *table, *(f"Source: {_plain(source)}\n" for source in text.sources)]
 
 
-def _default(field: Any) -> str:
-    from vstestbed.cli.describe import _default as shown
-
-    return shown(field)
+def _link(name: str, words: str = "") -> str:
+    """To a block or a list of kinds, from any page of the reference."""
+    return f"[`{words or name}`]({_page_of(name)}.md{f'#{_anchor(name)}' if '.' in name else ''})"
 
 
 def _anchor(name: str) -> str:
-    return name.replace(".", "-").replace("_", "-").lower()
+    return re.sub(r"[._]", "-", name).lower()
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("<", "&lt;").replace("\n", " ")
+    return _plain(text).replace("|", "\\|").replace("\n", " ")
+
+
+def _plain(text: str) -> str:
+    """Words in which Markdown is to see nothing but `code`: s* is no emphasis, and < no element."""
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(part if part.startswith("`") else re.sub(r"([*_\[\]])", r"\\\1", html.escape(part, quote=False)) for part in parts)
