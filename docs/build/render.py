@@ -148,9 +148,7 @@ def failed(rows: Iterable[Row], by: str = "seed") -> str:
     for row in rows:
         if not row["success"]:
             outcomes.setdefault(f"`{row['outcome']}`", []).append(str(row[by]))
-    each_of = {
-        outcome: [name if n == 1 else f"{name} ({n})" for name, n in Counter(those).items()] for outcome, those in outcomes.items()
-    }
+    each_of = {outcome: [name if n == 1 else f"{name} ({n})" for name, n in Counter(those).items()] for outcome, those in outcomes.items()}
     return "; ".join(f"{outcome}: {', '.join(those)}" for outcome, those in each_of.items())
 
 

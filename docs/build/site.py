@@ -51,7 +51,9 @@ def on_config(config: Any) -> Any:
 
     def filled(nav: Any) -> Any:
         if isinstance(nav, dict):
-            return {title: open_ends[inner] if isinstance(inner, str) and inner in open_ends else filled(inner) for title, inner in nav.items()}
+            return {
+                title: open_ends[inner] if isinstance(inner, str) and inner in open_ends else filled(inner) for title, inner in nav.items()
+            }
         return [filled(each) for each in nav] if isinstance(nav, list) else nav
 
     config.nav = filled(config.nav)
@@ -117,7 +119,12 @@ def scenario_page(name: str, path: Path) -> str:
     lines = [f"# {name}", "", str(bundled_mapping(path)["description"]), "", f"    vstestbed run {name}", ""]
     if (kept := place_of(f"run {name}")).is_file():
         it = json.loads(kept.read_text(encoding="utf-8"))["result"]
-        lines += ["| ends as | after [s] | judged error (its limit) |", "|---|---|---|", f"| `{it['outcome']}` | {it['sim_time_s']:.1f} | {judged(it)} |", ""]
+        lines += [
+            "| ends as | after [s] | judged error (its limit) |",
+            "|---|---|---|",
+            f"| `{it['outcome']}` | {it['sim_time_s']:.1f} | {judged(it)} |",
+            "",
+        ]
     there = {file.name for file in _ran(name)}
     for film, words in FILMS.items():
         if film in there:
@@ -138,10 +145,10 @@ def python_page() -> str:
     """The public names of `import vstestbed as vs`, by the rooms that they come from; mkdocstrings writes what each is."""
     import vstestbed as vs
 
-    head = ["# Python", "", "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md) shows how they go together.", ""]
+    words = "`import vstestbed as vs` has these names. [A scenario in Python](../guides/python.md) shows how they go together."
     homes: dict[str, tuple[str, ...]] = vs._HOMES
     names = [f"{home}.{name}" for home, names in homes.items() for name in names if not name.isupper() and name != "Array"]
-    return "\n".join([*head, *(line for name in names for line in (f"::: {name}", ""))])
+    return "\n".join(["# Python", "", words, "", *(line for name in names for line in (f"::: {name}", ""))])
 
 
 def kind_pages() -> dict[str, str]:
@@ -177,7 +184,10 @@ def _block(entry: Entry, names: dict[type, str]) -> list[str]:
     for name, field in fields(entry.cls).items():
         if name == "kind":
             continue
-        words, held = text.fields[name], [names.get(inner) if registry is None else registry.what for registry, inner in field.node.blocks()]
+        words, held = (
+            text.fields[name],
+            [names.get(inner) if registry is None else registry.what for registry, inner in field.node.blocks()],
+        )
         see = "".join(f" See {_link(word)}." for word in dict.fromkeys(held) if word)
         unit, default = "" if words.unit == DIMENSIONLESS else words.unit, "" if field.needed else _default(field)
         rows.append(f"| `{name}` | {_cell(default)} | {_cell(unit)} | {_cell(without_unit(words.description))}{see} |")
