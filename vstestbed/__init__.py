@@ -35,6 +35,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from vstestbed import camera, effects, features, laws, robots, targets, tasks, testing, vision
     from vstestbed.camera import CAMERAS, Calibration, Camera
     from vstestbed.core import errors
@@ -194,16 +196,22 @@ def __getattr__(name: str) -> object:
 
 
 def _show_in_notebooks() -> None:
-    """Let a recording show its report in a notebook: the room of recordings is below that of reports, and imports nothing of it."""
+    """Let a recording show its report and figures: the room of recordings is below that of reports, and imports nothing of it."""
     from vstestbed.loop.recording import Recording
 
-    Recording.shown_by = staticmethod(_cell_of)
+    Recording.shown_by, Recording.drawn_by = staticmethod(_cell_of), staticmethod(_figure_of)
 
 
 def _cell_of(recording: Recording) -> str:
     from vstestbed.report.run.page import recording_cell
 
     return recording_cell(recording)
+
+
+def _figure_of(recording: Recording, name: str) -> Figure:
+    from vstestbed.report.run.page import figure_of
+
+    return figure_of(recording, name)
 
 
 def __dir__() -> list[str]:

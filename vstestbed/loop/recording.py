@@ -27,6 +27,7 @@ from vstestbed.tasks.metrics import FIGURES, SOME_FIGURES
 
 if TYPE_CHECKING:
     import polars
+    from matplotlib.figure import Figure
     from spatialmath import SE3, Twist3
 
 
@@ -62,6 +63,8 @@ class Recording:
     goal_images: tuple[Image, ...] = ()
     shown_by: ClassVar[Callable[[Recording], str | None]] = staticmethod(lambda recording: None)
     """Makes HTML of a recording for notebooks: the package sets the report here, whose room is above this one."""
+    drawn_by: ClassVar[Callable[[Recording, str], Figure]]
+    """Draws a figure of the report, by its name; set as `shown_by` is."""
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -114,6 +117,34 @@ class Recording:
     def frame(self) -> polars.DataFrame:
         """The log as a polars table in memory, one row a camera frame."""
         return self.rows.frame()
+
+    def plot(self, name: str) -> Figure:
+        """A figure of the report as a matplotlib figure, which a notebook shows and `savefig` writes; its axes can be changed before.
+
+        name: `features`, `error`, `camera_path`, `twist`, `pose_error`, `depth`, `joints`, `rates`, ... Raises ParameterError: there is no
+        such figure, or this run has no such data; with those that it has.
+        """
+        return Recording.drawn_by(self, name)
+
+    def plot_features(self) -> Figure:
+        """The markers' tracks in the image, from the start to the goal (`plot_p` of the book's toolbox)."""
+        return self.plot("features")
+
+    def plot_error(self) -> Figure:
+        """The RMS error in the image over time (`plot_error` there)."""
+        return self.plot("error")
+
+    def plot_twist(self) -> Figure:
+        """The camera's twist over time, commanded and true (`plot_vel` there)."""
+        return self.plot("twist")
+
+    def plot_camera(self) -> Figure:
+        """The camera's path in space (`plot_pose` there)."""
+        return self.plot("camera_path")
+
+    def plot_depth(self) -> Figure:
+        """The depth of each marker over time, as the law used it and true (`plot_z` there)."""
+        return self.plot("depth")
 
     def _repr_html_(self) -> str | None:
         return Recording.shown_by(self)

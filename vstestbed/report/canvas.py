@@ -10,11 +10,20 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from vstestbed.core.files import write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.report.chart import bordered
 from vstestbed.report.marks import INK, RULE, WIDTH_IN, paint
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    from vstestbed.report.chart import Chart, ChartPanel, Curve
 
 DPI = 200  # of pictures
 _STYLE: Any = {
@@ -81,6 +90,68 @@ def panels(figure: Figure, n: int, columns: int, **shared: Any) -> list[Any]:
     return found[:n]
 
 
+def chart_figure(chart: Chart) -> Figure:
+    """A run's chart (`chart`) as a matplotlib figure."""
+    with style():
+        entries = chart.legend()
+        columns = max(1, min(len(entries), 90 // (max(map(len, entries), default=1) + 7)))  # as many as the longest leaves room for
+        figure = new_figure(chart.height / 72 + 0.2 * -(-len(entries) // columns))
+        shares = [panel.share for panel in chart.panels]
+        grid = figure.subplots(len(shares), squeeze=False, sharex=len(shares) > 1, height_ratios=shares)[:, 0]
+        for axes, panel in zip(grid, chart.panels, strict=True):
+            _draw_panel(axes, panel)
+        grid[-1].set_xlabel(chart.panels[-1].labels[0])
+        if entries:
+            nothing = np.zeros(0)
+            handles = [_line(c, nothing, nothing) if c.marker or c.linewidth else _patch(c) for c in entries.values()]
+            figure.legend(handles, list(map(plain, entries)), loc="outside lower center", ncols=columns)
+        picture = io.BytesIO()
+        save_to(figure, picture, "png", 110)
+    # Jupyter shows it without `%matplotlib inline`, too
+    figure._repr_png_ = picture.getvalue  # pyright: ignore[reportAttributeAccessIssue]
+    return figure
+
+
+def _draw_panel(axes: Axes, panel: ChartPanel) -> None:
+    """A panel's curves and words between its limits."""
+    xlim, ylim = panel.limits()
+    axes.set(xlim=xlim, ylim=ylim, ylabel=panel.labels[1], title=panel.title)
+    if panel.log:
+        axes.set_yscale("log")
+    if panel.equal:
+        axes.set_aspect("equal")
+    if panel.bare:
+        axes.set_axis_off()
+    for axis, words in zip((axes.xaxis, axes.yaxis), panel.in_words, strict=True):
+        if words is not None:
+            axis.set_major_formatter(lambda value, _, words=words: words(value))
+    for curve in panel.curves:
+        x, y = bordered(curve.x, xlim), bordered(curve.y, ylim)
+        if curve.fill != "none" and not curve.marker:
+            axes.fill(x, y, facecolor=curve.fill, edgecolor=curve.color, linewidth=curve.linewidth, alpha=curve.alpha, zorder=curve.zorder)
+        else:
+            axes.add_line(_line(curve, x, y))
+    for x, y, words, anchor, color in panel.words:
+        at = {"start": "left", "middle": "center", "end": "right"}[anchor]
+        place = float(bordered(np.array(x), xlim)), float(bordered(np.array(y), ylim))
+        axes.text(*place, plain(words), color=color, ha=at, va="top" if np.isinf(y) else "center", fontsize=7.5)
+
+
+def _line(curve: Curve, x: Array, y: Array) -> Line2D:
+    from matplotlib.lines import Line2D
+
+    marker = curve.marker or ("o" if len(x) == 1 else "")
+    looks: Any = {"color": curve.color, "linewidth": curve.linewidth, "alpha": curve.alpha, "zorder": curve.zorder}
+    marks: Any = {"marker": marker, "markersize": curve.markersize, "markerfacecolor": curve.fill, "markeredgewidth": curve.linewidth}
+    return Line2D(x, y, linestyle="none" if curve.marker else curve.linestyle, **looks, **marks)
+
+
+def _patch(curve: Curve) -> Patch:
+    from matplotlib.patches import Patch
+
+    return Patch(facecolor=curve.fill, alpha=curve.alpha)
+
+
 def publish(figure: Figure, key: str, label: str, place: Path | None = None) -> str:
     """The figure as an `<svg>` element for HTML and, in the folder `place`, as KEY.pdf with embedded fonts, KEY.svg and KEY.png, all alike.
     key: also the prefix of the element's identifiers. label: text for screen readers.
@@ -110,11 +181,16 @@ def publish(figure: Figure, key: str, label: str, place: Path | None = None) -> 
 
 def save(figure: Figure, path: Path, dpi: int = 150) -> Path:
     """Write the figure on white in the format of the file's suffix, without a date: the same figure gives the same bytes."""
-    kind, sink = path.suffix.lower()[1:], io.BytesIO()
+    sink = io.BytesIO()
+    save_to(figure, sink, path.suffix.lower()[1:], dpi)
+    return write_whole(path, sink.getvalue())
+
+
+def save_to(figure: Figure, sink: io.BytesIO, kind: str, dpi: int) -> None:
+    """`save` into memory."""
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
     with warnings.catch_warnings(action="ignore", category=UserWarning):
         figure.savefig(sink, format=kind, dpi=dpi, facecolor="white", metadata=undated)
-    return write_whole(path, sink.getvalue())
 
 
 def plain(name: str) -> str:

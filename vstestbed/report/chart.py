@@ -191,7 +191,7 @@ class ChartPanel:
             left, top, width, height = left + (width - across) / 2, top + (height - down) / 2, across, down
 
         def place(x: Array, y: Array) -> tuple[Array, Array]:
-            x, y, low, high = _bordered(x, xlim), _bordered(y, ylim), *ylim
+            x, y, low, high = bordered(x, xlim), bordered(y, ylim), *ylim
             if self.log:
                 y, low, high = np.log10(np.where(y > 0, y, np.nan)), log10(low), log10(high)
             return (x - xlim[0]) / (xlim[1] - xlim[0]) * width, (high - y) / (high - low) * height
@@ -229,7 +229,8 @@ class ChartPanel:
         return [in_words(n) for n in at] if in_words else numerals(at, powers)
 
 
-def _bordered(values: Array, limits: Pair) -> Array:
+def bordered(values: Array, limits: Pair) -> Array:
+    """Coordinates with the limits of their axis in place of infinite ones."""
     return np.where(np.isinf(values), np.where(values > 0, max(limits), min(limits)), values)
 
 

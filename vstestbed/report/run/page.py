@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import polars as pl
 
-from vstestbed.core.errors import NOTHING_RAN, RunFolderError
+from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.files import write_whole
 from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
@@ -24,6 +24,8 @@ from vstestbed.tasks.judged import MEASURED_BY, in_words_unit
 from vstestbed.tasks.metrics import EVERY_RUN, KNOWN, OF_A_RUN, SOME_RUNS, Metric, own_metrics
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from vstestbed.loop.recording import Recording
 
 Summary = Mapping[str, Any]
@@ -144,6 +146,18 @@ def recording_cell(recording: Recording) -> str:
 
     scenario = recording.scenario
     return cell(render_page(recording.rows, recording.summary(), documents(scenario), {}, Setting.of(scenario)), NOTEBOOK_PX)
+
+
+def figure_of(recording: Recording, name: str) -> Figure:
+    """A figure of the report of a recording by the name of its function. Raises ParameterError: it has none of this name."""
+    from vstestbed.report.canvas import chart_figure
+
+    tracks = LogArrays.of(recording.rows, Setting.of(recording.scenario))
+    drawers = {draw.__name__: draw for draw in FIGURES}
+    if name not in drawers or (chart := drawers[name](tracks)) is None:
+        there = [known for known, draw in drawers.items() if draw(tracks) is not None]
+        raise ParameterError.choice("plot", there, name)
+    return chart_figure(chart)
 
 
 def outcome_text(summary: Summary) -> str:
