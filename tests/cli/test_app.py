@@ -10,7 +10,9 @@ from typing import get_args
 
 import pytest
 
+from vstestbed.cli.app import view_of
 from vstestbed.cli.tools import Listed
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.laws.switched import Stage
 from vstestbed.scenario import catalogue
@@ -381,3 +383,12 @@ def test_flow_makes_the_folder_of_its_figure(command, tmp_path: Path, monkeypatc
     for options, place in (((), "runs/optical_flow/polar.png"), (("--out", "not/there/x.svg"), "not/there/x.svg")):
         ended = command("optical-flow", "--feature", "polar", *options)
         assert ended.code == 0 and ended.out.strip() == place and (tmp_path / place).stat().st_size > 10_000
+
+
+def test_a_view_is_three_or_six_numbers_from_outside(command, tmp_path: Path) -> None:
+    for words in ("1,2", "1,2,3,4", "1,2,x", "1,2,0", "nan,1,2"):
+        with pytest.raises(ParameterError, match=r"--view needs the form AZIMUTH,ELEVATION,DISTANCE\[,X,Y,Z\]"):
+            view_of(words)
+    assert view_of(None) is None and view_of("120,-20,3,0.5,0,0.8") is not None
+    ended = command("render", tmp_path, "--view", "120,-20,3", "--camera", "eye")
+    assert ended.code == 2 and "--camera must be overview with --view" in ended.err

@@ -36,7 +36,7 @@ def test_a_shell_gets_its_script(vstestbed_process) -> None:
 
 def test_scenarios_and_comparisons() -> None:
     assert complete.scenarios("arm_pbvs") == ["arm_pbvs"]
-    assert complete.experiments("canonical_") == ["canonical_arm"]
+    assert complete.experiments("canonical_") == ["canonical_arm", "canonical_arm_tuned"]
     assert complete.figures("time_to") == ["time_to_converge_s", "time_to_goal_s"]
     assert complete.scenarios("./mine") == []  # the shell then offers files
 

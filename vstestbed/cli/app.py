@@ -6,6 +6,7 @@ Heavy imports are inside the functions: `--help` must answer within 0.4 s.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -26,6 +27,7 @@ from vstestbed.core.shares import STOPS
 
 if TYPE_CHECKING:
     from vstestbed.loop.recording import Watcher
+    from vstestbed.sim.scene.follow import FixedView
     from vstestbed.tasks.frame import Frame
 
 FilmChoice = Literal["camera", "overview", "both", "none"]
@@ -109,6 +111,10 @@ def _interrupts() -> Iterator[Watcher]:
 def render(
     run_dir: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run's folder.")],
     camera: Annotated[str, typer.Option(metavar="NAME", help="eye, overview, or another camera of model.xml.")] = "overview",
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="AZ,EL,DIST[,X,Y,Z]", help="Look from there, as MuJoCo's viewer says it [deg, deg, m], at a point [m]."),
+    ] = None,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the film in pixels.")] = None,
     fine: Fine = False,
     gif: Annotated[bool, typer.Option("--gif", help="Make a GIF under 3 MB that repeats, for a README.")] = False,
@@ -132,7 +138,9 @@ def render(
         size_px = int(width), int(height)
     if out is not None and out.suffix.lower() != ending:
         raise ParameterError("--out", f"must end in {ending}, or in {'.mp4 without' if gif else '.gif with'} --gif", str(out))
-    path = out or run_dir / f"{camera}{ending}"
+    if view is not None and camera != "overview":
+        raise ParameterError.fixed("--camera", "overview", camera, where="with --view")
+    seen_from, path = view_of(view), out or run_dir / f"{camera if view is None else 'view'}{ending}"
     _must_hold(run_dir, "scenario.yaml")  # before the scenario is loaded, for a clearer message
     scenario = load_run(run_dir, plugin or [])
     log = open_log(run_dir, scenario)
@@ -141,7 +149,7 @@ def render(
     quality, verdict = quality_of(scenario, fine), ending_of(run_dir)
 
     def make(path: Path) -> Path | None:
-        return film_log(scenario, log, camera, path, quality, size_px, verdict)
+        return film_log(scenario, log, camera, path, quality, size_px, verdict, seen_from)
 
     with only_writer(run_dir) if path.parent == run_dir else nullcontext():  # a film elsewhere changes nothing in the run's folder
         film = gif_of(make, path) if gif else make(path)
@@ -149,6 +157,24 @@ def render(
         raise RunFolderError(run_dir, "has a log without frames; there is nothing to film", NOTHING_RAN)
     if not quiet:
         typer.echo(str(film), err=True)
+
+
+def view_of(words: str | None) -> FixedView | None:
+    """The view of `--view`. Raises ParameterError: other than three or six numbers, or no distance."""
+    import numpy as np
+
+    from vstestbed.sim.scene.follow import FixedView
+
+    if words is None:
+        return None
+    try:
+        numbers = [float(part) for part in words.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (3, 6) or not all(map(math.isfinite, numbers)) or not 0 < numbers[2] <= 1e4:
+        form = "AZIMUTH,ELEVATION,DISTANCE[,X,Y,Z] in degrees and metres, such as 120,-20,3 or 120,-20,3,0.5,0,0.8"
+        raise ParameterError.form("--view", form, words)
+    return FixedView(*numbers[:3], at=np.array(numbers[3:]) if numbers[3:] else None)
 
 
 def _must_hold(folder: Path, *names: str) -> None:

@@ -18,7 +18,7 @@ from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
-from vstestbed.sim.scene.follow import FollowCamera, Things
+from vstestbed.sim.scene.follow import FixedView, FollowCamera, Things
 from vstestbed.sim.scene.meshes import Pane, Solid, panes, solids, texels_of
 from vstestbed.sim.scene.overview import LEAST_REACH
 from vstestbed.sim.scene.scene import Scene
@@ -32,9 +32,7 @@ FILM_SLICES, FILM_STACKS, FILM_QUADS = 20, 12, 2
 which for a base with 36 rollers was a third of an image's time."""
 
 
-FREE, FOOT, FOOT_PX = 0.74, 0.065, 19
-"""Shares of the outside view: of its width, from the left, without an inset; of its height, at the bottom, with a caption, and at least
-so many pixels."""
+FREE = 0.74  # Share of the outside view's width, from the left, without an inset
 OUTSIDE_ASPECT = 0.95  # width over height of the view that `outside_view` fits
 FLOOR = (64, 84, 108), (56, 75, 98)
 """The two colours of the floor in films: light arms, dark cars and lines of any hue stand out from a slate blue."""
@@ -54,6 +52,7 @@ class Replay:
         robot, camera, target, world: the scene. shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m]. samples: multisampling of the outside views, for smooth edges.
         share: size of the servo camera's images as a share of its own (see `servo_renderer`).
+        view: where the camera `overview` stands; None: it follows the robot.
     """
 
     def __init__(
@@ -66,6 +65,7 @@ class Replay:
         sights: tuple[tuple[float, float, float], ...] = (),
         samples: int = 0,
         share: float = 1.0,
+        view: FixedView | None = None,
     ):
         self._parts = SceneDescription(robot, camera, target, world, step=camera.period, sights=sights)
         self._stage = Scene(self._parts, samples=samples)
@@ -76,6 +76,7 @@ class Replay:
         self._shadows, self._share = shadows, share
         self._things = Things(self._stage.model)
         self._follow: FollowCamera | None = None
+        self._view = view
         self._seen: tuple[float, Image] | None = None
         self._own: tuple[Scene, Callable[[], Image]] | None = None
         self._views: dict[str, tuple[StillView, Perspective]] = {}
@@ -119,8 +120,10 @@ class Replay:
             lens = Perspective(width=width, height=height, fovy_deg=float(model.camera(camera).fovy[0]))
             self._views[camera] = StillView(view.full_image, model, data, camera, lens.f, view.part), lens
         self._stage.place(t, T_world_target, q, T_world_camera)
-        if camera == "overview":
-            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE, max(FOOT, FOOT_PX / height))
+        if camera == "overview" and self._view is not None:
+            self._view.place(self._stage, self._things)
+        elif camera == "overview":
+            self._follow = self._follow or FollowCamera(self._stage, self._things, width / height, FREE)
             self._follow.place(t, T_world_goal)
         return self._views[camera][0].full_image()
 
@@ -150,7 +153,7 @@ class Replay:
         Returns T_world_camera (4, 4), the point (3,) that it looks at, and its vertical field of view [rad].
         """
         if T_world_goal is not None or self._parts.robot.base == "fixed":  # else the composed view, which shows the way there is
-            FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0, 0.0).place(t, T_world_goal)
+            FollowCamera(self._stage, self._things, OUTSIDE_ASPECT, 1.0).place(t, T_world_goal)
         T = self._stage.pose_of("overview")
         middle = self._things.points(self._stage.data).reshape(-1, 3).mean(axis=0)
         fovy = math.radians(float(self._stage.model.camera("overview").fovy[0]))

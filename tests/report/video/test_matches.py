@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import polars as pl
-import pytest
 
 import vstestbed as vs
 from vstestbed.report.run.space import features
@@ -21,21 +20,6 @@ def test_a_match_is_a_point_a_ring_and_a_line():
     assert image[100, 140].min() > 200
     assert np.abs(image[100, 184].astype(int) - GOAL).max() < 40 and tuple(image[98, 181]) != GOAL  # a ring is open in its middle
     assert (image[55:66, 55:66] == 128).all()  # where nothing is seen nothing is drawn
-
-
-@pytest.mark.parametrize("overlay", [MatchOverlay(320, 240, 60, "a title"), Overlay(320, 240, np.ones((60, 3)), "a title")])
-def test_no_mark_covers_the_numbers(overlay: Overlay):
-    """Points all over the caption shine through it, and its letters are what they are without them."""
-    u, v = np.meshgrid(np.linspace(4, 316, 30), [228.0, 234.0])
-    uv, none = np.column_stack([u.ravel(), v.ravel()]), np.full((60, 2), np.nan)
-    marked, plain = (np.zeros((240, 320, 3), np.uint8) for _ in range(2))
-    for image, points in ((plain, none), (marked, uv)):
-        overlay.draw(image, points, points + 2, t=1.0, error="error 37.01 px")
-    letters = plain > 140
-    assert letters.sum() > 500
-    assert np.abs(marked[letters].astype(int) - plain[letters]).max() < 45  # the edges of letters are blended with what is below
-    beside = plain[222:] == 0
-    assert 50 < marked[222:][beside].max() < 92
 
 
 def test_the_overlay_is_that_of_what_the_detector_reports():

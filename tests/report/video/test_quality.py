@@ -20,8 +20,8 @@ def test_drafts_have_at_most_15_pictures_a_second_and_fine_films_every_frame(rat
 
 
 def test_the_servo_film_is_scaled_down_to_a_limit():
-    assert [DRAFT.share(*size) for size in ((640, 480), (320, 240), (384, 768))] == [0.6, 1.0, 0.5]
-    assert FINE.share(1000, 1000) == 1.0
+    assert [DRAFT.share(*size) for size in ((640, 480), (1280, 1024), (1280, 2560))] == [1.0, 1.0, 0.5]
+    assert FINE.share(2560, 2560) == 1.0
 
 
 def test_frames_are_due_by_their_time_whatever_is_missing():

@@ -14,8 +14,8 @@ from vstestbed.camera import Perspective
 from vstestbed.core.geometry import FLIP, Array, exp, inverse, log, transform
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import SceneDescription
-from vstestbed.sim.replay import FOOT, FREE
-from vstestbed.sim.scene.follow import LEAST_SHARE, FollowCamera, Things
+from vstestbed.sim.replay import FREE
+from vstestbed.sim.scene.follow import LEAST_SHARE, FixedView, FollowCamera, Things
 from vstestbed.sim.scene.scene import Scene
 
 WIDTH, HEIGHT = 640, 360
@@ -32,7 +32,7 @@ class Filmed:
         self.q, self.start = parts.start
         self.T_target = parts.T_world_target
         self.things = Things(self.stage.model)
-        self.follow = FollowCamera(self.stage, self.things, WIDTH / HEIGHT, FREE, FOOT)
+        self.follow = FollowCamera(self.stage, self.things, WIDTH / HEIGHT, FREE)
         fovy = float(self.stage.model.camera("overview").fovy[0])
         self._lens = Perspective(width=WIDTH, height=HEIGHT, fovy_deg=fovy)
 
@@ -76,7 +76,7 @@ def test_the_points_round_a_robot_are_on_its_geoms(name: str) -> None:
 
 def shows(uv: Array) -> bool:
     """Whether all pixels are in the picture, clear of the inset's column and of the caption."""
-    return bool((uv >= 0).all() and (uv[:, 0] <= FREE * WIDTH).all() and (uv[:, 1] <= (1 - FOOT) * HEIGHT).all())
+    return bool((uv >= 0).all() and (uv[:, 0] <= FREE * WIDTH).all() and (uv[:, 1] <= HEIGHT).all())
 
 
 def towards(a: Array, b: Array) -> Callable[[float], Array]:
@@ -210,3 +210,19 @@ def test_the_wrist_of_an_arm_and_all_markers_are_seen() -> None:
     way = film.start[:3, 3] - eye
     mujoco.mj_ray(model, data, eye, way / np.linalg.norm(way), np.array([1, 1, 1, 1, 1, 0], np.uint8), 1, -1, hit)
     assert any(word in model.geom(int(hit[0])).name for word in ("wrist", "hand", "camera", "eye"))
+
+
+@pytest.mark.parametrize("at", [None, (0.5, 0.1, 0.8)])
+@pytest.mark.parametrize(("azimuth", "elevation", "distance"), [(120.0, -20.0, 3.0), (-30.0, 60.0, 1.5), (0.0, -90.0, 4.0)])
+def test_a_view_of_ones_own_is_that_of_mujocos_viewer(azimuth: float, elevation: float, distance: float, at) -> None:
+    filmed = Filmed(vs.load("arm_ibvs"))
+    filmed.stage.place(0.0, filmed.T_target, filmed.q)
+    FixedView(azimuth, elevation, distance, at=None if at is None else np.array(at)).place(filmed.stage, filmed.things)
+    camera, scene = mujoco.MjvCamera(), mujoco.MjvScene(filmed.stage.model, 2000)
+    camera.type, camera.azimuth, camera.elevation, camera.distance = mujoco.mjtCamera.mjCAMERA_FREE, azimuth, elevation, distance
+    camera.lookat[:] = filmed.things.points(filmed.stage.data).reshape(-1, 3).mean(axis=0) if at is None else at
+    mujoco.mjv_updateScene(filmed.stage.model, filmed.stage.data, mujoco.MjvOption(), None, camera, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    eyes = scene.camera
+    np.testing.assert_allclose(filmed.pose[:3, 3], (np.array(eyes[0].pos) + eyes[1].pos) / 2, atol=1e-5)
+    np.testing.assert_allclose(filmed.pose[:3, 2], eyes[0].forward, atol=1e-6)
+    np.testing.assert_allclose(-filmed.pose[:3, 1], eyes[0].up, atol=1e-6)

@@ -22,11 +22,12 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.log_file import Log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.outside import Outside, inset_share
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, draw_caption, draw_ending, overlay_of
+from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, captioned, draw_ending, overlay_of, strip_height
 from vstestbed.report.video.writer import Image, VideoWriter, png_of
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.render.pictures import draws_rays
 from vstestbed.sim.replay import Replay
+from vstestbed.sim.scene.follow import FixedView
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import in_a_frame, in_words_unit
 
@@ -52,7 +53,7 @@ class Quality:
         return min(1.0, self.longest / max(width, height))
 
 
-DRAFT = Quality((640, 360), longest=384, samples=0, shadows=False, most_hz=15.0)
+DRAFT = Quality((640, 360), longest=1280, samples=0, shadows=False, most_hz=15.0)
 FINE = Quality((1280, 720), longest=4320, samples=4, shadows=True, most_hz=math.inf)
 RAYS = Quality((320, 180), longest=320, samples=0, shadows=False, most_hz=5.0)  # Without OpenGL a picture takes some twenty times as long
 
@@ -93,37 +94,42 @@ class Pace:
 
 
 class Pictures:
-    """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them; asked for each frame in turn."""
+    """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them; asked for each frame in turn.
 
-    def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]):
+    size: (width, height) of a picture [px]. strip: height of the line of numbers below it [px]; None: as its height asks for.
+    """
+
+    def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int], strip: int | None = None):
         self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
+        self.strip = strip_height(size[1]) if strip is None else strip
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
-        self._overlay = overlay_of(scenario, size, self._title)
+        self._overlay = overlay_of(scenario, size)
         self._scale = np.array(size) / (scenario.camera.width, scenario.camera.height)
         self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 
     def picture(self, frame: FilmFrame) -> Image:
-        """The picture of one frame (H, W, 3)."""
+        """The picture of one frame (H, W, 3) with its line of numbers."""
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
-        error = error_in_words(self._scenario, values)
+        image = self._drawn(frame, int(values.get("view", 0)))
+        return captioned(image, self._title, self.strip, t=frame.t, error=error_in_words(self._scenario, values))
+
+    def _drawn(self, frame: FilmFrame, goal: int) -> Image:
         if self._camera == "eye":
             taken = self._taken(frame)
             seen = self._rendered("eye", frame) if taken is None else taken
             image = np.array(scaled(seen, self._size))  # a copy: the detector and other films use it
             uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (frame.uv, frame.goal_uv))
-            self._overlay.draw(image, uv, goal_uv, t=frame.t, error=error, lost=frame.lost)
+            self._overlay.draw(image, uv, goal_uv, frame.lost)
             if self._residual is not None:
-                self._residual.put(image, seen, frame, int(values.get("view", 0)))
+                self._residual.put(image, seen, frame, goal)
             return image
-        if self._outside is not None:
-            T = self._scenario.goal_pose_at(frame.t, int(values.get("view", 0)))
-            image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
-            self._outside.put_inset(image, frame, self._taken(frame), lambda: self._rendered("eye", frame))
-        else:
-            image = self._rendered(self._camera, frame)
-        draw_caption(image, self._title, t=frame.t, error=error)
+        if self._outside is None:
+            return self._rendered(self._camera, frame)
+        T = self._scenario.goal_pose_at(frame.t, goal)
+        image = self._outside.picture(frame, None if T is None else frame.T_world_target @ inverse(T))
+        self._outside.put_inset(image, frame, self._taken(frame), lambda: self._rendered("eye", frame))
         return image
 
     def _taken(self, frame: FilmFrame) -> Image | None:
@@ -135,13 +141,21 @@ class Pictures:
 
 
 class Film:
-    """A film (`.mp4`) of a run from one camera, in real time; the quality gives its rate, and its size (width, height) [px] by default."""
+    """A film (`.mp4`) of a run from one camera, in real time; the quality gives its rate.
+
+    size: (width, height) of the film with its line of numbers [px]; by default the quality's, or of the servo camera's film the camera's
+    with the line below.
+    """
 
     def __init__(self, scenario: Scenario, camera: str, path: Path, replay: Replay, quality: Quality, size: tuple[int, int] | None = None):
         eye = scenario.camera
         share = quality.share(eye.width, eye.height)
-        size = size or ((round(share * eye.width), round(share * eye.height)) if camera == "eye" else quality.size)
-        self._pictures = Pictures(scenario, camera, replay, size)
+        if size is None and camera == "eye":
+            self._pictures = Pictures(scenario, camera, replay, (round(share * eye.width), round(share * eye.height)))
+        else:
+            width, height = size or quality.size
+            strip = strip_height(height)
+            self._pictures = Pictures(scenario, camera, replay, (width, height - strip), strip)
         every = quality.every(eye.rate_hz)
         self._pace = Pace(eye.rate_hz, every)
         self._rate_hz = eye.rate_hz / every
@@ -171,7 +185,7 @@ class Film:
     def end(self, outcome: Outcome, reason: str) -> None:
         """Let the last picture stand for a second: how the run ended, and why."""
         if self._image is not None:
-            draw_ending(self._image, outcome.value.capitalize(), reason, GOOD if outcome.success else ALARM)
+            draw_ending(self._image, self._pictures.strip, outcome.value.capitalize(), reason, GOOD if outcome.success else ALARM)
         self._hold(round(HOLD_S * self._rate_hz))
 
     def close(self) -> Path | None:
@@ -207,19 +221,23 @@ def ending_of(folder: Path) -> Verdict | None:
     return Outcome[summary["outcome"]], summary.get("reason", "")
 
 
-def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | None = None) -> Replay:
-    """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's drafts are shown, drawn as small."""
+def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | None = None, view: FixedView | None = None) -> Replay:
+    """A replay of the scene; inset_in: size of a picture in whose inset alone the servo camera's drafts are shown, drawn as small. view: of
+    the camera outside; None: it follows the robot.
+    """
     parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
         share = min(share, inset_share(scenario.camera, inset_in))
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share)
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share, view)
 
 
 @contextmanager
-def open_films(scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None) -> Iterator[list[Film]]:
+def open_films(
+    scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None, view: FixedView | None = None
+) -> Iterator[list[Film]]:
     """Films of a run by the names of their cameras; they are finished at the end, and discarded on an exception."""
-    replay = replay_of(scenario, quality, None if "eye" in paths else size or quality.size)
+    replay = replay_of(scenario, quality, None if "eye" in paths else size or quality.size, view)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
         yield films
@@ -245,13 +263,14 @@ def film_log(
     quality: Quality,
     size: tuple[int, int] | None = None,
     ending: Verdict | None = None,
+    view: FixedView | None = None,
 ) -> Path | None:
-    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end.
+    """Film a recorded run from any camera, without simulating; ending: its outcome, shown at the end. view: of the camera `overview`.
 
     ParameterError: no such camera. EnvironmentLackError: no OpenGL, no codec, no space.
     """
     pace = Pace(scenario.camera.rate_hz, quality.every(scenario.camera.rate_hz))
-    with open_films(scenario, {camera: path}, quality, size) as (film,):
+    with open_films(scenario, {camera: path}, quality, size, view) as (film,):
         last = len(log)
         for number, row in enumerate(rows_of(log), start=1):
             if pace.due(row["t"]) or number == last:

@@ -35,7 +35,6 @@ GOAL: Final[Color] = (72, 214, 255)
 WAY: Final[Color] = (255, 255, 255)
 WAYS: Final = 8  # At most so many of the points of an outline have such a line
 HOLD_S: Final = 1  # How long the last picture of a film stays [s]
-ENDING: Final = 0.82  # Opacity of the band with the outcome
 SHIFT: Final = 4
 UNIT: Final = 1 << SHIFT  # OpenCV draws on a grid of 1/16 px
 SMALL: Final = 240  # Height up to which an image, as an inset, has symbols without a dark edge, which would hide their colours [px]
@@ -73,14 +72,13 @@ class Overlay:
 
     Args:
         width, height: image size [px]; all sizes scale with the height. colors: the markers' colours, shape (N, 3) in 0..1.
-        title: text in the lower right corner. outlined: the markers are the outline of a region (`Target.outlined`).
+        outlined: the markers are the outline of a region (`Target.outlined`).
         joined: draw the polygon through the measured markers, the outline of a plane tracked whole.
     """
 
-    def __init__(self, width: int, height: int, colors: Array, title: str = "", outlined: bool = False, joined: bool = False):
+    def __init__(self, width: int, height: int, colors: Array, outlined: bool = False, joined: bool = False):
         self.size = (width, height)
         self._joined = joined
-        self.title = title
         self._colors = _bytes(colors)
         self._light = _bytes(0.7 * np.asarray(colors) + 0.3)  # lighter, or blue and violet would not stand out from their dark borders
         self._stroke = max(1, round(height / 480))
@@ -90,14 +88,13 @@ class Overlay:
         self._outlined = outlined
         self._trails = [Trail(max(2.0, height / 240)) for _ in (self._colors[:1] if outlined else self._colors)]
 
-    def draw(self, image: Image, uv: Array, goal_uv: Array | None, *, t: float, error: str, lost: bool = False) -> None:
+    def draw(self, image: Image, uv: Array, goal_uv: Array | None, lost: bool = False) -> None:
         """Draw one frame's state on `image` (height, width, 3), uint8, RGB, in place.
 
-        `uv`, `goal_uv`: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2). t: time of the
-        frame [s]. error: the error in words. lost: whether the target is lost, which a banner shows.
+        `uv`, `goal_uv`: measured markers, NaN where not seen, and their goals, if the task has any [px], shape (N, 2). lost: whether the
+        target is lost, which a banner shows.
         """
         self.marks(image, uv, goal_uv)
-        draw_caption(image, self.title, t=t, error=error)  # over marks, which shine through: its numbers stay legible
         if lost:
             draw_banner(image, "TARGET LOST")
 
@@ -163,43 +160,48 @@ _DIAMOND: Final = np.array([[[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]])
 _FONT: Final = cv2.FontFace("sans")  # OpenCV's own proportional font: no system font is used, so that films are the same bytes everywhere
 
 
-def draw_caption(image: Image, title: str, *, t: float, error: str) -> None:
-    """Write time [s], error in words and, if there is room, a title on a darkened strip at the bottom of the image, in place."""
+def captioned(image: Image, title: str, strip: int, *, t: float, error: str) -> Image:
+    """The image with a strip of this height [px] below it: time [s], error in words and, if there is room, a title."""
     height, width = image.shape[:2]
     size = text_size(height)
-    strip = image[height - strip_height(height) :]
-    cv2.convertScaleAbs(strip, strip, 0.35)
-    base, pad = height - round(0.55 * size), round(0.7 * size)
+    found = np.empty((height + strip, width, 3), np.uint8)
+    found[:height], found[height:] = image, INK
+    base, pad = _base(height, strip), round(0.7 * size)
     error_at = pad + round(5.2 * size)
-    draw_text(image, f"{t:.2f} s", (pad, base), PAPER, size)
-    draw_text(image, error, (error_at, base), PAPER, size)
+    draw_text(found, f"{t:.2f} s", (pad, base), PAPER, size)
+    draw_text(found, error, (error_at, base), PAPER, size)
     title_at = width - pad - text_width(title, size)
     if title and title_at > error_at + 9.5 * size:
-        draw_text(image, title, (title_at, base), MUTED, size)
+        draw_text(found, title, (title_at, base), MUTED, size)
+    return found
 
 
-def draw_ending(image: Image, words: str, reason: str, color: Color) -> None:
-    """Write how a run ended, in bold, and why, if all of it fits, in one line on a coloured band over the caption, in place."""
-    height, width = image.shape[:2]
-    size, foot = text_size(height), height - strip_height(height)
-    pad, top = round(0.7 * size), foot - round(1.9 * size)
-    band = image[top:foot]
-    cv2.addWeighted(band, 1 - ENDING, np.full_like(band, color), ENDING, 0.0, dst=band)
-    base = foot - round(0.6 * size)
-    draw_text(image, shortened(words, size, width - 2 * pad, 600), (pad, base), PAPER, size, weight=600)
-    at = pad + text_width(words, size, 600) + size
-    if at + text_width(reason, size) <= width - pad:
+def draw_ending(image: Image, strip: int, words: str, reason: str, color: Color) -> None:
+    """Write how a run ended, in bold, and why, if all of it fits, on the strip below an image, right of the time, in place."""
+    height, width = image.shape[0] - strip, image.shape[1]
+    size = text_size(height)
+    left, right, base = round(5.4 * size), width - round(0.7 * size), _base(height, strip)
+    image[height:, left:] = color
+    left += round(0.5 * size)
+    draw_text(image, shortened(words, size, right - left, 600), (left, base), PAPER, size, weight=600)
+    at = left + text_width(words, size, 600) + size
+    if at + text_width(reason, size) <= right:
         draw_text(image, reason, (at, base), PAPER, size)
 
 
+def _base(height: int, strip: int) -> int:
+    """The base line of text that is centred in the strip below an image of that height [px]."""
+    return height + round(0.5 * strip + 0.36 * text_size(height))
+
+
 def text_size(height: int) -> int:
-    """Size of a caption's text in an image of that height [px]."""
+    """Size of a caption's text below an image of that height [px]."""
     return max(11, round(height / 28))
 
 
 def strip_height(height: int) -> int:
-    """Height of the caption in an image of that height [px]."""
-    return round(1.7 * text_size(height))
+    """Height of the caption below an image of that height [px], even: H.264 stores colour for 2 x 2 pixels."""
+    return 2 * round(0.85 * text_size(height))
 
 
 def draw_banner(image: Image, words: str, color: Color = ALARM) -> None:
@@ -338,8 +340,8 @@ MEASURED: Final[Color] = (255, 214, 64)
 class MatchOverlay(Overlay):
     """Draws each of `rows` matched points, a ring where the goal's picture has it, and a line between; no trails: points come and go."""
 
-    def __init__(self, width: int, height: int, rows: int, title: str = ""):
-        super().__init__(width, height, np.ones((rows, 3)), title)
+    def __init__(self, width: int, height: int, rows: int):
+        super().__init__(width, height, np.ones((rows, 3)))
         self._point, self._ring = max(1.6, height / 140), max(4.0, height / 75)
 
     def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
@@ -362,9 +364,9 @@ class MatchOverlay(Overlay):
             cv2.circle(image, (u, v), round(size * UNIT), color, width, cv2.LINE_AA, SHIFT)
 
 
-def overlay_of(scenario: Scenario, size: tuple[int, int], title: str = "") -> Overlay:
+def overlay_of(scenario: Scenario, size: tuple[int, int]) -> Overlay:
     """The overlay for what a scenario's detector reports; size: (width, height) of the image [px]."""
     if scenario.detector.changing:
-        return MatchOverlay(*size, scenario.rows, title)
+        return MatchOverlay(*size, scenario.rows)
     colors, outlined = scenario.target.colors[: scenario.rows], scenario.target.outlined
-    return Overlay(*size, colors, title, outlined, joined=scenario.detector.needs_sheet)
+    return Overlay(*size, colors, outlined, joined=scenario.detector.needs_sheet)

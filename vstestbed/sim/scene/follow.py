@@ -70,6 +70,33 @@ class Things:
         return data.geom_xpos[self.geoms, None] + self._local @ data.geom_xmat[self.geoms].reshape(-1, 3, 3).transpose(0, 2, 1)
 
 
+def put_overview(stage: Scene, eye: Array, view: Axes, middle: Array) -> None:
+    """Set the camera `overview` of a placed stage, and the light that casts shadows over the middle (3,) of what is shown."""
+    model, data = stage.model, stage.data
+    camera, light = model.camera("overview").id, model.light("key").id
+    data.cam_xpos[camera], data.cam_xmat[camera] = eye, np.column_stack([view.right, view.up, -view.ahead]).ravel()
+    data.light_xpos[light] = middle - LEAST_REACH * data.light_xdir[light]
+
+
+class FixedView:
+    """The camera `overview` where somebody wants it, as MuJoCo's viewer names a place.
+
+    Args:
+        azimuth_deg, elevation_deg: of the direction in which it looks; 0, 0 is along the world's x, and elevation -90 straight down [deg].
+        distance_m: from the point that it looks at [m]. at: that point (3,) [m]; None: the middle of what is in the first picture.
+    """
+
+    def __init__(self, azimuth_deg: float, elevation_deg: float, distance_m: float, at: Array | None = None):
+        (sa, se), (ca, ce) = (f(np.radians([azimuth_deg, elevation_deg])) for f in (np.sin, np.cos))
+        self._view = Axes.of(np.array([sa, -ca, 0.0]), np.array([-se * ca, -se * sa, ce]))
+        self._distance, self._at = distance_m, at
+
+    def place(self, stage: Scene, things: Things) -> None:
+        """Set the camera of a placed stage."""
+        self._at = things.points(stage.data).reshape(-1, 3).mean(axis=0) if self._at is None else self._at
+        put_overview(stage, self._at - self._distance * self._view.ahead, self._view, self._at)
+
+
 class FollowCamera:
     """Pose of the scene's camera `overview` at each frame, from the frames so far.
 
@@ -79,15 +106,15 @@ class FollowCamera:
     Made Easy, section 1.2.6).
 
     stage: the scene. things: in it. aspect: width over height of the picture.
-    free: share of the picture's width, from the left, that nothing is drawn over. foot: share of its height, at the bottom, that is.
+    free: share of the picture's width, from the left, that nothing is drawn over.
     """
 
-    def __init__(self, stage: Scene, things: Things, aspect: float, free: float, foot: float):
+    def __init__(self, stage: Scene, things: Things, aspect: float, free: float):
         self._stage, model = stage, stage.model
-        self._camera, self._light = model.camera("overview").id, model.light("key").id
+        self._camera = model.camera("overview").id
         half = math.tan(math.radians(model.cam_fovy[self._camera]) / 2)
         self._width = 2 * half * aspect
-        tangents = np.array([half * aspect, half * aspect * (2 * free - 1), half * (1 - 2 * foot), half])
+        tangents = np.array([half * aspect, half * aspect * (2 * free - 1), half, half])
         self._moving = stage.parts.robot.base != "fixed"
         self._tangents, self._edges = tangents / (ROOM if self._moving else ROOM_TO_MOVE), tangents / SLACK
         self._things = things
@@ -98,7 +125,6 @@ class FollowCamera:
     def place(self, t: float, T_world_goal: Array | None) -> None:
         """Set the camera for a placed stage at a time [s]; T_world_goal: pose (4, 4) of the servo camera at its goal, if it has one."""
         around, beside = self._contents(T_world_goal)
-        data = self._stage.data
         first = self._view is None
         if self._view is None:
             self._view = self._chosen(around, beside)
@@ -111,10 +137,7 @@ class FollowCamera:
             self._eye = ahead + (1 - still**2) * (eye - ahead)
             self._velocity = self._velocity + (1 - still) ** 2 / dt * (eye - ahead)
         self._t = t
-        data.cam_xpos[self._camera] = self._eye
-        data.cam_xmat[self._camera] = np.column_stack([self._view.right, self._view.up, -self._view.ahead]).ravel()
-        along = data.light_xdir[self._light]
-        data.light_xpos[self._light] = around.mean(axis=0) - LEAST_REACH * along
+        put_overview(self._stage, self._eye, self._view, around.mean(axis=0))
 
     def _contents(self, T_world_goal: Array | None) -> tuple[Array, Array]:
         """Points (N, 3) round the robot, and (M, 3) round what else must be in the picture."""
