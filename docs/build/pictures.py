@@ -25,7 +25,7 @@ import numpy as np
 import polars as pl
 
 import vstestbed as vs
-from docs.build import latency
+from docs.build import exercises, latency
 from docs.build.kept import Kept
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.report.canvas import DPI, save, style
@@ -240,6 +240,11 @@ def polar_planes(name: str, folder: Path) -> Image:
     return figure(folder / f"{name}.png")
 
 
+def of_exercise(name: str, folder: Path) -> Image:
+    """The figure of an exercise, of runs and of kept results."""
+    return figure(exercises.draw(name, folder))
+
+
 def figure(path: Path) -> Image:
     """A figure, scaled down to FIGURE pixels where it is wider."""
     whole = cv2.imread(str(path))
@@ -284,13 +289,24 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *STUDIES]
+    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *exercises.EXERCISES, *STUDIES]
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
     given = parser.parse_args()
     make_folder(given.out)
-    names = given.names or [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *(STUDIES if given.studies else ())]
+    names = given.names or [
+        *FILMS,
+        *MOVING,
+        LIVE,
+        DEPTH,
+        CAMERA,
+        *GRIDS,
+        LATENCY,
+        POLAR,
+        *exercises.EXERCISES,
+        *(STUDIES if given.studies else ()),
+    ]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             if name in MOVING:
@@ -298,6 +314,7 @@ def main() -> None:
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
             of_runs = grid_of if name in GRIDS else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
+            of_runs = of_exercise if name in exercises.EXERCISES else of_runs
             made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
