@@ -34,16 +34,9 @@ def starts(path: Path) -> None:
             for i, j in np.argwhere(np.isnan(values)):
                 axes.plot(j, i, **(FAILED | {"markersize": 6}))
             for i, j in np.argwhere(np.isfinite(values)):
-                color, places = "white" if (values[i, j] - 1 + k) / (most - 1 + k) > 0.5 else "black", 0 if values[i, j] >= 9.95 else 1
-                axes.text(
-                    j,
-                    i,
-                    f"{values[i, j]:.{0 if values[i, j] >= 9.95 else 1}f}",
-                    ha="center",
-                    va="center",
-                    fontsize=6,
-                    color="white" if dark else "black",
-                )
+                share, places = (values[i, j] - 1 + k) / (most - 1 + k), 0 if values[i, j] >= 9.95 else 1
+                look = {"color": "white" if share > 0.5 else "black", "ha": "center", "va": "center", "fontsize": 6}
+                axes.text(j, i, f"{values[i, j]:.{places}f}", **look)
             axes.set_title(f"{law}: {title}" if k else law)
             axes.grid(visible=False)
         figure.colorbar(image, ax=grid[k * len(laws) : (k + 1) * len(laws)], label=title, extend="max", shrink=0.9)
