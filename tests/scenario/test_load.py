@@ -376,7 +376,7 @@ class TestBundled:
         assert written["camera"]["width"] == 640
         assert written["detector"]["kind"] == "blobs"
         assert written["robot"]["actuation"] == "industrial"
-        assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True, "saturation": 1.0, "albedo": 1.0}
+        assert written["target"]["marker"] == {"kind": "disc", "radius": 0.02, "lit": True, "saturation": 1.0, "albedo": 1.0, "hues": []}
         drift = {"brightness": 0.0, "color": 0.0, "contrast": 0.0, "period_s": 10.0}
         target = {"image_sigma": 0.0, "perturb": []}
         assert written["noise"] == {

@@ -12,6 +12,7 @@ from tests.shortcuts import one_quick
 from tests.vision.conftest import TakePicture
 from tests.vision.parts import in_windows
 from vstestbed.camera import Camera, Catadioptric, Perspective, Picture
+from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, exp, inverse, rigid_error, transform
 from vstestbed.targets.base import Points, Square, Target
 from vstestbed.targets.markers import Disc, Marker, Sphere
@@ -113,6 +114,21 @@ def test_twelve_markers(picture: TakePicture) -> None:
         found = _detect(picture(target, T, CAMERA), target)
         assert found.seen.all()
         assert np.linalg.norm(found.uv - CAMERA.project(transform(T, target.points)), axis=1).max() < 0.35
+
+
+@pytest.mark.parametrize("hues", [("magenta", "yellow", "cyan", 215.0), ("red", "red", "green", "blue"), (0.0, 12.0, 24.0, 36.0)])
+def test_colours_of_ones_own_are_told_apart(picture: TakePicture, hues: tuple[str | float, ...]) -> None:
+    """Also two of one colour, by the pose that explains them, and four shades from red to yellow."""
+    target = _square(Disc(radius=0.03, hues=hues))
+    assert target.hues_deg == tuple({"magenta": 300, "yellow": 60, "cyan": 180, "red": 0, "green": 120, "blue": 240}.get(h, h) for h in hues)
+    for T in _poses(5):
+        found = _detect(picture(target, T, CAMERA), target)
+        assert np.linalg.norm(found.uv - CAMERA.project(transform(T, target.points)), axis=1).max() < 0.35
+
+
+def test_another_number_of_colours_is_refused() -> None:
+    with pytest.raises(ParameterError, match=r"marker\.hues must be 4 colours, one for each marker, or none"):
+        _square(Disc(hues=("red", "green")))
 
 
 def test_twenty_four_markers_are_told_apart(picture: TakePicture) -> None:

@@ -11,6 +11,7 @@ import pathlib
 from abc import abstractmethod
 from collections import Counter
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -22,7 +23,7 @@ from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
 from vstestbed.core.quantity import Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
-from vstestbed.targets.markers import MARKERS, Disc, Marker
+from vstestbed.targets.markers import HUES_DEG, MARKERS, Disc, Marker
 from vstestbed.targets.motion import MOTIONS, Carried, MotionBase, Path, Still
 from vstestbed.targets.route import Route
 
@@ -194,9 +195,15 @@ class Target:
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """One hue for each marker, spread evenly from red on [deg], by which detectors identify the markers."""
+        """One hue for each marker [deg], by which detectors identify the markers: those given, or spread evenly from red on."""
         n = len(self.points)
-        return tuple(360 * i / n for i in range(n))
+        return tuple(hue if isinstance(hue, float) else HUES_DEG[hue] for hue in self.marker.hues) or tuple(360 * i / n for i in range(n))
+
+    @cached_property
+    def hue_gap_deg(self) -> float:
+        """Smallest difference between two markers' hues that are not the same [deg]; 360 of one hue alone."""
+        hues = sorted({hue % 360 for hue in self.hues_deg})
+        return min(b - a for a, b in pairwise([*hues, hues[0] + 360.0]))
 
     @cached_property
     def colors(self) -> Array:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
-from annotated_types import Ge, Le, Lt
+from annotated_types import Ge, Le, Len, Lt
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
@@ -29,6 +29,9 @@ HALF_THICKNESS_M = 1e-4
 """Half height of a flat marker [m]: its front face lies at z = 0 of the target frame, its rim adds under 0.02 px at 1 m."""
 HIDDEN_M = 0.002  # what comes between camera and marker nearer to the marker than this, besides its own height, does not hide it [m]
 Share = Annotated[float, Ge(0), Le(1)]
+HueName = Literal["red", "orange", "yellow", "green", "cyan", "blue", "violet", "magenta"]
+HUES_DEG = dict(zip(get_args(HueName), (0.0, 30.0, 60.0, 120.0, 180.0, 240.0, 270.0, 300.0), strict=True))
+Hue = HueName | Annotated[float, Ge(0), Lt(360)]
 Solid = tuple[Literal["cylinder", "sphere", "box"], tuple[float, float, float]]
 """Shape of a marker and its half sizes [m], in MuJoCo's order: (radius, half height, 0), (radius, 0, 0), (x, y, z)."""
 
@@ -39,6 +42,7 @@ class Marker:
     Attributes:
         radius: of its circumscribed circle [m]. lit: whether the scene's lights shade it; otherwise its brightness is constant.
         saturation, albedo: of its colour, S and V of HSV (V also of a texture's white); 1 is the pure colour.
+        hues: of all markers of a target, as `RoundMarker` has them; none: spread evenly.
         solid: shape and half sizes of its geom (`Solid`); None for one that is the edge of the target's body.
         height_m: how far it rises from the target's plane towards the camera [m].
         textured: it has a printed texture (`vision.tags.printed`) instead of one colour.
@@ -50,6 +54,7 @@ class Marker:
     solid: Any
     saturation: float = 1.0
     albedo: float = 1.0
+    hues: Any = ()
     height_m: Any = 0.0
     textured: ClassVar[bool] = False
 
@@ -70,15 +75,20 @@ class RoundMarker(Marker):
         lit: whether the scene's lights shade it; otherwise its colour is constant.
         saturation: of its colour: 1 is pure, 0 grey; detector `blobs` needs 60 grey levels between r, g and b of the picture [1].
         albedo: share of the light that it throws back in its strongest channel; its grey level there is 255 albedo times the light [1].
+        hues: colours of the target's markers in their order, each red, orange, yellow, green, cyan, blue, violet, magenta, or the hue of
+            HSV; none: spread evenly from red on [deg]; e.g. `[red, green, blue, 300]`.
     """
 
     radius: PositiveLength = 0.02
     lit: bool = True
     saturation: Share = 1.0
     albedo: Share = 1.0
+    hues: Annotated[tuple[Hue, ...], Len(0, 24)] = ()
 
     def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse markers that overlap."""
+        """Refuse markers that overlap, and another number of colours."""
+        if self.hues and len(self.hues) != count:
+            raise ParameterError.count("marker.hues", count, "colours, one for each marker, or none", list(self.hues))
         if gap <= 2 * self.radius:
             raise ParameterError.bound("marker.radius", "under", f"half of the smallest gap between markers, {gap:.4g} m", self.radius)
 

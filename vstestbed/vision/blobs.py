@@ -618,7 +618,7 @@ class Blobs(DetectorBase):
             if last is None:
                 return None
             u, v = last.u + move[0], last.v + move[1]
-            alike = [b for b in blobs if self._has_hue(b, hue, len(own))]
+            alike = [b for b in blobs if self._has_hue(b, hue, target)]
             blob = min(alike, key=lambda b: math.hypot(b.u - u, b.v - v), default=None)
             if blob is None:
                 return None
@@ -636,13 +636,13 @@ class Blobs(DetectorBase):
         whole = [(i, (0, 0, camera.panels[i].lens.width, camera.panels[i].lens.height)) for i in drawn]
         # One by one: a panel is too large for the time of a call to count.
         everywhere = [(place[0], blob) for place in whole for blob in self._blobs_in([place], picture, noise, camera)[0]]
-        by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, len(hues))] for hue in hues]
+        by_marker = [[f for f in everywhere if self._has_hue(f[1], hue, target)] for hue in hues]
         if len(camera.panels) == 1 and max(map(len, by_marker)) > 1:
             return list(assign_blobs(by_marker, camera, target, state.T_camera_target))
         return [largest(some, camera) for some in by_marker]
 
-    def _has_hue(self, blob: Blob, hue_deg: float, n_hues: int) -> bool:
-        tolerance = min(self.hue_tolerance_deg, 180 / n_hues)
+    def _has_hue(self, blob: Blob, hue_deg: float, target: Target) -> bool:
+        tolerance = min(self.hue_tolerance_deg, target.hue_gap_deg / 2)
         return abs((blob.hue_deg - hue_deg + 180) % 360 - 180) <= tolerance
 
 
