@@ -120,7 +120,9 @@ def test_twelve_markers(picture: TakePicture) -> None:
 def test_colours_of_ones_own_are_told_apart(picture: TakePicture, hues: tuple[str | float, ...]) -> None:
     """Also two of one colour, by the pose that explains them, and four shades from red to yellow."""
     target = _square(Disc(radius=0.03, hues=hues))
-    assert target.hues_deg == tuple({"magenta": 300, "yellow": 60, "cyan": 180, "red": 0, "green": 120, "blue": 240}.get(h, h) for h in hues)
+    assert target.hues_deg == tuple(
+        {"magenta": 300, "yellow": 60, "cyan": 180, "red": 0, "green": 120, "blue": 240}.get(h, h) for h in hues
+    )
     for T in _poses(5):
         found = _detect(picture(target, T, CAMERA), target)
         assert np.linalg.norm(found.uv - CAMERA.project(transform(T, target.points)), axis=1).max() < 0.35

@@ -191,6 +191,18 @@ def test_a_law_that_measures_no_markers_has_its_error_in_grey_levels() -> None:
     assert "Measured image error 0.390 grey levels" in text
 
 
+def test_limits_and_joints_that_friction_held_are_told() -> None:
+    t = np.arange(0, 4, 0.04)
+    speed = np.where((t > 1) & (t < 2), 0.0, 0.1)
+    made = pl.DataFrame({"t": t, "scale": np.where(t < 0.5, 0.4, 1.0), "qd_joint_1": speed, "ctrl_joint_1": 0.1 + 0 * t})
+    made = made.with_columns(qd_joint_2=pl.lit(0.0), ctrl_joint_2=pl.lit(0.0))  # it stands since it is told to
+    assert page.events(LogArrays.of(made, Setting())) == [
+        "Limits of law or robot shortened 13 % of its commands, the last at 0.48 s.",
+        "joint_1 stood for 0.92 s although it was told to move, first at 1.04 s (stick-slip).",
+    ]
+    assert page.events(LogArrays.of(made.with_columns(scale=pl.lit(1.0), qd_joint_1=pl.lit(0.1)), Setting())) == []
+
+
 def test_text_is_escaped() -> None:
     nasty = summary(scenario="<script>alert(1)</script>", reason='a < b & "c"', versions={"<i>": "<u>"})
     reader = checked(render_page(log(10), nasty, TEXTS, {}, Setting(description="<img src=x>", changed=("law=<img src=x>",))))

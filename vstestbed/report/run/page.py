@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import polars as pl
 
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
@@ -37,6 +38,11 @@ NOTEBOOK_PX: Final = 720  # Height of the report in a notebook [px]
 FILMS: Final = {"camera": "What the camera sees", "overview": "From outside"}
 TITLES: Final = {"scenario.yaml": "Scenario as given", "resolved.yaml": "Scenario as it ran"}
 ROW_METRICS: Final = tuple(metric for metric in (*OF_A_RUN, *EVERY_RUN, *SOME_RUNS) if not metric.tile and metric.name != "judged_error")
+UNLIMITED, SOME = 0.999, 0.01  # a command scaled under this is limited; share of such ones that is told
+STUCK, LEAST_TOLD, STUCK_FRAMES = 0.02, 1e-4, 4
+"""A joint is held by friction that moves by less than this share of its command, which is at least so large [rad/s, m/s], for so many
+frames."""
+LEAST_STOOD_S = 0.2  # in all, of a joint that is told of
 CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 """The large numbers of a continuing task, which has no goal pose to measure an error from."""
 
@@ -126,7 +132,7 @@ def render_page(
         changed=setting.changed,
         good=bool(summary.get("success")),
         outcome=outcome_text(summary),
-        sentences=sentences(summary),
+        sentences=" ".join([sentences(summary), *events(tracks)]),
         tiles=tiles(summary),
         rows=rows(summary),
         figures=[(name, title, chart.svg(title)) for name, title, chart in charts if chart is not None],
@@ -178,6 +184,24 @@ def sentences(summary: Summary) -> str:
         value, limit = (f"{number(x[0])} {x[1]}" if x else "unknown" for x in shown)
         found.append(f"Task error by {MEASURED_BY[by]}: {value}, limit {limit}.")
     return " ".join(found)
+
+
+def events(tracks: LogArrays) -> list[str]:
+    """What happened on the way that a figure shows and a reader may miss: commands that limits shortened, joints that friction held."""
+    found, t, scale = [], tracks.t, tracks.column("scale")
+    if (limited := scale < UNLIMITED).sum() > SOME * len(t):
+        last = float(t[np.flatnonzero(limited)[-1]])
+        found.append(
+            f"Limits of law or robot shortened {np.mean(limited):.0%} of its commands, the last at {last:.3g} s.".replace("%", " %")
+        )
+    for name in () if tracks.setting.planar else tracks.named("qd"):
+        speed, told = np.abs(tracks.column(f"qd_{name}")), np.abs(tracks.column(f"ctrl_{name}"))
+        edges = np.flatnonzero(np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False))
+        stood = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STUCK_FRAMES]
+        if (held := sum(float(t[b - 1] - t[a]) for a, b in stood)) >= LEAST_STOOD_S:
+            first = float(t[stood[0][0]])
+            found.append(f"{name} stood for {held:.2g} s although it was told to move, first at {first:.3g} s (stick-slip).")
+    return found
 
 
 def tiles(summary: Summary) -> list[Item]:
