@@ -40,6 +40,7 @@ PAGES = {
     **{f"scenarios/{path.name}": f"scenarios/{name}.md" for name, path in bundled_scenarios().items()},
 }
 """Pages outside `docs/`, and scenarios, by their places in the repository and on the site."""
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 FILES = "files"  # folder of the site with the other files of the repository to which pages link
 LINK = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 FILMS = {"overview.mp4": "From outside", "camera.mp4": "What the camera sees"}
@@ -65,6 +66,7 @@ def on_files(files: Any, config: Any) -> Any:
     pages = {f"docs/{file.src_uri}" for file in files.documentation_pages()} | {path for path in PAGES if path.endswith(".md")}
     made = {uri: (ROOT / path).read_text(encoding="utf-8") for path, uri in PAGES.items() if path in pages}
     made |= {PAGES[f"scenarios/{path.name}"]: scenario_page(name, path) for name, path in bundled_scenarios().items()}
+    made |= {f"notebooks/{path.stem}.md": notebook_page(path, config.repo_url or "") for path in NOTEBOOKS}
     made |= kind_pages() | {"reference/python.md": python_page()}
     for uri, text in made.items():
         files.append(File.generated(config, uri, content=text))
@@ -86,6 +88,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
         if target is None:
             return found[1]
         within = target.removeprefix("docs/")
+        if not here.startswith("notebooks"):  # a notebook's page links to the file itself
+            within = within.replace(".ipynb", ".md")
         uri = PAGES.get(target) or (within if files.get_file_from_path(within) else f"{FILES}/{target}")
         known = files.get_file_from_path(uri) is not None  # else a folder, which is none of the site
         return os.path.relpath(uri, here or ".").replace(os.sep, "/") + anchor if known else found[1]
@@ -138,6 +142,32 @@ def _ran(name: str) -> list[Path]:
     """Films and report of the last run of a scenario in this checkout; nothing where it was not run."""
     runs = sorted((ROOT / "runs" / name).glob("[0-9]*/report.html"))
     return [runs[-1], *(file for film in FILMS if (file := runs[-1].with_name(film)).is_file())] if runs else []
+
+
+# A page of each notebook.
+def notebook_page(path: Path, repository: str) -> str:
+    """Its words and code, and its figures and tables where it has been executed (`docs.build.notebooks`)."""
+    done = ROOT / "runs" / "notebooks" / path.name
+    cells = json.loads((done if done.is_file() else path).read_text(encoding="utf-8"))["cells"]
+    links = [f"[Download the notebook]({path.name})"]
+    if repository:
+        address = repository.replace("https://github.com/", "https://colab.research.google.com/github/")
+        badge = "https://colab.research.google.com/assets/colab-badge.svg"
+        links.append(f"[![Open in Colab]({badge})]({address}/blob/main/docs/notebooks/{path.name})")
+    first, *rest = cells
+    lines = ["".join(first["source"]), "", " ".join(links), ""]
+    for cell in rest:
+        source = "".join(cell["source"])
+        lines += [source, ""] if cell["cell_type"] == "markdown" else ["```python", source, "```", ""]
+        lines += [line for output in cell.get("outputs", ()) for line in _shown(output)]
+    return "\n".join(lines).replace(".ipynb)", ".md)").replace(f"({path.stem}.md)", f"({path.name})", 1)
+
+
+def _shown(output: dict[str, Any]) -> list[str]:
+    """What a cell printed or drew; a report is too large for a page."""
+    if "image/png" in output.get("data", {}):
+        return [f'<img alt="figure" src="data:image/png;base64,{"".join(output["data"]["image/png"]).strip()}">', ""]
+    return ["```text", "".join(output["text"]).rstrip(), "```", ""] if output["output_type"] == "stream" else []
 
 
 # The reference.
