@@ -20,7 +20,7 @@ from vstestbed.cli import complete, tools
 from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import export
-from vstestbed.cli.studies import basin, bench, gain_limit, sweep, tune
+from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
@@ -219,7 +219,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
         *(run, render, report, export, compare, tune, basin, gain_limit, sweep),
-        *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench),
+        *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench, grade),
     )
 }
 

@@ -332,6 +332,30 @@ def _tune_comparison(
     say("\n".join(filter(None, (statistics_text(table.folder), RESULTS.format(table.folder)))))
 
 
+def grade(
+    lab: Annotated[Path, typer.Argument(metavar="LAB.yaml", help="What is asked: `docs/course` has three labs.")],
+    student: Annotated[Path, typer.Argument(metavar="STUDENT.py", help="A student's plugin. Its code is run.")],
+    first_seed: Annotated[int, typer.Option(min=0, help="Of the random starts; students need not know it.")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write mark.json and mark.md there.")] = None,
+    least: Annotated[float | None, typer.Option("--pass", min=0, metavar="POINTS", help="Exit with 3 below so many points.")] = None,
+    as_json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
+) -> None:
+    """Mark a student's file by a lab's tasks, with the reason for each point that is not given."""
+    from vstestbed.core.files import make_folder
+    from vstestbed.testing.grading import grade as mark_of
+    from vstestbed.testing.grading import read_lab
+
+    read = read_lab(lab)
+    mark = mark_of(read, student, first_seed, lab.parent, lambda title: None if quiet or as_json else typer.echo(f"{title} ...", err=True))
+    if out is not None:
+        make_folder(out)
+        mark.write(out)
+    typer.echo(json.dumps(mark.plain(), indent=1) if as_json else mark.markdown())
+    if least is not None and mark.points[0] < least:
+        raise typer.Exit(NOT_REACHED)
+
+
 def bench(
     scenario: Annotated[
         str | None, typer.Argument(help="A bundled scenario's name, or a YAML file. [default: arm_ibvs]", autocompletion=complete.scenarios)

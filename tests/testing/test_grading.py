@@ -1,0 +1,124 @@
+"""Marks: a right law has all points, a wrong one none with the reason for each, and a wrong lab is refused before any run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from vstestbed.core.errors import ScenarioError
+from vstestbed.testing.grading import Needs, grade, read_lab
+
+LABS = Path(__file__).parents[2] / "docs" / "course"
+LAW = '''\
+from typing import Literal
+
+import vstestbed as vs
+
+POINT = vs.features.Point()
+
+
+@vs.LAWS.add
+@vs.spec
+class Student(vs.ErrorLaw):
+    """A student's law."""
+
+    kind: Literal["student"] = "student"
+    inputs = ("xy", "depth")
+
+    def equations(self, view, goal):
+        L = POINT.interaction(view.xy, view.depth).copy()
+        L[..., 5] *= {sign}
+        return POINT.measure(view.xy) - POINT.measure(goal.xy), L
+'''
+EXACT = {"detector": "oracle", "camera.rate_hz": 10}
+SOON = {"time_to_converge_s": {"at_most": 9}}
+LAB = {
+    "title": "A lab",
+    "kind": "student",
+    "check": 1,
+    "tasks": [
+        {"title": "It arrives.", "points": 2, "scenario": "ibvs_book", "set": EXACT, "seeds": 3},
+        {"title": "Soon.", "points": 3, "scenario": "ibvs_book", "set": EXACT | {"law.gain": 1.2}, "seeds": 3, "median": SOON},
+        {"title": "Better.", "points": 4, "scenario": "ibvs_book", "set": EXACT, "seeds": 8, "better_than": {"kind": "pbvs", "gain": 0.3}},
+    ],
+}  # fmt: skip
+
+
+def lab(folder: Path, **changes: object) -> Path:
+    path = folder / "lab.yaml"
+    path.write_text(yaml.safe_dump(LAB | changes))
+    return path
+
+
+def student(folder: Path, sign: int = 1) -> Path:
+    path = folder / "student.py"
+    path.write_text(LAW.format(sign=sign))
+    return path
+
+
+def test_a_right_law_has_all_points(own_kinds, tmp_path: Path) -> None:
+    titles: list[str] = []
+    mark = grade(read_lab(lab(tmp_path)), student(tmp_path), first_seed=40, on_task=titles.append)
+    assert mark.points == (10, 10) and titles == ["check", "It arrives.", "Soon.", "Better."]
+    mark.write(tmp_path)
+    assert json.loads((tmp_path / "mark.json").read_text())["points"] == 10
+    assert "**10 of 10 points** (student.py)" in (tmp_path / "mark.md").read_text()
+
+
+def test_each_missing_point_has_its_reason(own_kinds, tmp_path: Path) -> None:
+    mark = grade(read_lab(lab(tmp_path)), student(tmp_path, sign=-1))
+    assert mark.points == (0, 10)
+    check, arrives, soon, better = (" ".join(result.reasons) for result in mark.results)
+    assert "student must reach its goal in ibvs_book" in check
+    assert arrives.startswith("0 of 3 runs reached the goal, 3 are needed (")
+    assert "The median of time_to_converge_s is unknown, since no run reached the goal." in soon
+    assert better == "It is not better: the other is better (it reached the goal from 0 of 8 starts, the other from 8)."
+
+
+def test_a_file_that_cannot_be_loaded_or_adds_another_kind_has_no_point(own_kinds, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.py"
+    broken.write_text("import nothing_of_this_name")
+    assert "The file cannot be loaded: " in grade(read_lab(lab(tmp_path)), broken).results[0].reasons[0]
+    other = grade(read_lab(lab(tmp_path, kind="mine")), student(tmp_path))
+    assert {result.reasons for result in other.results} == {("The file adds no kind 'mine'.",)}
+
+
+def test_limits_of_numbers() -> None:
+    assert not Needs(at_most=1.2).missed(1.2) and not Needs().missed(1e9)
+    assert Needs(at_most=1.2).missed(1.3) == "is 1.30, at most 1.20 is allowed"
+    assert Needs(at_least=10).missed(9.5) == "is 9.50, at least 10.0 is asked for"
+
+
+def test_mistakes_of_a_lab_are_the_teachers_and_told_before_any_run(tmp_path: Path) -> None:
+    def tasks(**changes: object) -> list[dict[str, object]]:
+        return [LAB["tasks"][0] | changes]  # pyright: ignore[reportIndexIssue, reportOperatorIssue]
+
+    for changes, words in (
+        ({"tasks": tasks(scenario="no_such")}, r"tasks\.0: no such file, and no bundled scenario of that name"),
+        ({"tasks": tasks(set={"camera.rate": 10})}, r"tasks\.0: camera\.rate: is an unknown field; did you mean 'rate_hz'"),
+        ({"tasks": tasks(reached=4)}, r"tasks\.0\.reached: must be at most the 3 runs of `seeds`, got 4"),
+        ({"tasks": tasks(median={"path_ratoi": {"at_most": 1}})}, r"tasks\.0\.median: must be one of .*, got 'path_ratoi'"),
+        ({"tasks": tasks(pionts=3)}, r"tasks\.0\.pionts: is an unknown field; did you mean 'points'"),
+    ):
+        with pytest.raises(ScenarioError, match=words):
+            read_lab(lab(tmp_path, **changes))
+
+
+def test_the_labs_of_the_course_are_whole_and_their_sheets_name_their_kind() -> None:
+    for number in (1, 2, 3):
+        read = read_lab(LABS / f"lab_{number}.yaml")
+        sheet = (LABS / f"lab_{number}.md").read_text(encoding="utf-8")
+        assert f"`{read.kind}.py`" in sheet and f"vstestbed grade lab_{number}.yaml {read.kind}.py" in sheet
+        assert read.check + sum(task.points for task in read.tasks) == 10
+        assert sheet.startswith(f"# {read.title}\n")
+
+
+def test_the_command_prints_the_table_and_fails_below_a_mark(command, own_kinds, tmp_path: Path) -> None:
+    words = ("grade", lab(tmp_path, check=0, tasks=LAB["tasks"][:1]), student(tmp_path, sign=-1), "--quiet")  # pyright: ignore[reportIndexIssue]
+    printed = command(*words)
+    assert printed.code == 0 and "**0 of 2 points** (student.py)" in printed.out
+    failed = command(*words, "--pass", "1", "--json", "--out", tmp_path / "marks")
+    assert failed.code == 3 and json.loads(failed.out)["of"] == 2 and (tmp_path / "marks" / "mark.md").is_file()

@@ -1,0 +1,241 @@
+"""Marks for a student's file: a lab as YAML, starts that the student has not seen, and the reason for each point that is not given."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import polars as pl
+from annotated_types import Ge, Le, Len
+
+from vstestbed.core.errors import ParameterError, PluginError, ScenarioError, UnreachableError, VstestbedError
+from vstestbed.core.files import write_json, write_whole
+from vstestbed.core.spec import spec
+from vstestbed.loop.session import run, uninterrupted
+from vstestbed.report.comparison.results import ComparisonResults, pairs
+from vstestbed.report.marks import counted, number
+from vstestbed.scenario.load import load
+from vstestbed.scenario.plugins import load_plugins, registries
+from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
+from vstestbed.tasks.metrics import comparable
+from vstestbed.testing.laws import check_law
+
+Points = Annotated[float, Ge(0), Le(1000)]
+Block = str | dict[str, Any]
+
+
+@spec
+class Needs:
+    """Limits of a number.
+
+    Args:
+        at_most: upper limit, in the unit of `summary.json`; e.g. `1.2`.
+        at_least: lower limit; e.g. `10`.
+    """
+
+    at_most: float | None = None
+    at_least: float | None = None
+
+    def missed(self, value: float) -> str:
+        """By how much, in words; "" where the value is within the limits."""
+        if self.at_most is not None and not value <= self.at_most:
+            return f"is {number(value)}, at most {number(self.at_most)} is allowed"
+        if self.at_least is not None and not value >= self.at_least:
+            return f"is {number(value)}, at least {number(self.at_least)} is asked for"
+        return ""
+
+
+@spec
+class LabTask:
+    """What a student's kind has to do, for points that are given whole or not at all.
+
+    Args:
+        title: what is asked; e.g. `It reaches its goal.`.
+        points: for it; e.g. `3`.
+        scenario: a bundled one, or a file beside the lab's; e.g. `ibvs_book`.
+        set: values by dotted path, put over it and over the student's kind.
+        seeds: number of random starts; 0: the nominal one alone.
+        reached: from how many of them the goal has to be reached; null: from all, or from any number with `better_than`.
+        median: limits of medians over the runs that reached it, by the names in `summary.json`; e.g. `{path_ratio: {at_most: 1.2}}`.
+        better_than: another kind, in place of the student's, than which it has to be better by the verdict of a comparison from these
+            starts; e.g. `{kind: ibvs, gain: 0.5}`.
+        by: the metric that decides this verdict where both reach the goal alike.
+    """
+
+    title: str
+    points: Points
+    scenario: str
+    set: dict[str, Any] = field(default_factory=dict)
+    seeds: Annotated[int, Ge(0), Le(1000)] = 10
+    reached: Annotated[int, Ge(0)] | None = None
+    median: dict[str, Needs] = field(default_factory=dict)
+    better_than: Block | None = None
+    by: str = "time_to_goal_s"
+
+    def __post_init__(self) -> None:
+        if self.reached is not None and self.reached > max(self.seeds, 1):
+            raise ParameterError.bound("reached", "at most", f"the {max(self.seeds, 1)} runs of `seeds`", self.reached)
+        for name, where in [*((name, "median") for name in self.median), (self.by, "by")]:
+            if name not in comparable():
+                raise ParameterError.choice(where, comparable(), name)
+
+
+@spec
+class Lab:
+    """A lab: the kind that a student's file adds, and what it has to do.
+
+    Args:
+        title: of the sheet of marks.
+        kind: the word of the student's kind; e.g. `my_law`.
+        field: where it stands in a scenario.
+        check: points for passing `vstestbed.testing.check_law`; 0: it is not asked for.
+        tasks: what it has to do.
+    """
+
+    title: str
+    kind: str
+    field: str = "law"
+    check: Points = 0.0
+    tasks: Annotated[tuple[LabTask, ...], Len(1, 50)]
+
+
+@dataclass(frozen=True)
+class Result:
+    """A task with the points for it, and why they were not given; no reason: they were."""
+
+    title: str
+    points: float
+    reasons: tuple[str, ...]
+
+    @property
+    def given(self) -> float:
+        """All of them, or none."""
+        return 0.0 if self.reasons else self.points
+
+
+@dataclass(frozen=True)
+class Mark:
+    """The marks of one file."""
+
+    lab: str
+    file: str
+    results: tuple[Result, ...]
+
+    @property
+    def points(self) -> tuple[float, float]:
+        """Those given, and all."""
+        return sum(result.given for result in self.results), sum(result.points for result in self.results)
+
+    def plain(self) -> dict[str, Any]:
+        """For JSON."""
+        given, all_of = self.points
+        tasks = [asdict(result) | {"given": result.given} for result in self.results]
+        return {"lab": self.lab, "file": self.file, "points": given, "of": all_of, "tasks": tasks}
+
+    def markdown(self) -> str:
+        """A table for people."""
+        given, all_of = self.points
+        rows = [f"| {r.title} | {r.given:g} of {r.points:g} | {' '.join(r.reasons) or 'passed'} |" for r in self.results]
+        head = [f"# {self.lab}", "", f"**{given:g} of {all_of:g} points** ({self.file})", "", "| task | points | why |", "|---|---|---|"]
+        return "\n".join([*head, *rows, ""])
+
+    def write(self, folder: Path) -> None:
+        """`mark.json` and `mark.md`."""
+        write_json(folder / "mark.json", self.plain())
+        write_whole(folder / "mark.md", self.markdown().encode())
+
+
+def read_lab(path: Path) -> Lab:
+    """A lab's file. Raises ScenarioError: all mistakes in it at once; or in a task's scenario and settings, but for those of the student's
+    kind.
+    """
+    plain, marks = plain_mapping(text_of(path), str(path), "a lab needs title, kind and tasks")
+    lab = build(Lab, plain, marks, str(path))
+    for i, task in enumerate(lab.tasks):
+        others = {key: value for key, value in task.set.items() if key.partition(".")[0] != lab.field.partition(".")[0]}
+        try:
+            load(_place(task.scenario, path.parent), others)
+        except ScenarioError as error:
+            raise ScenarioError([replace(each, where=f"{path}: tasks.{i}") for each in error.mistakes]) from None
+    return lab
+
+
+def grade(lab: Lab, student: Path, first_seed: int = 0, beside: Path = Path(), on_task: Callable[[str], None] = lambda title: None) -> Mark:
+    """Mark a student's file. This runs its code, which may do whatever Python can.
+
+    first_seed: of the random starts; one that students do not know keeps them from fitting to these starts. beside: folder of the lab's
+    file, in which scenarios are searched first. on_task: is told the title of each task as it begins.
+    """
+    results = []
+    try:
+        load_plugins([str(student)])
+        refused = "" if any(lab.kind in registry.members for registry in registries().values()) else f"The file adds no kind {lab.kind!r}."
+    except PluginError as error:
+        refused = f"The file cannot be loaded: {error}"
+    if lab.check:
+        on_task("check")
+        results.append(Result("It passes the suite of its room.", lab.check, (refused,) if refused else tuple(_unchecked(lab.kind))))
+    for task in lab.tasks:
+        on_task(task.title)
+        reasons = (refused,) if refused else tuple(_reasons(lab, task, first_seed, beside))
+        results.append(Result(task.title, task.points, reasons))
+    return Mark(lab.title, student.name, tuple(results))
+
+
+def _unchecked(kind: str) -> Iterator[str]:
+    """Why a law does not pass its suite; nothing where it does."""
+    try:
+        check_law(registries()["laws"].members[kind]())
+    except (AssertionError, KeyError, VstestbedError) as error:
+        yield str(error) if not isinstance(error, KeyError) else f"{kind!r} is no law."
+
+
+def _reasons(lab: Lab, task: LabTask, first_seed: int, beside: Path) -> Iterator[str]:
+    """Why the points of a task are not given."""
+    try:
+        own = _runs(lab, task, lab.kind, first_seed, beside)
+    except (ScenarioError, ParameterError, UnreachableError) as error:
+        yield f"It cannot be run: {error}"
+        return
+    good = [row for row in own if row["success"]]
+    needed = task.reached if task.reached is not None else 0 if task.better_than is not None else len(own)
+    if len(good) < needed:
+        ends = Counter(str(row["outcome"]) for row in own if not row["success"])
+        listed = ", ".join(f"{n} {end}" for end, n in ends.most_common())
+        yield f"{len(good)} of {counted(len(own), 'run')} reached the goal, {needed} are needed ({listed})."
+        failed = next((str(row["reason"]) for row in own if row["outcome"] == "law_failed"), "")
+        if failed:
+            yield f"The law failed: {failed}."
+    for name, bounds in task.median.items():
+        values = [float(row[name]) for row in good if row.get(name) is not None]
+        missed = bounds.missed(statistics.median(values)) if values else "is unknown, since no run reached the goal"
+        if missed:
+            yield f"The median of {name} {missed}."
+    if task.better_than is not None:
+        yield from _not_better(own, _runs(lab, task, task.better_than, first_seed, beside), task.by)
+
+
+def _runs(lab: Lab, task: LabTask, kind: Block, first_seed: int, beside: Path) -> list[dict[str, Any]]:
+    seeds = range(first_seed, first_seed + task.seeds) if task.seeds else (None,)
+    changes: Mapping[str, Any] = {lab.field: kind} | task.set
+    return [uninterrupted(run(load(_place(task.scenario, beside), changes, seed=seed))).summary() for seed in seeds]
+
+
+def _not_better(own: list[dict[str, Any]], others: list[dict[str, Any]], by: str) -> Iterator[str]:
+    """Why there is no verdict for the student's kind, from the same starts."""
+    names = ("seed", "success", by)
+    rows = [{"scenario": who} | {name: row[name] for name in names} for who, runs in (("other", others), ("own", own)) for row in runs]
+    (pair,) = pairs(ComparisonResults(pl.DataFrame(rows, infer_schema_length=None), (), (), primary=by))
+    if pair.better != 1:
+        count, other = (sum(bool(row["success"]) for row in runs) for runs in (own, others))
+        reached = f"it reached the goal from {count} of {len(own)} starts, the other from {other}"
+        verdict = "the other is better" if pair.better == 0 else "these starts show neither better"
+        yield f"It is not better: {verdict} ({reached})."
+
+
+def _place(name: str, beside: Path) -> str:
+    return str(beside / name) if (beside / name).is_file() else name
