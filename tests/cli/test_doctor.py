@@ -26,10 +26,10 @@ def pixel_errors(monkeypatch: pytest.MonkeyPatch):
 def test_everything_works_here_and_is_told_in_a_line_each(command) -> None:
     ended = command("doctor")
     *lines, last = ended.out.splitlines()
-    assert [line.split()[1] for line in lines] == ["python", "packages", "cores", "scenarios", "OpenGL", "pixels", "video"]
+    assert [line.split()[1] for line in lines] == ["python", "packages", "cores", "scenarios", "guides", "OpenGL", "pixels", "video"]
     assert ended.code == 0, ended.out
     assert all(line.startswith("ok ") for line in lines)
-    assert last == "all 7 are well"
+    assert last == "all 8 are well"
 
 
 def test_rendered_balls_are_where_the_camera_model_says() -> None:
@@ -67,7 +67,7 @@ def test_no_opengl_is_told_with_its_remedy_and_exit_4(command, monkeypatch: pyte
     assert lines[at + 2].split()[:2] == ["ok", "pixels"]
     assert lines[at + 2].endswith("by rays (mj_multiRay)")
     assert lines[-2].split()[:2] == ["ok", "video"]  # it goes on after what does not work
-    assert lines[-1] == "1 of 7 to mend, see ->"
+    assert lines[-1] == "1 of 8 to mend, see ->"
 
 
 @pytest.mark.parametrize(

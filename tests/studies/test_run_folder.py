@@ -22,6 +22,7 @@ from vstestbed.core.errors import EnvironmentLackError, OutputError, RunFolderEr
 from vstestbed.loop.columns import Layout
 from vstestbed.loop.log_file import Log, LogWriter, finish, open_log
 from vstestbed.loop.session import run
+from vstestbed.report.video.overlay import strip_height
 from vstestbed.scenario.dump import load_run
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
@@ -137,7 +138,7 @@ class TestRenderAndReport:
                 stream = container.streams.video[0]
                 return (stream.width, stream.height), float(stream.average_rate or 0)
 
-        assert [read("run/overview.mp4"), read("run/camera.mp4")] == [((640, 360), 12.5), ((160, 120), 12.5)]
+        assert [read("run/overview.mp4"), read("run/camera.mp4")] == [((640, 360), 12.5), ((160, 120 + strip_height(120)), 12.5)]
         assert command("render", folder, "--fine", "--out", "fine.mp4").code == 0
         assert read("fine.mp4") == ((1280, 720), 25.0)
         assert seconds_of(Path("fine.mp4")) == pytest.approx(0.24 + HELD_S)

@@ -111,7 +111,7 @@ def test_the_labs_of_the_course_are_whole_and_their_sheets_name_their_kind() -> 
     for number in (1, 2, 3):
         read = read_lab(LABS / f"lab_{number}.yaml")
         sheet = (LABS / f"lab_{number}.md").read_text(encoding="utf-8")
-        assert f"`{read.kind}.py`" in sheet and f"vstestbed grade lab_{number}.yaml {read.kind}.py" in sheet
+        assert f"`{read.kind}.py`" in sheet and f"vstestbed grade lab_{number} {read.kind}.py" in sheet
         assert read.check + sum(task.points for task in read.tasks) == 10
         assert sheet.startswith(f"# {read.title}\n")
 

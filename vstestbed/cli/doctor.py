@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from vstestbed.core.errors import VstestbedError
-from vstestbed.core.named_files import bundled_scenarios
+from vstestbed.core.named_files import bundled_scenarios, folder
 from vstestbed.core.provenance import versions
 
 PIXEL_TOLERANCE_PX = 0.1
@@ -76,6 +76,10 @@ def examine() -> Iterator[Finding]:
         yield Finding("scenarios", bool(names), f"{len(names)} bundled (vstestbed list scenarios)", "install vstestbed again")
     except VstestbedError as error:
         yield Finding("scenarios", False, str(error))
+    try:
+        yield Finding("guides", True, str(folder("docs/guides")))
+    except VstestbedError as error:
+        yield Finding("guides", False, str(error))
     yield from _pictures()
     yield _codec()
 

@@ -333,7 +333,7 @@ def _tune_comparison(
 
 
 def grade(
-    lab: Annotated[Path, typer.Argument(metavar="LAB.yaml", help="What is asked: `docs/course` has three labs.")],
+    lab: Annotated[str, typer.Argument(metavar="LAB", help="What is asked: lab_1, lab_2 or lab_3 of the course, or a file.")],
     student: Annotated[Path, typer.Argument(metavar="STUDENT.py", help="A student's plugin. Its code is run.")],
     first_seed: Annotated[int, typer.Option(min=0, help="Of the random starts; students need not know it.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write mark.json and mark.md there.")] = None,
@@ -343,11 +343,15 @@ def grade(
 ) -> None:
     """Mark a student's file by a lab's tasks, with the reason for each point that is not given."""
     from vstestbed.core.files import make_folder
+    from vstestbed.core.named_files import bundled_labs
     from vstestbed.testing.grading import grade as mark_of
     from vstestbed.testing.grading import read_lab
 
-    read = read_lab(lab)
-    mark = mark_of(read, student, first_seed, lab.parent, lambda title: None if quiet or as_json else typer.echo(f"{title} ...", err=True))
+    place = bundled_labs().get(lab, Path(lab))
+    read = read_lab(place)
+    mark = mark_of(
+        read, student, first_seed, place.parent, lambda title: None if quiet or as_json else typer.echo(f"{title} ...", err=True)
+    )
     if out is not None:
         make_folder(out)
         mark.write(out)

@@ -87,7 +87,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def folder(name: str) -> Path:
-    """The folder `models` or `scenarios`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
+    """The folder `models`, `scenarios`, or `docs/guides`: `vstestbed/_data/<name>` in a wheel, `<checkout>/<name>` otherwise."""
     # The wheel's copy first: beside an installed package, a folder of this name would belong to somebody else.
     for candidate in (_PACKAGE / "_data" / name, _PACKAGE.parent / name):
         if candidate.is_dir():
@@ -108,6 +108,11 @@ def bundled_scenarios() -> dict[str, Path]:
 def bundled_comparisons() -> dict[str, Path]:
     """Path of every bundled comparison by its name, sorted."""
     return _listed(folder("scenarios") / "compare")
+
+
+def bundled_labs() -> dict[str, Path]:
+    """Path of every lab of the course by its name, sorted."""
+    return _listed(folder("docs/course"))
 
 
 def _listed(place: Path) -> dict[str, Path]:

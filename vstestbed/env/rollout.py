@@ -231,7 +231,7 @@ class Rollout:
             scenario = self._episode.scenario
             quality = quality_of(scenario)
             self._replay = replay_of(scenario, quality)
-            self._overview = Pictures(scenario, "overview", self._replay, quality.size)
+            self._overview = Pictures.within(scenario, "overview", self._replay, quality.size)
         return self._overview.picture(FilmFrame.of_frame(self._frame))
 
     def close(self) -> None:

@@ -109,6 +109,12 @@ class Pictures:
         self._residual = Residual(scenario, replay) if "image" in scenario.law.inputs else None
         self._outside = Outside(scenario, replay, camera, size) if camera == "overview" else None
 
+    @classmethod
+    def within(cls, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int]) -> Pictures:
+        """Pictures that have this size (width, height) with their line of numbers [px]."""
+        strip = strip_height(size[1])
+        return cls(scenario, camera, replay, (size[0], size[1] - strip), strip)
+
     def picture(self, frame: FilmFrame) -> Image:
         """The picture of one frame (H, W, 3) with its line of numbers."""
         values = dict(zip(self._scenario.own_columns, frame.own.tolist(), strict=True)) | {"error_px": frame.error_px}
@@ -153,9 +159,7 @@ class Film:
         if size is None and camera == "eye":
             self._pictures = Pictures(scenario, camera, replay, (round(share * eye.width), round(share * eye.height)))
         else:
-            width, height = size or quality.size
-            strip = strip_height(height)
-            self._pictures = Pictures(scenario, camera, replay, (width, height - strip), strip)
+            self._pictures = Pictures.within(scenario, camera, replay, size or quality.size)
         every = quality.every(eye.rate_hz)
         self._pace = Pace(eye.rate_hz, every)
         self._rate_hz = eye.rate_hz / every
@@ -284,7 +288,7 @@ def picture_of_the_end(scenario: Scenario, log: Log, path: Path, quality: Qualit
     """Write a PNG of the last frame of a recorded run, from outside. EnvironmentLackError: no OpenGL, no space."""
     last = dict(zip(log.columns, log.table[-1].tolist(), strict=True))
     with closing(replay_of(scenario, quality, quality.size)) as replay:
-        image = Pictures(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
+        image = Pictures.within(scenario, "overview", replay, quality.size).picture(FilmFrame.of_row(last, scenario))
     write_whole(path, png_of(image))
 
 
