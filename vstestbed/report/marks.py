@@ -90,3 +90,10 @@ def with_unit(value: object, unit: str) -> tuple[str, str]:
 def counted(n: int, what: str) -> str:
     """`1 run`, `20 runs`."""
     return f"{n} {what}{'s' * (n != 1)}"
+
+
+def listed(words: list[str]) -> str:
+    """Words in a sentence: `a, b and c`."""
+    # a label with commas (several varied fields) is bracketed, or one could not see where it ends
+    quoted = words if not any("," in w for w in words) else [f"({w})" for w in words]
+    return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"

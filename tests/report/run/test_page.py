@@ -198,7 +198,7 @@ def test_limits_and_joints_that_friction_held_are_told() -> None:
     made = made.with_columns(qd_joint_2=pl.lit(0.0), ctrl_joint_2=pl.lit(0.0))  # it stands since it is told to
     assert page.events(LogArrays.of(made, Setting())) == [
         "Limits of law or robot shortened 13 % of its commands, the last at 0.48 s.",
-        "joint_1 stood for 0.92 s although it was told to move, first at 1.04 s (stick-slip).",
+        "Friction held joint_1 for up to 0.92 s although it was told to move, first at 1.04 s (stick-slip).",
     ]
     assert page.events(LogArrays.of(made.with_columns(scale=pl.lit(1.0), qd_joint_1=pl.lit(0.1)), Setting())) == []
 

@@ -26,7 +26,7 @@ from vstestbed.report.comparison.results import (
     against,
 )
 from vstestbed.report.comparison.statistics import IntervalEstimate
-from vstestbed.report.marks import counted, number, signed
+from vstestbed.report.marks import counted, listed, number, signed
 from vstestbed.report.pages import NO_CELL, Cell
 from vstestbed.tasks.metrics import Metric
 
@@ -141,13 +141,6 @@ def _others(pair: Pair) -> list[Metric]:
 def p_text(p: float) -> str:
     """`p = 0.012`."""
     return "no test" if math.isnan(p) else "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
-
-
-def listed(words: list[str]) -> str:
-    """Words in a sentence: `a, b and c`."""
-    # a label with commas (several varied fields) is bracketed, or one could not see where it ends
-    quoted = words if not any("," in w for w in words) else [f"({w})" for w in words]
-    return " and ".join(quoted) if len(quoted) < 3 else ", ".join(quoted[:-1]) + f" and {quoted[-1]}"
 
 
 # Tables; `section.html` says what their numbers are. Medians and differences count the runs that reached the goal; interquartile means

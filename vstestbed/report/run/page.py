@@ -17,7 +17,7 @@ from vstestbed.loop.log_file import Log, open_log
 from vstestbed.loop.recording import read_summary
 from vstestbed.loop.stability import reversal
 from vstestbed.report.chart import Chart
-from vstestbed.report.marks import line_color, number, with_unit
+from vstestbed.report.marks import line_color, listed, number, with_unit
 from vstestbed.report.pages import Film, cell, data_url, film_of, page
 from vstestbed.report.run import figures, space
 from vstestbed.report.run.tracks import LogArrays, Setting
@@ -194,14 +194,21 @@ def events(tracks: LogArrays) -> list[str]:
         found.append(
             f"Limits of law or robot shortened {np.mean(limited):.0%} of its commands, the last at {last:.3g} s.".replace("%", " %")
         )
-    for name in () if tracks.setting.planar else tracks.named("qd"):
-        speed, told = np.abs(tracks.column(f"qd_{name}")), np.abs(tracks.column(f"ctrl_{name}"))
-        edges = np.flatnonzero(np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False))
-        stood = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STUCK_FRAMES]
-        if (held := sum(float(t[b - 1] - t[a]) for a, b in stood)) >= LEAST_STOOD_S:
-            first = float(t[stood[0][0]])
-            found.append(f"{name} stood for {held:.2g} s although it was told to move, first at {first:.3g} s (stick-slip).")
+    held = {name: stood for name in ([] if tracks.setting.planar else tracks.named("qd")) if (stood := _held(tracks, name)) is not None}
+    if held:
+        longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
+        words = "although it was told to move" if len(held) == 1 else "although they were told to move"
+        found.append(f"Friction held {listed(list(held))} for up to {longest:.2g} s {words}, first at {first:.3g} s (stick-slip).")
     return found
+
+
+def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:
+    """For how long in all a joint stood although it was told to move, and from when on [s]; None where it did not."""
+    t, speed, told = tracks.t, np.abs(tracks.column(f"qd_{joint}")), np.abs(tracks.column(f"ctrl_{joint}"))
+    edges = np.flatnonzero(np.diff((speed < STUCK * told) & (told > LEAST_TOLD), prepend=False, append=False))
+    stood = [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STUCK_FRAMES]
+    held = sum(float(t[b - 1] - t[a]) for a, b in stood)
+    return (held, float(t[stood[0][0]])) if held >= LEAST_STOOD_S else None
 
 
 def tiles(summary: Summary) -> list[Item]:
