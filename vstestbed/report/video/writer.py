@@ -28,8 +28,8 @@ ENCODER: Final = {"preset": "ultrafast", "crf": "20", "x264-params": f"subme=1:m
 """One sub-pixel step in the search of motion, and quality where it lasts (a tree of macroblocks over five frames): .8 of the time of
 `veryfast` with one step and no B frames, for 1.1 to 1.3 times its size; without the tree 2.3 times its size in that time.
 
-Without ONE_THREAD, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load, and with `threads=1`
-alone one in 450."""
+Without ONE_THREAD, beside the stream's own thread count, one film in a hundred has other bytes on a machine under load; with
+`threads=1` alone one in 450."""
 BT709: Final = 1  # code of BT.709 in ISO/IEC 23091-2, the same for primaries, transfer curve and matrix
 
 Coding = tuple[int, NDArray[np.float64], dict[str, str]]
