@@ -121,7 +121,8 @@ class Actor:
     """What an effect does while a run lasts. The plant calls those methods that a subclass has of its own.
 
     Attributes:
-        with_controller: `act` is called once a period of the robot's onboard controller, before it, and not before each physics step.
+        with_controller: call `act` once in each period of the robot's onboard controller, just before the controller runs. Else it is
+            called before each physics step.
         force: generalised forces of this effect, an array (nv,) [Nm, N] of its own, in force until it is changed; the plant adds those of
             all effects. A force F and a torque at a point of a body: `self.force[:] = 0`, then `mujoco.mj_applyFT(model, data, F, torque,
             point, body, self.force)`. MuJoCo's own `xfrc_applied` belongs to pushes by hand and to tyres. None: it applies none.

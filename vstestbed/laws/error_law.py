@@ -124,7 +124,8 @@ class ErrorLaw(Law[ErrorState], ABC):
     ) -> tuple[Array, Array | str, Array | None]:
         """The law's extra state (..., k), velocities u = -gain x (..., n) or the reason for rest, and x = pinv(J B) e, None if not needed.
 
-        basis: the robot's motions (6, n); None: all six of the camera. shift: how x changes until the prediction horizon (n,), or None.
+        basis: the robot's motions (6, n); None: all six of the camera. shift: the predicted change of x (n,)
+        until the horizon of the feedforward, None without one.
         """
         x = self.solve.least_squares(J if basis is None else J @ basis, e)
         ahead = x if shift is None else x + shift
