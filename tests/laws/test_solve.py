@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -276,3 +278,18 @@ def test_the_default_cutoff_is_a_millionth(many: bool):
         x = least_squares(A[None], b[None])[0] if many else least_squares(A, b)
         np.testing.assert_allclose(x, [1.0, 1.0 if counts else 0.0], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(least_squares(A, np.stack([b, 2 * b]))[1], [2.0, 2.0 if counts else 0.0], atol=1e-9)
+
+
+@pytest.mark.process
+def test_lapack_is_scipys_without_the_package_that_takes_long_to_import(vstestbed_process: tuple[list[str], dict[str, str]]) -> None:
+    """The very function, whichever of the two is imported first."""
+    code = """if True:
+        import sys
+        from vstestbed.laws.solve import load_lapack
+        own, late = load_lapack(), "scipy.linalg" not in sys.modules
+        from scipy.linalg import get_lapack_funcs
+        print(late and own is get_lapack_funcs("gelsy", dtype="d"))
+        load_lapack.cache_clear()
+        print(load_lapack() is own)"""
+    done = subprocess.run([sys.executable, "-c", code], env=vstestbed_process[1], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "True"]
