@@ -338,7 +338,7 @@ def grade(
     first_seed: Annotated[int, typer.Option(min=0, help="Of the random starts; students need not know it.")] = 0,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Write mark.json and mark.md there.")] = None,
     least: Annotated[float | None, typer.Option("--pass", min=0, metavar="POINTS", help="Exit with 3 below so many points.")] = None,
-    as_json: Json = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print mark.json and nothing else on standard output.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")] = False,
 ) -> None:
     """Mark a student's file by a lab's tasks, with the reason for each point that is not given."""
