@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 import vstestbed as vs
@@ -205,9 +206,62 @@ EXERCISES: dict[str, Callable[[Path], None]] = {
 }
 
 
+EASY: dict[str, Any] = {"detector": "oracle"}
+REPORTS: dict[str, tuple[tuple[str, dict[str, Any], str], ...]] = {
+    "section_15_1": (("pbvs_book", {}, "features"), ("pbvs_book", {}, "camera_path")),
+    "section_15_2": (("ibvs_book", {}, "features"), ("ibvs_book", {}, "camera_path")),
+    "section_15_2_depth": (("ibvs_book", {"law.depth": "estimate"}, "depth"), ("ibvs_book", {"law.depth": "estimate"}, "error")),
+    "section_15_2_retreat": (("ibvs_retreat", {}, "features"), ("ibvs_retreat", {}, "camera_path")),
+    "section_15_2_half_turn": (("retreat_point", {}, "features"), ("retreat_point", {}, "depth")),
+    "section_16_1": (
+        ("partitioned_book", EASY, "features"),
+        ("partitioned_book", {}, "camera_path"),
+        ("partitioned_book", EASY, "camera_path"),
+    ),
+    "section_16_3": (("spherical_book", {}, "spherical"), ("spherical_book", {}, "on_sphere")),
+    "section_16_4_1": (("arm_book", {}, "features"), ("arm_book", {}, "joints"), ("arm_ibvs", {}, "joints")),
+    "section_16_4_2_1": (("omni_ibvs", {}, "features"), ("omni_ibvs", {}, "plane")),
+    "section_16_4_2_2": (("car_pbvs", {}, "plane"), ("car_pbvs", {}, "localisation_error")),
+    "section_16_4_3": (("quadrotor_hover", {}, "tilt"), ("quadrotor_hover", {}, "velocity")),
+    "exercise_3a": (("arm_offset", {}, "features"), ("arm_offset", {}, "camera_path")),
+    "exercise_3c": (("arm_track_circle", {"law.feedforward": "none"}, "pose_error"), ("arm_track_circle", {}, "pose_error")),
+    "exercise_3e": (("arm_docking", {}, "features"), ("arm_docking", {}, "error"), ("arm_docking_overflow", {}, "features")),
+    "exercise_4a": (("omni_catadioptric", {}, "plane"), ("car_catadioptric", {}, "plane")),
+    "exercise_4b": (
+        ("omni_blended", {}, "plane"),
+        ("omni_blended", {}, "twist"),
+        ("omni_blended", {"goal.speed_mps": None, "goal.threshold_px": 3}, "twist"),
+    ),
+    "exercise_4c": (("car_pursuit", {}, "task_error"), ("car_line", {}, "task_error"), ("omni_line", {}, "task_error")),
+    "exercise_6a": (("quadrotor_perspective", {}, "features"), ("quadrotor_perspective", {}, "tilt")),
+    "exercise_6b": (("quadrotor_row", {}, "camera_path"), ("quadrotor_row", {}, "error")),
+    "exercise_7": (("hybrid_book", {}, "features"), ("hybrid_book", {}, "camera_path"), ("retreat_hybrid", {}, "camera_path")),
+}
+"""Entries whose figure is of the reports of their runs, from left to right: scenario, what is changed in it, the name of the figure."""
+
+
+def side_by_side(path: Path, shown: Sequence[tuple[str, dict[str, Any], str]]) -> None:
+    """Figures of reports beside one another, of one width."""
+    runs: dict[str, vs.Recording] = {}
+    images = []
+    for name, changes, figure in shown:
+        key = f"{name} {changes}"
+        runs[key] = runs.get(key) or vs.run(vs.load(name, changes))
+        drawn = runs[key].plot(figure)
+        drawn.axes[0].set_title(" ".join([name, *(f"{k}={v}" for k, v in changes.items())]))
+        images.append(cv2.imread(str(save(drawn, path, DPI))))
+    height = max(image.shape[0] for image in images)
+    white = {"borderType": cv2.BORDER_CONSTANT, "value": (255, 255, 255)}
+    even = [cv2.copyMakeBorder(image, 0, height - image.shape[0], 0, 12, **white) for image in images]
+    cv2.imwrite(str(path), np.hstack(even))
+
+
 def draw(name: str, folder: Path) -> Path:
-    """The figure of an exercise in a folder; its path."""
+    """The figure of an entry in a folder; its path."""
     path = folder / f"{name}.png"
     with style():
-        EXERCISES[name](path)
+        if name in REPORTS:
+            side_by_side(path, REPORTS[name])
+        else:
+            EXERCISES[name](path)
     return path

@@ -289,7 +289,7 @@ def live_page() -> Image:
 def main() -> None:
     """Make them."""
     parser = argparse.ArgumentParser(description=__doc__)
-    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *exercises.EXERCISES, *STUDIES]
+    known = [*FILMS, *MOVING, LIVE, DEPTH, CAMERA, *GRIDS, LATENCY, POLAR, *exercises.EXERCISES, *exercises.REPORTS, *STUDIES]
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(known))
     parser.add_argument("--studies", action="store_true")
     parser.add_argument("--out", type=Path, default=REPOSITORY / "docs" / "media")
@@ -314,7 +314,7 @@ def main() -> None:
                 continue
             own = {LIVE: live_page, DEPTH: depth_sensors, CAMERA: camera_effects}.get(name)
             of_runs = grid_of if name in GRIDS else {LATENCY: latency_laws, POLAR: polar_planes}.get(name, study)
-            of_runs = of_exercise if name in exercises.EXERCISES else of_runs
+            of_runs = of_exercise if name in exercises.EXERCISES or name in exercises.REPORTS else of_runs
             made = own() if own else strip(name) if name in FILMS else of_runs(name, Path(folder))
             path = given.out / f"{name}.png"
             write_whole(path, cv2.imencode(".png", cv2.cvtColor(made, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())

@@ -88,6 +88,7 @@ def test_the_pictures_and_readings_of_runs_give_their_orders_without_mujoco(monk
 
 FIRST = """
 import json, sys
+import numpy.testing  # the rig's own
 from tests.loop.test_stopping import Rig
 rig = Rig(*json.loads(sys.argv[1]))
 before, cycles = set(sys.modules), [rig.sees() for _ in range(40)]
