@@ -118,9 +118,10 @@ def test_the_labs_of_the_course_are_whole_and_their_sheets_name_their_kind() -> 
 
 def test_the_command_prints_the_table_and_fails_below_a_mark(command, own_kinds, tmp_path: Path) -> None:
     file = student(tmp_path, sign=-1)
-    file.write_text(f"print('a word of the student')\n{file.read_text()}")  # which is no part of the mark
+    file.write_text(f"print('a word of the student')\n{file.read_text()}")
     words = ("grade", lab(tmp_path, check=0, tasks=LAB["tasks"][:1]), file, "--quiet")  # pyright: ignore[reportIndexIssue]
     printed = command(*words)
     assert printed.code == 0 and "**0 of 2 points** (student.py)" in printed.out
+    assert "a word of the student" in printed.err and "a word of the student" not in printed.out
     failed = command(*words, "--pass", "1", "--json", "--out", tmp_path / "marks")
     assert failed.code == 3 and json.loads(failed.out)["of"] == 2 and (tmp_path / "marks" / "mark.md").is_file()

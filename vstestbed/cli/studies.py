@@ -6,7 +6,7 @@ import json
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -349,9 +349,13 @@ def grade(
 
     place = bundled_labs().get(lab, Path(lab))
     read = read_lab(place)
-    mark = mark_of(
-        read, student, first_seed, place.parent, lambda title: None if quiet or as_json else typer.echo(f"{title} ...", err=True)
-    )
+
+    def told(title: str) -> None:
+        if not (quiet or as_json):
+            typer.echo(f"{title} ...", err=True)
+
+    with redirect_stdout(sys.stderr):  # a student's prints are no part of the mark
+        mark = mark_of(read, student, first_seed, place.parent, told)
     if out is not None:
         make_folder(out)
         mark.write(out)

@@ -191,9 +191,7 @@ def events(tracks: LogArrays) -> list[str]:
     found, t, scale = [], tracks.t, tracks.column("scale")
     if (limited := scale < UNLIMITED).sum() > SOME * len(t):
         last = float(t[np.flatnonzero(limited)[-1]])
-        found.append(
-            f"Limits of law or robot shortened {np.mean(limited):.0%} of its commands, the last at {last:.3g} s.".replace("%", " %")
-        )
+        found.append(f"Limits of law or robot shortened {100 * limited.mean():.0f} % of its commands, the last at {last:.3g} s.")
     held = {name: stood for name in ([] if tracks.setting.planar else tracks.named("qd")) if (stood := _held(tracks, name)) is not None}
     if held:
         longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
