@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
+from pydantic import model_validator
+from pydantic_core import ArgsKwargs
 
+from vstestbed.camera.intrinsics import Intrinsics, read_intrinsics, read_mount
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, DepthImage, Image, Pose
 from vstestbed.core.quantity import Frequency, Pixel, PositiveGain, TighterBounds, Time
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import FromFile, spec
 from vstestbed.imaging.chain import Imaging
 from vstestbed.imaging.depth import DEPTH_SENSORS, DepthSensor
 from vstestbed.imaging.exposure import ExposureControl, ExposureSetting
@@ -23,10 +27,15 @@ from vstestbed.imaging.optics import LensEffects, Optics
 from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.stream import STREAMS, VideoStream
 
+if TYPE_CHECKING:
+    from spatialmath import SE3
+
 Window = tuple[int, int, int, int]  # left, top, right, bottom [px]; right and bottom are exclusive
 Regions = tuple[tuple[Window, ...], ...]  # of interest: for each panel of a camera its windows; empty for a panel that is not needed
 LARGEST_PX, MOST_SAMPLES = 8192, 1 << 27
 """Largest side of a picture [px], and most samples of a rendered one, of colour and depth in a GB: what graphics cards draw."""
+Mount = Annotated[Pose, FromFile(read_mount)]
+LensNumbers = Annotated[Intrinsics, FromFile(read_intrinsics)]
 SIDES = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # inward unit normals of an image's left, top, right and bottom side
 FORWARD_COSINE = 1e-6  # least Z of a unit ray that has normalised coordinates X/Z, Y/Z; below it they are dominated by rounding
 
@@ -91,7 +100,7 @@ class Camera(ABC):
         readout_s: time over which a rolling shutter exposes its H rows one after another from the top, row v from v/H of it on [s]; 0 is
             a global shutter. The time stamp is the middle of the middle row's exposure, at which a depth sensor's picture is taken, too;
             e.g. `0.02`.
-        mount: pose of the camera in the robot's flange (or body) frame.
+        mount: pose of the camera in the robot's flange (or body) frame; or the file of a hand-eye calibration that has it.
         multisampling: samples per pixel of the rendered picture (0: one sample, cheap, jagged marker borders).
         anisotropy: samples of a texture along the longer side of what a pixel covers, at most; 1: of what is seen aslant, fine
             structure is as blurred along both axes as along the longer one. Repeated textures, as the floor's, are sampled once.
@@ -112,7 +121,7 @@ class Camera(ABC):
     rate_hz: Frequency = 25.0
     latency_s: Annotated[Time, TighterBounds(le=60)] = 0.0
     readout_s: Annotated[Time, TighterBounds(le=60)] = 0.0
-    mount: Pose = Pose()
+    mount: Mount = Pose()
     multisampling: Literal[0, 2, 4, 8, 16] = 0
     anisotropy: Literal[1, 2, 4, 8, 16] = 1
     shadows: bool = False
@@ -125,6 +134,21 @@ class Camera(ABC):
     stream: Annotated[VideoStream, STREAMS] | None = None
     sees_all: ClassVar[bool] = False  # whether each pixel of its picture has a ray: a wide lens has an image circle
     with_depth: ClassVar[bool] = False  # whether it may have a depth sensor: depth cameras have perspective lenses
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_their_size(cls, given: Any) -> Any:
+        """Of intrinsics that tell the size of their pictures, the camera's, unless it is given."""
+        values: Any = given.kwargs if isinstance(given, ArgsKwargs) else given
+        intrinsics = values.get("intrinsics") if isinstance(values, Mapping) else None
+        if isinstance(intrinsics, str):
+            with contextlib.suppress(ParameterError):  # which the field itself tells
+                intrinsics = read_intrinsics(intrinsics)
+        size = intrinsics.get("size") if isinstance(intrinsics, Mapping) else getattr(intrinsics, "size", None)
+        if not (isinstance(size, list | tuple) and len(size) == 2):
+            return given
+        sized = {"width": size[0], "height": size[1], **values, "intrinsics": intrinsics}
+        return ArgsKwargs((), sized) if isinstance(given, ArgsKwargs) else sized
 
     def __post_init__(self) -> None:
         if self.width * self.height * self.multisampling > MOST_SAMPLES:
@@ -191,6 +215,11 @@ class Camera(ABC):
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Camera:
         """The same camera with f (1 + focal_error), another principal point, no distortion; ParameterError where the lens has none such."""
         raise ParameterError("calibration", "may have no lens errors with this camera; mount_error it may")
+
+    def with_intrinsics(self, intrinsics: Intrinsics) -> Camera:
+        """The same camera with other intrinsics; ParameterError where its lens has none."""
+        words = f"are of a perspective or a fisheye lens, and this camera is {getattr(self, 'kind', 'another')}"
+        raise ParameterError("calibration.intrinsics", words)
 
     @property
     def resampled(self) -> bool:
@@ -275,7 +304,11 @@ class Calibration:
     believed mount = true mount * mount_error,  believed f = true f * (1 + focal_error),
     believed principal point = true one + principal_error_px.
 
+    The file of a calibration may stand for the block: what it says is believed, intrinsics, mount or both.
+
     Args:
+        intrinsics: believed in place of the true ones; a block, or a calibration's file; the errors below are of them.
+        mount: believed pose of the camera in the flange's frame, in place of the true one; or the file of a hand-eye calibration.
         mount_error: pose of the believed camera in the true one's frame [m, deg].
         focal_error: relative error of the focal length [1]; e.g. `0.02`.
         principal_error_px: error of the principal point (u, v) [px]; e.g. `[3, -2]`.
@@ -289,6 +322,8 @@ class Calibration:
     Reference: Chaumette & Hutchinson 2006, doi:10.1109/MRA.2006.250573, and Malis & Rives 2003, doi:10.1109/ROBOT.2003.1241749.
     """
 
+    intrinsics: LensNumbers | None = None
+    mount: Mount | None = None
     mount_error: Pose = Pose()
     focal_error: Annotated[float, Gt(-0.9), Lt(9)] = 0.0
     principal_error_px: Pixel = (0.0, 0.0)
@@ -300,12 +335,12 @@ class Calibration:
     @cached_property
     def lens_exact(self) -> bool:
         """Whether the believed intrinsics are the true ones."""
-        return not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion)
+        return self.intrinsics is None and not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion)
 
     @cached_property
     def camera_exact(self) -> bool:
         """Whether the believed intrinsics and mount are the true ones."""
-        return self.lens_exact and self.mount_error == Pose()
+        return self.lens_exact and self.mount is None and self.mount_error == Pose()
 
     @cached_property
     def depth_exact(self) -> bool:
@@ -327,8 +362,19 @@ class Calibration:
         """The camera as robot, detector, observer and law know it; ParameterError where the lens is impossible with this error."""
         if self.camera_exact:
             return camera
-        mount = Pose.of(camera.mount.T @ self.mount_error.T)
-        if self.lens_exact:
+        mount = Pose.of((self.mount or camera.mount).T @ self.mount_error.T)
+        if self.intrinsics is not None:
+            camera = camera.with_intrinsics(self.intrinsics)
+        if not (self.focal_error or any(self.principal_error_px) or self.ignores_distortion):
             return replace(camera, mount=mount)
         cx, cy = (camera.centre + self.principal_error_px).tolist()
         return replace(camera.miscalibrated(self.focal_error, (cx, cy), self.ignores_distortion), mount=mount)
+
+    @classmethod
+    def of(cls, camera_matrix: Any = None, dist: Any = (), mount: Array | SE3 | Pose | None = None, model: str = "") -> Calibration:
+        """What a calibration found: the camera matrix K (3, 3) with OpenCV's distortion coefficients, and the pose of the camera in the
+        flange's frame, T_flange_camera (4, 4) or an SE3; each may be left out. model: of the distortion, as ROS names it.
+        Raises ParameterError: a matrix that is none, a skew, coefficients of another model.
+        """
+        lens = None if camera_matrix is None else Intrinsics.of(camera_matrix, dist, model=model, name="camera_matrix")
+        return cls(intrinsics=lens, mount=mount)  # type: ignore[arg-type] - a Pose is also made of a matrix

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Len
 from numpy.typing import NDArray
 
-from vstestbed.camera.base import LARGEST_PX, Camera
+from vstestbed.camera.base import LARGEST_PX, Camera, LensNumbers
+from vstestbed.camera.intrinsics import Intrinsics
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, lengths
 from vstestbed.core.quantity import Coefficient, PositiveAngle, PositiveLength, TighterBounds
@@ -30,15 +31,18 @@ def first_root(coefficients: list[float]) -> float:
 
 @spec
 class Perspective(Camera):
-    """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy.
+    """Pinhole with square pixels: u = f x_d + cx, v = f y_d + cy; those of `intrinsics` may be rectangles, with fx and fy.
 
     (x_d, y_d) is (X/Z, Y/Z) after the distortion k = (k1, k2, p1, p2, k3), r^2 = x^2 + y^2:
-    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2 exchanged.
+    x_d = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), y_d alike with p1 and p2 exchanged. The rational model of
+    `intrinsics` divides the bracket by 1 + k4 r^2 + k5 r^4 + k6 r^6.
 
     Args:
         fovy_deg: full vertical field of view [deg], f = (H/2) / tan(fovy/2); default 64.
         focal_length_m, pixel_size_m: instead of fovy_deg, lens and pixel pitch [m], f = focal_length / pixel_size.
         distortion: (k1, k2, p1, p2, k3), applied to the rendered picture [1]; e.g. `[-0.2, 0.05, 0, 0, 0]`.
+        intrinsics: those of a calibrated lens, in place of all these and of `principal_px`; a block, or the name of a file of ROS or
+            OpenCV (`Intrinsics`); e.g. `camera_info.yaml`.
 
     Reference: Brown 1971; OpenCV's calibration module for the order of the coefficients.
     """
@@ -48,48 +52,78 @@ class Perspective(Camera):
     focal_length_m: PositiveLength | None = None
     pixel_size_m: PositiveLength | None = None
     distortion: Annotated[tuple[Coefficient, ...], Len(5, 5)] | None = None
+    intrinsics: LensNumbers | None = None
     sees_all: ClassVar[bool] = True
     with_depth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        given = [name for name in ("fovy_deg", "focal_length_m", "distortion", "principal_px") if getattr(self, name) is not None]
+        if self.intrinsics is not None and given:
+            raise ParameterError.conflict(given[0], "intrinsics, which say it")
+        if self.intrinsics is not None:
+            self.intrinsics.check("perspective", self.width, self.height, "intrinsics")
         if (self.focal_length_m is None) != (self.pixel_size_m is None):
             missing = "pixel_size_m" if self.pixel_size_m is None else "focal_length_m"
             raise ParameterError.missing(missing, "a lens is given by focal_length_m and pixel_size_m together")
         if self.focal_length_m is not None and self.fovy_deg is not None:
             raise ParameterError.conflict("fovy_deg", "focal_length_m")
-        if self.focal_length_m is None and self.fovy_deg is None:
+        if self.focal_length_m is None and self.fovy_deg is None and self.intrinsics is None:
             object.__setattr__(self, "fovy_deg", DEFAULT_FOVY_DEG)  # so that the scenario as run states it
-        if self.distortion is None:
+        if not self.resampled:
             return
         u, v = self.width - 0.5, self.height - 0.5
         half = np.array([[-0.5, v / 2], [u, v / 2], [u / 2, -0.5], [u / 2, v]])
         border = np.concatenate([half, [[-0.5, -0.5], [u, -0.5], [u, v], [-0.5, v]]])
         xy = self.normalise(border)
-        back = self._distort(xy) * self.f + self.centre
-        if not np.allclose(back, border, atol=1e-3):
+        back, field = self._distort(xy) * self.focal + self.centre, "distortion" if self.intrinsics is None else "intrinsics.distortion"
+        if not np.allclose(back, border, atol=1e-3) or not (lengths(xy) ** 2 < self.reach2).all():
             words = "folds the picture over itself before its corners; use smaller coefficients"
-            raise ParameterError("distortion", words, self.distortion)
+            raise ParameterError(field, words, self.lens_coefficients)
         # The pinhole picture from which the distorted one is resampled covers the undistorted border.
         side, most = float(np.ptp(xy, axis=0).max()) * self.f, 2 * LARGEST_PX
         if side > most:
             words = f"a rendered picture of {side:.4g} px, and {most} are the most"
-            raise ParameterError.needs("distortion", words, self.distortion, works="smaller coefficients or a smaller picture")
+            raise ParameterError.needs(field, words, self.lens_coefficients, works="smaller coefficients or a smaller picture")
 
     @property
     def resampled(self) -> bool:
-        """Only with distortion: a pinhole image is rendered directly."""
-        return self.distortion is not None
+        """Only with distortion, or pixels that are no squares: a pinhole image is rendered directly."""
+        return bool(self.lens_coefficients) or not isinstance(self.focal, float)
+
+    @cached_property
+    def lens_coefficients(self) -> tuple[float, ...]:
+        """Coefficients of the distortion in OpenCV's order, 5 or, of the rational model, 8; () without distortion."""
+        if self.intrinsics is None:
+            return self.distortion or ()
+        k = self.intrinsics.distortion
+        return (*k, 0.0) if len(k) == 4 else k
+
+    @cached_property
+    def focal(self) -> float | Array:
+        """Focal length [px]; of pixels that are no squares (fx, fy), shape (2,)."""
+        if self.intrinsics is None or self.intrinsics.focal_px[0] == self.intrinsics.focal_px[1]:
+            return self.f
+        return np.array(self.intrinsics.focal_px)
+
+    @cached_property
+    def centre(self) -> Array:
+        """As `Camera.centre`, or of the intrinsics."""
+        return super().centre if self.intrinsics is None else np.array(self.intrinsics.principal_px)
 
     @cached_property
     def f(self) -> float:
-        """Focal length [px]."""
+        """Focal length [px]; of pixels that are no squares the one down the picture, fy."""
+        if self.intrinsics is not None:
+            return self.intrinsics.focal_px[1]
         if self.focal_length_m is not None and self.pixel_size_m is not None:
             return self.focal_length_m / self.pixel_size_m
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
         """As `Camera.miscalibrated`."""
+        if self.intrinsics is not None:
+            return replace(self, intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion))
         f, pixel = self.f * (1 + focal_error), self.pixel_size_m
         given: dict[str, float | None] = {"fovy_deg": math.degrees(2 * math.atan(self.height / 2 / f))}
         if pixel is not None:
@@ -98,29 +132,41 @@ class Perspective(Camera):
             given = {}
         return replace(self, **given, principal_px=principal_px, distortion=None if ignores_distortion else self.distortion)
 
+    def with_intrinsics(self, intrinsics: Intrinsics) -> Perspective:
+        """As `Camera.with_intrinsics`."""
+        given: dict[str, Any] = dict.fromkeys(("fovy_deg", "focal_length_m", "pixel_size_m", "distortion", "principal_px"))
+        return replace(self, **given, intrinsics=intrinsics)
+
     @cached_property
     def K(self) -> Array:
         """Intrinsic matrix (3, 3) in pixels."""
-        return np.array([[self.f, 0, self.centre[0]], [0, self.f, self.centre[1]], [0, 0, 1.0]])
+        fx, fy = np.broadcast_to(self.focal, 2)
+        return np.array([[fx, 0, self.centre[0]], [0, fy, self.centre[1]], [0, 0, 1.0]])
 
     @cached_property
     def reach2(self) -> float:
-        """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6."""
-        k1, k2, _, _, k3 = self.distortion or (0.0,) * 5
-        return first_root([7 * k3, 5 * k2, 3 * k1, 1.0])
+        """Largest x^2 + y^2 up to which the distorted radius rises: the first positive root of 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6. Of the
+        rational model, r N/D, that of N D + 2 r^2 (N' D - N D') with derivatives by r^2, unless D has one before.
+        """
+        k1, k2, _, _, k3, *below = self.lens_coefficients or (0.0,) * 5
+        if not any(below):
+            return first_root([7 * k3, 5 * k2, 3 * k1, 1.0])
+        N, D = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([*below[::-1], 1.0])
+        rises = N * D + np.poly1d([2.0, 0.0]) * (N.deriv() * D - N * D.deriv())
+        return min(first_root(rises.coeffs.tolist()), first_root(D.coeffs.tolist()))
 
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN at or behind the lens (Z <= 0), and beyond the distortion's reach."""
         z = p_camera[..., 2:]
         # Short cut for the usual case, all points in front of a pinhole: no NaN to be placed.
-        if self.distortion is None and np.logical_and.reduce(z > 0, axis=None):
+        if not self.resampled and np.logical_and.reduce(z > 0, axis=None):
             return p_camera[..., :2] / z * self.f + self.centre
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = np.where(z > 0, p_camera[..., :2] / z, np.nan)
-            if self.distortion is not None:
+            if self.lens_coefficients:
                 inside = (xy * xy).sum(axis=-1, keepdims=True) < self.reach2
                 xy = self._distort(np.where(inside, xy, np.nan))
-        return xy * self.f + self.centre
+        return xy * self.focal + self.centre
 
     def across(self, p_camera: Array) -> tuple[Array, Array]:
         """The camera's x and y (3,), whatever the point: in a plane picture a marker extends along the plane."""
@@ -128,7 +174,7 @@ class Perspective(Camera):
 
     def whole(self, p_camera: Array, radius: float, margin: float = 0.0) -> NDArray[np.bool_]:
         """As `Camera.whole`, for points (..., N, 3); without distortion a radius is f radius/Z pixels on all sides."""
-        if self.distortion is not None:
+        if self.resampled:
             return super().whole(p_camera, radius, margin)
         with np.errstate(divide="ignore", invalid="ignore"):
             scale = np.where(p_camera[..., 2] > 0, self.f / p_camera[..., 2], np.nan)
@@ -140,8 +186,8 @@ class Perspective(Camera):
 
     def normalise(self, uv: Array) -> Array:
         """Normalised, undistorted coordinates xy (..., N, 2) of pixels uv (..., N, 2)."""
-        xy_d = (uv - self.centre) / self.f
-        return xy_d if self.distortion is None else self._undistort(xy_d)
+        xy_d = (uv - self.centre) / self.focal
+        return self._undistort(xy_d) if self.lens_coefficients else xy_d
 
     def ray(self, uv: Array) -> Array:
         """Unit rays (..., N, 3) of pixels uv (..., N, 2)."""
@@ -151,23 +197,32 @@ class Perspective(Camera):
         return p
 
     def _distort(self, xy: Array) -> Array:
-        k1, k2, p1, p2, k3 = self.distortion or (0.0,) * 5
+        _, _, p1, p2, *_ = self.lens_coefficients or (0.0,) * 5
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        radial, _ = self._radial(r2)
         x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.stack([x_d, y_d], axis=-1)
 
+    def _radial(self, r2: Array) -> tuple[Array, Array]:
+        """The factor on a radius whose square is r2 (...), and twice its derivative by r2."""
+        k1, k2, _, _, k3, *below = self.lens_coefficients or (0.0,) * 5
+        N, slope = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        if not any(below):
+            return N, slope
+        k4, k5, k6 = below
+        D = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        return N / D, (slope - 2 * N / D * (k4 + r2 * (2 * k5 + r2 * 3 * k6))) / D
+
     def _undistort(self, xy_d: Array) -> Array:
         """Invert `_distort` by Newton's method with the analytic Jacobian (quadratic: 10 rounds reach rounding)."""
-        k1, k2, p1, p2, k3 = self.distortion or (0.0,) * 5
+        _, _, p1, p2, *_ = self.lens_coefficients
         xy = xy_d.copy()
         for _ in range(10):
             x, y = xy[..., 0], xy[..., 1]
             r2 = x * x + y * y
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+            radial, slope = self._radial(r2)
             a = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
             b = slope * x * y + 2 * p1 * x + 2 * p2 * y
             d = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x

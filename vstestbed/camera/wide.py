@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Le, Len, Lt
 
-from vstestbed.camera.base import Camera, Panel
+from vstestbed.camera.base import Camera, LensNumbers, Panel
+from vstestbed.camera.intrinsics import Intrinsics
 from vstestbed.camera.perspective import Perspective, first_root
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, direction, joined
@@ -75,6 +76,11 @@ class Radial(Camera):
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
 
+    @cached_property
+    def focal(self) -> float | Array:
+        """Focal length [px]; of pixels that are no squares (fx, fy), shape (2,)."""
+        return self.f
+
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
         if ignores_distortion:
@@ -84,20 +90,23 @@ class Radial(Camera):
     def project(self, p_camera: Array) -> Array:
         """Pixels uv (..., N, 2) of points (..., N, 3); NaN out of the lens's reach, and at the lens itself."""
         theta_phi = angles(p_camera)
-        r = self.f * self.radius(_within(theta_phi[..., 0], self.reach))
+        m = self.radius(_within(theta_phi[..., 0], self.reach))
         phi = theta_phi[..., 1]
-        return joined(r * np.cos(phi), r * np.sin(phi)) + self.centre
+        if isinstance(self.focal, float):
+            r = self.focal * m
+            return joined(r * np.cos(phi), r * np.sin(phi)) + self.centre
+        return joined(m * np.cos(phi), m * np.sin(phi)) * self.focal + self.centre
 
     def ray(self, uv: Array) -> Array:
         """Unit rays (..., N, 3) of pixels uv (..., N, 2); NaN outside the image circle and in its blind middle."""
-        m = (uv - self.centre) / self.f
+        m = (uv - self.centre) / self.focal
         theta = self.angle(_within(np.hypot(m[..., 0], m[..., 1]), self.ring))
         return direction(joined(theta, np.arctan2(m[..., 1], m[..., 0])))
 
     def borders(self, uv: Array) -> tuple[Array, Array]:
         """As of any camera, and of the image circle; of the blind middle too, where the lens has one."""
         distance, inwards = super().borders(uv)
-        d = uv - self.centre
+        d = (uv - self.centre) * (self.f / self.focal)
         r = np.linalg.norm(d, axis=1, keepdims=True)
         out, (inner, outer) = d / np.maximum(r, 1e-9), (self.f * m for m in self.ring)
         distance, inwards = np.hstack([distance, outer - r]), np.hstack([inwards, -out[:, None]])
@@ -121,6 +130,8 @@ class Fisheye(Radial):
     Args:
         fov_deg: full field of view [deg]; nothing is seen beyond it. Without focal_length_px it also sets the scale.
         coefficients: (k1, k2, k3, k4), such that m rises all the way to fov/2 [1]; all 0: the equidistant lens m = theta.
+        intrinsics: those of a calibrated lens, in place of these, `focal_length_px` and `principal_px`; a block, or the name of a file
+            of ROS or OpenCV (`Intrinsics`); e.g. `camera_info.yaml`.
 
     Reference: Kannala & Brandt 2006, eq. 6 with its first coefficient in f, doi:10.1109/TPAMI.2006.153.
     """
@@ -128,15 +139,51 @@ class Fisheye(Radial):
     kind: Literal["fisheye"] = "fisheye"
     fov_deg: Annotated[PositiveAngle, TighterBounds(le=360)] = 185.0
     coefficients: Annotated[tuple[Coefficient, ...], Len(4, 4)] = (0.0, 0.0, 0.0, 0.0)
+    intrinsics: LensNumbers | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        given = [name for name in ("focal_length_px", "principal_px") if getattr(self, name) is not None]
+        given += ["coefficients"] * any(self.coefficients)
+        if self.intrinsics is not None and given:
+            raise ParameterError.conflict(given[0], "intrinsics, which say it")
+        if self.intrinsics is not None:
+            self.intrinsics.check("fisheye", self.width, self.height, "intrinsics")
         if self.reach[1] >= self.turn:
             words = f"fold the picture over itself within fov_deg = {self.fov_deg:g}; use smaller coefficients or a fov_deg below"
-            raise ParameterError("coefficients", f"{words} {math.degrees(2 * self.turn):.4g}", self.coefficients)
+            field = "coefficients" if self.intrinsics is None else "intrinsics.distortion"
+            raise ParameterError(field, f"{words} {math.degrees(2 * self.turn):.4g}", self.lens_coefficients)
+
+    @cached_property
+    def lens_coefficients(self) -> tuple[float, ...]:
+        """The coefficients (k1, k2, k3, k4), the intrinsics' where there are some."""
+        return self.coefficients if self.intrinsics is None else self.intrinsics.distortion or (0.0,) * 4
+
+    @cached_property
+    def f(self) -> float:
+        """As `Radial.f`; of pixels that are no squares the one down the picture, fy."""
+        return super().f if self.intrinsics is None else self.intrinsics.focal_px[1]
+
+    @cached_property
+    def focal(self) -> float | Array:
+        """As `Radial.focal`."""
+        if self.intrinsics is None or self.intrinsics.focal_px[0] == self.intrinsics.focal_px[1]:
+            return self.f
+        return np.array(self.intrinsics.focal_px)
+
+    @cached_property
+    def centre(self) -> Array:
+        """As `Camera.centre`, or of the intrinsics."""
+        return super().centre if self.intrinsics is None else np.array(self.intrinsics.principal_px)
+
+    def with_intrinsics(self, intrinsics: Intrinsics) -> Fisheye:
+        """As `Camera.with_intrinsics`."""
+        return replace(self, focal_length_px=None, principal_px=None, coefficients=(0.0,) * 4, intrinsics=intrinsics)
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """As `Camera.miscalibrated`; without its distortion it is the equidistant lens."""
+        if self.intrinsics is not None:
+            return replace(self, intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion))
         lens = super().miscalibrated(focal_error, principal_px, ignores_distortion=False)
         return replace(lens, coefficients=(0.0,) * 4) if isinstance(lens, Fisheye) and ignores_distortion else lens
 
@@ -148,20 +195,20 @@ class Fisheye(Radial):
     @cached_property
     def turn(self) -> float:
         """Angle up to which m rises [rad]: the first positive root of dm/dtheta = 1 + 3 k1 theta^2 + ... + 9 k4 theta^8."""
-        k1, k2, k3, k4 = self.coefficients
+        k1, k2, k3, k4 = self.lens_coefficients
         return math.sqrt(first_root([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0]))
 
     def radius(self, theta: Array) -> Array:
         """Distance m from the principal point in focal lengths [1] of angles theta (...) [rad]."""
-        k1, k2, k3, k4 = self.coefficients
+        k1, k2, k3, k4 = self.lens_coefficients
         t2 = theta * theta
         return theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
 
     def angle(self, radius: Array) -> Array:
         """Angles theta (...) [rad] of distances m (...): Newton's method, kept between two knots of a table."""
-        if not any(self.coefficients):
+        if not any(self.lens_coefficients):
             return radius
-        k1, k2, k3, k4 = self.coefficients
+        k1, k2, k3, k4 = self.lens_coefficients
         knots, radii = self._table
         after = np.clip(np.searchsorted(radii, radius), 1, len(knots) - 1)
         theta = np.interp(radius, radii, knots)

@@ -12,9 +12,11 @@ from types import ModuleType
 
 from vstestbed.core.errors import OutputError, ParameterError
 
-ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json)$|\.py:\w+$", re.IGNORECASE)
-"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a function in a Python file."""
-FILE_FIELDS = "file", "scenery", "picture", "texture"
+ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE)
+"""The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a calibration, a function in a Python file."""
+CALIBRATED = "intrinsics", "mount", "calibration"
+"""Blocks that the name of a calibration's file may stand for, which is read with the scenario."""
+FILE_FIELDS = "file", "scenery", "picture", "texture", *CALIBRATED
 """Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""
 PACKAGE = "package:"
 

@@ -17,6 +17,7 @@ import functools
 import inspect
 import sys
 import typing
+from collections.abc import Callable
 from typing import Any, TypeVar, dataclass_transform
 
 import pydantic
@@ -129,6 +130,19 @@ class Shorthand:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_before_validator_function(lambda v: {self.field: v} if isinstance(v, str) else v, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [handler(schema), {"type": "string"}]}
+
+
+@dataclasses.dataclass(frozen=True)
+class FromFile:
+    """For `Annotated` of a spec: the name of a file stands for the block that it holds. read: from the name to the block's values."""
+
+    read: Callable[[str], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(lambda v: self.read(v) if isinstance(v, str) else v, handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"anyOf": [handler(schema), {"type": "string"}]}

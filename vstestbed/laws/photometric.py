@@ -254,7 +254,7 @@ def motion_px(camera: Perspective, step: Array, depth: float) -> float:
 
 def _slope(camera: Perspective, xy: Array, scale: int) -> tuple[Grey | float, ...]:
     """du/dx, du/dy, dv/dx, dv/dy of the lens at xy (h, w, 2), in pixels `scale` times as large; numbers of a lens without distortion."""
-    if camera.distortion is None:
+    if not camera.resampled:
         return camera.f / scale, 0.0, 0.0, camera.f / scale
     step = 0.5 / camera.f  # half a pixel; the distortion's second derivative cancels in central differences
     found = []

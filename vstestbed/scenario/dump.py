@@ -14,7 +14,7 @@ import yaml
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import write_whole
-from vstestbed.core.named_files import absolute_file, bundled_scenarios, kept_at, module_of
+from vstestbed.core.named_files import CALIBRATED, absolute_file, bundled_scenarios, is_there, kept_at, module_of
 from vstestbed.core.registry import brief_mapping, to_mapping
 from vstestbed.robots import Robot
 from vstestbed.scenario.load import GIVEN, RESOLVED, load, parse
@@ -86,10 +86,18 @@ def kept_files(scenario: Scenario) -> dict[str, Path]:
 
 
 def _kept(scenario: Scenario) -> list[tuple[str | None, Path, str]]:
-    """Name in the scenario, file, and place of the copy in a run's folder: of the target's file, and of each of the goal's pictures."""
+    """Name in the scenario, file, and place of the copy in a run's folder: of the target's file, of each of the goal's pictures, and of
+    calibrations, whose numbers alone the record has.
+    """
     parts = {"target": scenario.target} | {f"goal_{i}": said for i, said in enumerate(scenario.goal.pictures)}
     sources = [(what, part, part.source) for what, part in parts.items()]
-    return [(getattr(part, "file", None), source, kept_at(source, what)) for what, part, source in sources if source]
+    kept = [(getattr(part, "file", None), source, kept_at(source, what)) for what, part, source in sources if source]
+    given: Any = scenario.given.made_of or {}
+    for what, block in (("camera_", given.get("camera")), ("calibration_", given.get("calibration")), ("", given)):
+        named = {name: block.get(name) for name in CALIBRATED} if isinstance(block, Mapping) else {}
+        files = {what + name: file for name, file in named.items() if isinstance(file, str) and is_there(Path(file))}
+        kept += [(file, Path(file), kept_at(Path(file), name)) for name, file in files.items()]
+    return kept
 
 
 FORMER = ("filled", "drawn_about", "drawn_offsets", "drawn_errors", "drawn_seed")

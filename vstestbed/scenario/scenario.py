@@ -10,10 +10,11 @@ import numpy as np
 from annotated_types import Len
 
 from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
+from vstestbed.camera.intrinsics import read_calibration
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse
 from vstestbed.core.quantity import Seed, Time
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import FromFile, spec
 from vstestbed.features.observation import Goal
 from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
@@ -91,7 +92,7 @@ class Scenario:
         monitors: rules of when a run ends besides those of every run.
         stop: when a run ends.
         noise: noise of pictures and of measured coordinates.
-        calibration: errors of the calibration that robot, detector, observer and law work with.
+        calibration: the calibration that robot, detector, observer and law work with: its errors, or the name of its file.
         timing: exposure, jitter, lost pictures, clocks, and latency and rate of the commands.
         world: floor, scenery, wind, plates and decoys.
         physics: the clock of the simulation.
@@ -120,7 +121,7 @@ class Scenario:
     noise: Noise = Noise()
     metrics: tuple[Annotated[MetricContract, METRICS], ...] = ()
     monitors: tuple[Annotated[MonitorContract, MONITORS], ...] = ()
-    calibration: Calibration = Calibration()
+    calibration: Annotated[Calibration, FromFile(read_calibration)] = Calibration()
     timing: Timing = Timing()
     world: World = World()
     physics: Clock = Clock()

@@ -190,7 +190,7 @@ class GreyPicture:
         turned, lens = panel.R_camera_panel.T @ rays, panel.lens
         h, w = shape
         ahead = turned[2] @ [[0, w - 1, 0, w - 1], [0, 0, h - 1, h - 1], [1, 1, 1, 1]]
-        if isinstance(lens, Perspective) and lens.distortion is None and ahead.min() > 0:
+        if isinstance(lens, Perspective) and not lens.resampled and ahead.min() > 0:
             to_part = np.array([[1, 0, -begin[0]], [0, 1, -begin[1]], [0, 0, 2**halvings]]) @ lens.K @ turned
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             found = cv2.warpPerspective(image, to_part, (w, h), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)

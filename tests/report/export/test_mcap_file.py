@@ -154,7 +154,7 @@ def test_a_start_moves_all_times_and_commands_are_stamped_with_the_time_they_are
 
 
 def test_lenses_without_a_standard_model_have_no_calibration() -> None:
-    assert mcap_file.lens_model(vs.load("car_catadioptric").camera) is None
+    assert mcap_file.as_ros(vs.load("car_catadioptric").camera) is None
     assert mcap_file.calibration(0, vs.load("spherical_book").camera) is None
     fisheye = mcap_file.calibration(0, vs.load("arm_fisheye").camera)
     assert fisheye is not None and fisheye.distortion_model == "kannala_brandt" and len(fisheye.D) == 4

@@ -27,7 +27,8 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from vstestbed.camera import Camera, Fisheye, Image, Perspective
+from vstestbed.camera import Camera, Image
+from vstestbed.camera.intrinsics import as_ros
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.files import PartFile, make_folder, whole_folder, writing
 from vstestbed.core.geometry import Array, inverse, quaternion_wxyz
@@ -99,7 +100,7 @@ def described(run: RecordedRun) -> dict[str, str]:
         "outcome": run.outcome,
         "success": json.dumps(run.success),
         "pictures": run.how_taken,
-        "calibration": "K, D as calibrated; /truth has the true lens" if lens_model(s.camera) else other,
+        "calibration": "K, D as calibrated; /truth has the true lens" if as_ros(s.camera) else other,
         "times": "simulated; pictures and measurements at the middle of the exposure, commands when they are in force",
         "vstestbed": vstestbed_version(),
     }
@@ -179,31 +180,21 @@ def image(time_ns: int, picture: Image, noisy: bool) -> CompressedImage:
     return CompressedImage(timestamp=stamp(time_ns), frame_id="camera", data=encoded, format=name)
 
 
-def lens_model(camera: Camera) -> tuple[str, tuple[float, ...]] | None:
-    """The standard model of a lens and its coefficients; None for a lens that has none."""
-    if isinstance(camera, Perspective):
-        return "plumb_bob", camera.distortion or (0.0,) * 5
-    if isinstance(camera, Fisheye):
-        return "kannala_brandt", camera.coefficients
-    return None
-
-
 def calibration(time_ns: int, camera: Camera) -> CameraCalibration | None:
     """Intrinsics K of a camera, with the middle of the first pixel at 0, and its distortion; None for a lens without a standard model."""
-    model = lens_model(camera)
-    if model is None:
+    if (found := as_ros(camera)) is None:
         return None
-    f, (cx, cy) = float(getattr(camera, "f")), camera.centre  # noqa: B009 - both lenses have it, the base class has none
+    K, model, k = found
     return CameraCalibration(
         timestamp=stamp(time_ns),
         frame_id="camera",
         width=camera.width,
         height=camera.height,
-        distortion_model=model[0],
-        D=model[1],
-        K=(f, 0, cx, 0, f, cy, 0, 0, 1),
+        distortion_model="kannala_brandt" if model == "equidistant" else model,
+        D=k,
+        K=K.ravel(),
         R=np.eye(3).ravel(),
-        P=(f, 0, cx, 0, 0, f, cy, 0, 0, 0, 1, 0),
+        P=np.column_stack([K, np.zeros(3)]).ravel(),
     )
 
 

@@ -51,7 +51,7 @@ def covering(px: Array, f: float, face: str = "front") -> Pinhole:
 
 def pinhole_of(camera: Perspective) -> Pinhole:
     """The camera's own image; of a distorted lens, a pinhole image that covers its whole field of view."""
-    if camera.distortion is None:
+    if not camera.resampled:
         return Pinhole(camera.width, camera.height, camera.f, (float(camera.centre[0]), float(camera.centre[1])))
     grid = pixel_grid(camera.width, camera.height)
     # The border is enough: distortion maps the inside of the image to the inside of its border.
@@ -61,7 +61,7 @@ def pinhole_of(camera: Perspective) -> Pinhole:
 
 def resampling_maps(camera: Perspective, pinhole: Pinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
     """Maps for cv2.remap: the place in the rendered image of each pixel of the camera; None for an undistorted lens."""
-    if camera.distortion is None:
+    if not camera.resampled:
         return None
     grid = pixel_grid(camera.width, camera.height)
     px = camera.normalise(grid.reshape(-1, 2)).reshape(grid.shape) * camera.f + pinhole.centre
