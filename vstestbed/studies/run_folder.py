@@ -56,6 +56,7 @@ def run_into(
     report: bool = True,
     tile_px: tuple[int, int] | None = None,
     fine: bool = False,
+    fly: Callable[..., Recording] = run,
 ) -> Recording:
     """Run a scenario and leave its folder: scenario, model, log, summary, films, report.
 
@@ -65,6 +66,7 @@ def run_into(
         report: whether to write the report, which can also be written later.
         tile_px: (width, height) of the film from outside; by default that of its quality.
         fine: films with shadows, smooth edges and a picture of every frame, in place of drafts.
+        fly: what runs it, as `loop.run`; another one takes its commands from elsewhere.
 
     Raises EnvironmentLackError: no OpenGL, no codec, no space. OutputError: the folder cannot be written, holds a run already, or another
     process writes into it.
@@ -73,7 +75,7 @@ def run_into(
     with files.only_writer(folder):
         if (folder / GIVEN).exists():  # of a process that ended between the check of `new_folder` and this one
             raise OutputError(folder, "holds a run", REMEDY)
-        recording = _run_into(folder, scenario, films, watch, tile_px, fine)
+        recording = _run_into(folder, scenario, films, watch, tile_px, fine, fly)
         if report:
             from vstestbed.report import Setting, write_report  # imported only if a report is written
 
@@ -83,7 +85,13 @@ def run_into(
 
 
 def _run_into(
-    folder: Path, scenario: Scenario, films: Films, watch: Iterable[Watcher], tile_px: tuple[int, int] | None, fine: bool
+    folder: Path,
+    scenario: Scenario,
+    films: Films,
+    watch: Iterable[Watcher],
+    tile_px: tuple[int, int] | None,
+    fine: bool,
+    fly: Callable[..., Recording],
 ) -> Recording:
     with _all_or_nothing(folder):
         before = files_before(scenario)  # first: what its seed draws may be refused
@@ -92,7 +100,7 @@ def _run_into(
             put(folder, before)
             # A film shows rows and flicker where the run took the pictures; one drawn afterwards is of an instant.
             pictures = "camera" in FILM_CAMERAS[films] and scenario.by_rows
-            recording = run(scenario, [*filming, *watch], folder, pictures=pictures)
+            recording = fly(scenario, [*filming, *watch], folder, pictures=pictures)
             for film in filming:
                 film.close(None if tile_px else (recording.outcome, recording.reason))  # a film of several runs shows it itself
         recording.time_ms["video"] = 1e3 * sum(film.spent_s for film in filming)

@@ -1,0 +1,95 @@
+"""The commands `ros` and `replay`: nodes of ROS 2, and recorded bags. Heavy imports are inside the functions."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.shares import STOPS
+
+Role = Literal["robot", "law", "start", "stop", "reset"]
+NODES = "vstestbed_law", "vstestbed_robot"
+Remap = Annotated[
+    list[str] | None, typer.Option("--remap", metavar="TOPIC=OTHER", help="Another name of a topic, such as image_raw=/cam/image.")
+]
+
+
+def ros(
+    scenario: ScenarioName,
+    role: Annotated[Role, typer.Option(help="robot: simulate it. law: servo. start, stop, reset: tell the nodes that run.")],
+    set_: Settings = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
+    backend: Annotated[Literal["auto", "rclpy", "zenoh"], typer.Option(help="auto: rclpy where ROS 2 is, else zenoh.")] = "auto",
+    pace: Annotated[Literal["lockstep", "wall"], typer.Option(help="robot: time waits for commands, or goes with the clock.")] = "lockstep",
+    start: Annotated[bool, typer.Option("--start", help="law: servo at once, without waiting for ~/start.")] = False,
+    watchdog: Annotated[float | None, typer.Option(min=0.01, metavar="SECONDS", help="Rest after so long without the other side.")] = None,
+    truth: Annotated[bool, typer.Option("--truth", help="robot: tell true poses under /truth.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]")] = None,
+    remap: Remap = None,
+    connect: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the other side's address.")] = None,
+    listen: Annotated[list[str] | None, typer.Option(metavar="tcp/HOST:PORT", help="zenoh: the address to be found at.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """The simulated robot, or the law, as a node of ROS 2."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.ros.link import connected
+
+    given, ended = load_scenario(scenario, set_, plugin, seed), threading.Event()
+    show_notes(not quiet)
+    before = {number: signal.signal(number, lambda *_: ended.set()) for number in STOPS}
+    try:
+        node = f"vstestbed_{role}"
+        with connected(node, backend, remapped(remap), connect or (), listen or ()) as link:
+            if role == "law":
+                from vstestbed.ros.law import LawNode, median_ms
+
+                servo = LawNode(given, link, watchdog, start)
+                servo.spin(ended)
+                if not quiet:
+                    typer.echo(f"{len(servo.took_s)} twists, each {median_ms(servo.took_s):.2f} ms after its picture (median)", err=True)
+            elif role == "robot":
+                _fly(given, link, pace, truth, watchdog, out, quiet, ended)
+            else:
+                answers = [f"{name}: {answer[1]}" for name in NODES if (answer := link.call(f"/{name}/{role}"))]
+                if not answers:
+                    raise EnvironmentLackError("no node has answered", "start `vstestbed ros ... --role law`; is --connect its address?")
+                typer.echo("\n".join(answers))
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _fly(given, link, pace, truth, watchdog, out, quiet, ended) -> None:  # type: ignore[no-untyped-def] - as above
+    from vstestbed.cli.ending import GOAL_REACHED, NOT_REACHED
+    from vstestbed.cli.progress import Progress, summary_text
+    from vstestbed.ros.law import median_ms
+    from vstestbed.ros.robot import RobotNode
+    from vstestbed.studies.run_folder import new_folder, run_into
+
+    node = RobotNode(given, link, pace, truth, watchdog, ended)
+    folder = new_folder(given, out)
+    with Progress(given, shown=not quiet) as progress:
+        recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
+    if not quiet:
+        typer.echo(summary_text(recording, folder, filmed=False), err=True)
+        words = f"{len(node.answered_s)} pictures were answered, {median_ms(node.answered_s):.2f} ms after they were sent (median)"
+        typer.echo(f"{words}; at most {node.behind_s:.3f} s behind the clock", err=True)
+    raise typer.Exit(GOAL_REACHED if recording.outcome.success else NOT_REACHED)
+
+
+def remapped(words: list[str] | None) -> dict[str, str]:
+    """Topics by the names that they have here. ParameterError: not of the form TOPIC=OTHER."""
+    found: dict[str, str] = {}
+    for word in words or []:
+        name, _, other = word.partition("=")
+        if not (name and other.startswith("/")):
+            raise ParameterError.form("--remap", "TOPIC=/OTHER, such as image_raw=/camera/color/image_raw", word)
+        found[name.removeprefix("~/").removeprefix("/")] = other
+    return found

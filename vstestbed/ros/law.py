@@ -1,0 +1,330 @@
+"""The law as a node: pictures and readings of a robot in, twists out, for a real robot or the simulated one."""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array
+from vstestbed.loop.controller import Controller
+from vstestbed.loop.ego_motion import mount_at
+from vstestbed.robots import Mount, Order, Reading, Robot
+from vstestbed.ros.link import Link
+from vstestbed.ros.messages import (
+    COMPRESSED,
+    IMAGE,
+    OPTICAL,
+    Message,
+    body_frame,
+    depth_of,
+    joints_of,
+    picture_of,
+    reading_of,
+    sensors_of,
+    text,
+    time_of,
+    twist,
+)
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Cycle
+
+REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
+WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
+WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
+LATE = 1.5  # a reading this many camera periods away from a picture's exposure is none of it
+
+
+def command_topic(scenario: Scenario) -> str:
+    """Where twists go: as MoveIt Servo takes them for an arm, as bases take them for all else."""
+    return "/servo_node/delta_twist_cmds" if scenario.robot.base == "fixed" else "/cmd_vel"
+
+
+def command_frame(scenario: Scenario) -> str:
+    """In which frame twists are: the camera's, which arms take; the body's of a base, and of an arm in front of a camera in the room."""
+    by_camera = scenario.robot.base == "fixed" and not _in_the_room(scenario)
+    return OPTICAL if by_camera else body_frame(scenario.robot)
+
+
+def _in_the_room(scenario: Scenario) -> bool:
+    return scenario.target.on_gripper
+
+
+class Stepped(NamedTuple):
+    """What a picture came to. stamp: of its exposure, as it was given [s]. cycle: of the controller."""
+
+    stamp: float
+    cycle: Cycle
+
+
+class Senses:
+    """What was heard of a robot, by time: readings are found for the exposure of a picture, and for now.
+
+    robot: whose. near_s: a reading further than this from an exposure is none of it [s].
+    """
+
+    def __init__(self, robot: Robot, near_s: float):
+        self._robot, self._near_s, self._topics = robot, near_s, sensors_of(robot)
+        self._heard: dict[str, deque[tuple[float, Message]]] = {name: deque(maxlen=REMEMBERED) for name in self._topics}
+        self._joints: deque[tuple[float, Array, Array]] = deque(maxlen=REMEMBERED)
+        self._others = ""  # why joints that were heard are none of this robot's
+        self._lock = threading.Lock()
+
+    def hear(self, topic: str, message: Message) -> None:
+        """Remember a message of a topic of `sensors_of`; joints of another device, such as a gripper, are passed over."""
+        t = time_of(message)
+        with self._lock:
+            if topic == "joint_states":
+                try:
+                    self._joints.append((t, *joints_of(message, self._robot.joints)))
+                except ParameterError as error:
+                    self._others = str(error)
+                    return
+            self._heard[topic].append((t, message))
+
+    def until(self, stamp: float) -> bool:
+        """Whether every topic was heard up to a time [s]."""
+        with self._lock:
+            return all(known and known[-1][0] >= stamp - 1e-9 for known in self._heard.values())
+
+    def at(self, stamp: float | None = None) -> Reading:
+        """The reading at a time [s], of joints by a straight line between two messages; None: the newest.
+        ParameterError: nothing was heard of a topic, or nothing near to that time.
+        """
+        with self._lock:
+            known, joints = {topic: list(messages) for topic, messages in self._heard.items()}, list(self._joints)
+        if self._others and not joints:
+            raise ParameterError(self._others)
+        found = {name: min(messages, key=lambda m: abs(m[0] - (stamp or m[0]))) for name, messages in known.items() if messages}
+        if stamp is None:
+            found = {name: messages[-1] for name, messages in known.items() if messages}
+        reading = reading_of(self._robot, {name: message for name, (_, message) in found.items()})
+        for name, (t, _) in found.items():
+            if stamp is not None and abs(t - stamp) > self._near_s:
+                words = f"of {name} nearest to the picture of {stamp:.3f} s is of {t:.3f} s; are both stamped by one clock?"
+                raise ParameterError("readings", words)
+        return reading if not joints else replace(reading, **self._between(joints, stamp))
+
+    @staticmethod
+    def _between(joints: list[tuple[float, Array, Array]], stamp: float | None) -> dict[str, Array]:
+        """Positions and velocities at a time; velocities that the driver does not tell are those of the way between two messages."""
+        times = [t for t, _, _ in joints]
+        stamp = times[-1] if stamp is None else stamp
+        after = min(max(int(np.searchsorted(times, stamp, side="left")), 1), len(joints) - 1)
+        (t0, q0, qd0), (t1, q1, qd1) = joints[after - 1], joints[after]
+        share = min(max((stamp - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
+        q, qd = q0 + share * (q1 - q0), qd0 + share * (qd1 - qd0)
+        if share in (0.0, 1.0):  # to the last digit
+            q, qd = (q1, qd1) if share else (q0, qd0)
+        way = (q1 - q0) / (t1 - t0) if t1 > t0 else np.zeros_like(q)
+        return {"q": q, "qd": np.where(np.isfinite(qd), qd, way)}
+
+
+class Servo:
+    """The controller of a scenario, fed with messages: its clock begins with the first picture. It is the same for a node and for a bag.
+
+    scenario: whose detector, law, calibration and robot work. live: stamps are of this machine's clock where they are near to it.
+    """
+
+    def __init__(self, scenario: Scenario, live: bool = True):
+        self.scenario, self._live = scenario, live
+        self.controller = Controller(scenario)
+        self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
+        self.mount = Mount.of(scenario.believed_camera.mount.T)
+        self.began: float | None = None
+        self.by_wall = False
+        self.depth: Message | None = None
+
+    def reset(self) -> None:
+        """Begin the task anew with the next picture."""
+        self.controller.reset()
+        self.began, self.depth = None, None
+
+    def step(self, message: Message, arrived: float | None = None) -> Stepped:
+        """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`.
+        ParameterError: see `Controller.step`; an encoding that is not read; no reading near to the exposure.
+        """
+        stamp = time_of(message)
+        picture = picture_of(message)
+        given = self.senses.at(stamp), self.senses.at()
+        depth = None if self.depth is None else depth_of(self.depth)
+        if self.began is None:
+            self.began, self.by_wall = stamp, self._live and abs(time.time() - stamp) < WALL_S
+        if arrived is None and self.by_wall:
+            arrived = time.time()
+        now = None if arrived is None else max(arrived, stamp) - self.began
+        return Stepped(stamp, self.controller.step(picture, stamp - self.began, given, now, depth=depth))
+
+    def silent(self, elapsed_s: float) -> Order:
+        """The order so long after the last picture [s]."""
+        last = self.controller.before
+        t = (0.0 if last is None else last.t) + elapsed_s
+        return self.controller.without_picture(t, self.senses.at())
+
+    def sent(self, order: Order) -> Array:
+        """The twist (6,) of an order in the frame in which twists are sent (`command_frame`)."""
+        if command_frame(self.scenario) == OPTICAL:
+            return order.twist
+        mount = mount_at(self.scenario, self.mount, self.senses.at().q)
+        return mount.to_flange @ order.twist
+
+
+class LawNode:
+    """The node: it serves `~/start`, `~/stop` and `~/reset`, and says in `~/status` what it does. A stop is latched: no twist but zero
+    leaves it until `~/start`, whatever it sees.
+
+    link: to the others. watchdog_s: wall time without a picture after which zero is sent [s]; by default for as long as an order lasts.
+    started: servo at once; else with `~/start`.
+    """
+
+    def __init__(self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False):
+        self.servo, self.link, self.scenario = Servo(scenario), link, scenario
+        self.watchdog_s = watchdog_s or scenario.timing.order_s(scenario.camera)
+        self._stopped = "" if started else "not started"
+        self._asked_to_reset = False
+        self._picture: Message | None = None
+        self._news = threading.Condition()
+        self._status = ""
+        self.took_s: list[float] = []
+        self.ended = False
+        for name, kind in sensors_of(scenario.robot).items():
+            link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
+        for name, kind in (("/vstestbed_robot/image_raw", IMAGE), ("/vstestbed_robot/image_raw/compressed", COMPRESSED)):
+            link.subscribe(name, kind, self._seen)
+        if scenario.law.depth.measured:
+            link.subscribe("/vstestbed_robot/depth", IMAGE, self._deep)
+        for name, answer in (("start", self.start), ("stop", self.stop), ("reset", self.reset)):
+            link.serve(f"~/{name}", answer)
+
+    def _sensed(self, topic: str, message: Message) -> None:
+        self.servo.senses.hear(topic, message)
+        with self._news:
+            self._news.notify()
+
+    def _seen(self, message: Message) -> None:
+        with self._news:
+            self._picture = message  # the newest: one that the law had no time for is past
+            self._news.notify()
+
+    def _deep(self, message: Message) -> None:
+        self.servo.depth = message
+
+    def start(self) -> tuple[bool, str]:
+        """Servo from the next picture on, anew after a stop."""
+        with self._news:
+            self._asked_to_reset = self._asked_to_reset or bool(self._stopped)
+            self._stopped = ""
+        return True, "servoing"
+
+    def stop(self, why: str = "asked to stop") -> tuple[bool, str]:
+        """Stop, until `start`."""
+        with self._news:
+            self._stopped = self._stopped or why
+            self._news.notify()
+        self._rest(self._stopped)
+        return True, self._stopped
+
+    def reset(self) -> tuple[bool, str]:
+        """Forget the task so far, and a stop with it; it stays stopped until `start`."""
+        with self._news:
+            self._asked_to_reset, self._stopped = True, "not started"
+        self._rest(self._stopped)
+        return True, self._stopped
+
+    def _rest(self, why: str) -> None:
+        self._send(np.zeros(6), self._now())
+        self._tell(f"stopped: {why}")
+
+    def _send(self, v: Array, t: float) -> None:
+        self.link.publish(command_topic(self.scenario), twist(t, v, command_frame(self.scenario)))
+
+    def _tell(self, words: str) -> None:
+        if words != self._status:
+            self._status = words
+            self.link.publish("~/status", text(words))
+            logging.getLogger("vstestbed").warning("%s", words)
+
+    def _now(self) -> float:
+        """The time [s] by the clock of the stamps."""
+        last = self.servo.controller.before
+        if self.servo.by_wall or self.servo.began is None or last is None:
+            return time.time()
+        return self.servo.began + last.t + self.scenario.camera.latency_s
+
+    def spin(self, ended: threading.Event) -> None:
+        """Servo until `ended`; then, and whatever happens, send zero and say that it has stopped."""
+        try:
+            last = time.monotonic()
+            while not ended.is_set():
+                last = self._turn(last)
+        finally:
+            for _ in range(3):  # one may be lost
+                self._rest("the node has ended")
+
+    def _turn(self, last: float) -> float:
+        """Wait for a picture with its reading, and answer it; the time at which the last one came [s]."""
+        with self._news:
+            self._news.wait_for(lambda: self._picture is not None, timeout=min(self.watchdog_s, 0.1))
+            message, self._picture = self._picture, None
+            stopped = self._stopped
+            if self._asked_to_reset:
+                self._asked_to_reset = False
+                self.servo.reset()
+        if stopped:
+            self._rest(stopped)
+            return time.monotonic()
+        if message is None:
+            if time.monotonic() - last >= self.watchdog_s:
+                self._silent(time.monotonic() - last)
+            return last
+        self._wait_for_reading(time_of(message))
+        began = time.perf_counter()
+        try:
+            stepped = self.servo.step(message)
+        except ParameterError as error:
+            self._rest(str(error))
+            return time.monotonic()
+        cycle = stepped.cycle
+        with self._news:
+            stopped = self._stopped
+        if stopped:  # meanwhile
+            return time.monotonic()
+        self._send(self.servo.sent(cycle.order), self._now())
+        self.took_s.append(time.perf_counter() - began)
+        if cycle.latched:
+            self.stop(cycle.reason)
+        else:
+            self._tell(f"rests: {cycle.reason}" if cycle.stopped else "servoing")
+        return time.monotonic()
+
+    def _wait_for_reading(self, stamp: float) -> None:
+        """Until the robot's readings of an exposure have come, or the next picture."""
+        end = time.monotonic() + min(WAIT_S, self.watchdog_s)
+        with self._news:
+            self._news.wait_for(
+                lambda: self.servo.senses.until(stamp) or self._picture is not None, timeout=max(0.0, end - time.monotonic())
+            )
+
+    def _silent(self, elapsed_s: float) -> None:
+        words = f"no picture for {elapsed_s:.1f} s"
+        if self.servo.controller.before is None:
+            return self._rest("waits for pictures")
+        try:
+            order = self.servo.silent(elapsed_s)
+        except ParameterError as error:
+            return self._rest(f"{words}; {error}")
+        if order.latched:
+            self.stop(order.reason)
+        return self._rest(words)
+
+
+def median_ms(seconds: list[float]) -> float:
+    """The median of times [s], in milliseconds; NaN of none."""
+    return 1e3 * float(np.median(seconds)) if seconds else math.nan

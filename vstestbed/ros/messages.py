@@ -1,0 +1,334 @@
+"""ROS 2 messages and what they are here: pictures, calibrations, readings, twists, poses; in CDR by rosbags, which needs no ROS.
+
+Frames follow REP 103 and 105: `world`, `base_link` (of a vehicle or a craft) or `flange` (of an arm), `camera_optical_frame` (x right, y
+down, z forward). Units are SI. Joints go by their names, whatever their order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from vstestbed.camera import Camera, DepthImage, Image
+from vstestbed.camera.intrinsics import as_ros
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.core.geometry import Array, quaternion_wxyz, rotation_from_quaternion, rotation_from_rpy, rpy_of
+from vstestbed.robots import Reading, Robot
+from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
+
+try:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+except ImportError as error:
+    raise EnvironmentLackError(f"ROS messages need {error.name}, which is not installed", "pip install 'vstestbed[ros]'") from error
+
+NS = 1_000_000_000
+OPTICAL, WORLD = "camera_optical_frame", "world"
+IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+COMPRESSED, JOINTS, IMU, ODOMETRY = (
+    "sensor_msgs/msg/CompressedImage",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "nav_msgs/msg/Odometry",
+)
+RANGE, TWIST, TRANSFORMS = "sensor_msgs/msg/Range", "geometry_msgs/msg/TwistStamped", "tf2_msgs/msg/TFMessage"
+CLOCK, TEXT, POSE = "rosgraph_msgs/msg/Clock", "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+TRIGGER = "std_srvs/srv/Trigger"
+
+Message = Any  # of one of rosbags' message classes: a dataclass whose fields are those of the ROS message
+
+
+@cache
+def types() -> Any:
+    """The messages of ROS 2 Jazzy, which are those of Humble to Kilted where this project uses them, and of the service Trigger."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("uint8 structure_needs_at_least_one_member\n", "std_srvs/msg/Trigger_Request"))
+    store.register(get_types_from_msg("bool success\nstring message\n", "std_srvs/msg/Trigger_Response"))
+    return store
+
+
+def made(kind: str, **fields: Any) -> Message:
+    """A message of a kind, `sensor_msgs/msg/Image`."""
+    return types().types[kind](**fields)
+
+
+def to_cdr(message: Message) -> bytes:
+    """A message as it is sent."""
+    return bytes(types().serialize_cdr(message, message.__msgtype__))
+
+
+def from_cdr(data: bytes, kind: str) -> Message:
+    """The message of what was received."""
+    return types().deserialize_cdr(data, kind)
+
+
+def stamp(t: float) -> Message:
+    """A time [s] as ROS has it."""
+    seconds, nanoseconds = divmod(round(t * NS), NS)
+    return made("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+
+def time_of(message: Message) -> float:
+    """When a message was stamped [s]."""
+    at = message.header.stamp
+    return at.sec + at.nanosec / NS
+
+
+def header(t: float, frame: str) -> Message:
+    """A header of a time [s] and a frame."""
+    return made("std_msgs/msg/Header", stamp=stamp(t), frame_id=frame)
+
+
+def clock(t: float) -> Message:
+    """The simulated time [s]."""
+    return made(CLOCK, clock=stamp(t))
+
+
+def text(words: str) -> Message:
+    """A text."""
+    return made(TEXT, data=words)
+
+
+# Pictures.
+def image(t: float, picture: Image) -> Message:
+    """A picture (H, W, 3), RGB."""
+    height, width = picture.shape[:2]
+    data = np.ascontiguousarray(picture).reshape(-1)
+    return made(IMAGE, header=header(t, OPTICAL), height=height, width=width, encoding="rgb8", is_bigendian=0, step=3 * width, data=data)
+
+
+def depth_image(t: float, depth: DepthImage) -> Message:
+    """A depth picture (H, W) [m]."""
+    height, width = depth.shape
+    data = np.ascontiguousarray(depth, np.float32).view(np.uint8).reshape(-1)
+    return made(IMAGE, header=header(t, OPTICAL), height=height, width=width, encoding="32FC1", is_bigendian=0, step=4 * width, data=data)
+
+
+CHANNELS = {
+    "rgb8": [0, 1, 2],
+    "bgr8": [2, 1, 0],
+    "rgba8": [0, 1, 2],
+    "bgra8": [2, 1, 0],
+    "mono8": [0, 0, 0],
+    "8UC1": [0, 0, 0],
+    "8UC3": [2, 1, 0],
+}
+"""Where red, green and blue stand in a pixel of each encoding."""
+WIDTHS = {"rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
+DEPTHS = {"16UC1": (np.dtype(np.uint16), 1e-3), "mono16": (np.dtype(np.uint16), 1e-3), "32FC1": (np.dtype(np.float32), 1.0)}
+"""Numbers of each encoding of depths, and their unit [m]: REP 118."""
+
+
+def picture_of(message: Message) -> Image:
+    """The picture (H, W, 3), RGB, of an Image or a CompressedImage. ParameterError: an encoding that is not read, or too few bytes."""
+    if message.__msgtype__ == COMPRESSED:
+        from vstestbed.core.lazy import cv2
+
+        found = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR)
+        if found is None:
+            raise ParameterError("image", "is compressed, and neither JPEG nor PNG", message.format)
+        return np.ascontiguousarray(np.asarray(found, np.uint8)[..., ::-1])
+    if message.encoding not in CHANNELS:
+        raise ParameterError.choice("image.encoding", CHANNELS, message.encoding)
+    rows = _rows(message, np.dtype(np.uint8), WIDTHS.get(message.encoding, 3))
+    return np.ascontiguousarray(rows[..., CHANNELS[message.encoding]])
+
+
+def depth_of(message: Message) -> DepthImage:
+    """The depths (H, W) [m] of an Image. ParameterError: as `picture_of`."""
+    if message.encoding not in DEPTHS:
+        raise ParameterError.choice("depth.encoding", DEPTHS, message.encoding)
+    kind, unit = DEPTHS[message.encoding]
+    return (_rows(message, kind, 1)[..., 0] * np.float32(unit)).astype(np.float32)
+
+
+def _rows(message: Message, kind: np.dtype[Any], channels: int) -> Any:
+    """The numbers (H, W, channels) of an Image, without what stands between its rows."""
+    height, width, used = message.height, message.width, message.width * channels * kind.itemsize
+    data, step = np.asarray(message.data, np.uint8), message.step or used
+    if step < used or data.size < step * height:
+        words = f"has {data.size} bytes in rows of {step}; {width} x {height} pixels of {message.encoding} are {used * height}"
+        raise ParameterError("image", words)
+    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :used]).view(kind)
+    return (rows.byteswap() if message.is_bigendian and kind.itemsize > 1 else rows).reshape(height, width, channels)
+
+
+def camera_info(t: float, camera: Camera) -> Message | None:
+    """The calibration of a camera; None of a lens that ROS has no model of."""
+    if (lens := as_ros(camera)) is None:
+        return None
+    K, model, k = lens
+    region = made("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
+    return made(
+        INFO,
+        header=header(t, OPTICAL),
+        height=camera.height,
+        width=camera.width,
+        distortion_model=model,
+        d=np.array(k, dtype=float),
+        k=K.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.column_stack([K, np.zeros(3)]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+
+
+# Twists and poses.
+def vector(v: Sequence[float] | Array) -> Message:
+    """Three numbers."""
+    x, y, z = (float(a) for a in v)
+    return made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def three(v: Message) -> list[float]:
+    """The numbers of a vector or a point."""
+    return [v.x, v.y, v.z]
+
+
+def quaternion(R: Array) -> Message:
+    """A rotation (3, 3)."""
+    w, x, y, z = (float(q) for q in quaternion_wxyz(R))
+    return made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def twist(t: float, v: Array, frame: str) -> Message:
+    """A twist (6,) [m/s, rad/s] in a frame."""
+    numbers = made("geometry_msgs/msg/Twist", linear=vector(v[:3]), angular=vector(v[3:]))
+    return made(TWIST, header=header(t, frame), twist=numbers)
+
+
+def twist_of(message: Message) -> Array:
+    """The twist (6,) of a message; ParameterError where a number is not finite."""
+    v = np.array([*three(message.twist.linear), *three(message.twist.angular)])
+    if not np.isfinite(v).all():
+        raise ParameterError.infinite("twist", v)
+    return v
+
+
+def transforms(t: float, poses: Mapping[tuple[str, str], Array]) -> Message:
+    """Poses (4, 4) by the names of the frame in which they are and of that whose they are."""
+    found = [
+        made(
+            "geometry_msgs/msg/TransformStamped",
+            header=header(t, parent),
+            child_frame_id=child,
+            transform=made("geometry_msgs/msg/Transform", translation=vector(T[:3, 3]), rotation=quaternion(T[:3, :3])),
+        )
+        for (parent, child), T in poses.items()
+    ]
+    return made(TRANSFORMS, transforms=found)
+
+
+def pose(t: float, T: Array, frame: str = WORLD) -> Message:
+    """A pose (4, 4) in a frame."""
+    x, y, z = T[:3, 3].tolist()
+    at = made("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    return made(POSE, header=header(t, frame), pose=made("geometry_msgs/msg/Pose", position=at, orientation=quaternion(T[:3, :3])))
+
+
+# Readings of a robot's sensors.
+def body_frame(robot: Robot) -> str:
+    """The frame in which the camera is mounted."""
+    return "flange" if robot.base == "fixed" else "base_link"
+
+
+def sensors_of(robot: Robot) -> dict[str, str]:
+    """The topics of a robot's readings, each with its kind of message."""
+    topics = {"joint_states": JOINTS} if robot.joints else {}
+    if robot.base != "fixed":
+        topics["imu"] = IMU
+    if robot.base == "floating":
+        topics |= {"odom": ODOMETRY, "range": RANGE}
+    return topics
+
+
+UNKNOWN = np.zeros(36)
+NONE = np.array([-1.0, *[0.0] * 8])  # a covariance that begins with -1: there is no such measurement
+
+
+def readings(t: float, robot: Robot, reading: Reading) -> dict[str, Message]:
+    """A reading [rad, m, s] as messages by topic: joints; of a vehicle or a craft its attitude; of a craft its velocity and its height."""
+    found: dict[str, Message] = {}
+    if robot.joints:
+        q, qd = np.asarray(reading.q, dtype=float), np.asarray(reading.qd, dtype=float)
+        found["joint_states"] = made(
+            JOINTS, header=header(t, ""), name=list(robot.joints), position=q.copy(), velocity=qd.copy(), effort=np.zeros(0)
+        )
+    if robot.base == "fixed":
+        return found
+    known = reading.heading is not None or reading.tilt is not None
+    roll, pitch = (0.0, 0.0) if reading.tilt is None else reading.tilt
+    R, craft = rotation_from_rpy(np.array([roll, pitch, reading.heading or 0.0])), isinstance(reading, FlightReading)
+    found["imu"] = made(
+        IMU,
+        header=header(t, "base_link"),
+        orientation=quaternion(R),
+        orientation_covariance=np.zeros(9) if known else NONE,
+        angular_velocity=vector(reading.estimate.rates if isinstance(reading, FlightReading) else (0.0, 0.0, 0.0)),
+        angular_velocity_covariance=np.zeros(9) if craft else NONE,
+        linear_acceleration=vector((0.0, 0.0, 0.0)),
+        linear_acceleration_covariance=NONE,
+    )
+    if isinstance(reading, FlightReading):
+        moved = made("geometry_msgs/msg/Twist", linear=vector(reading.estimate.velocity), angular=vector(reading.estimate.rates))
+        at = made("geometry_msgs/msg/Pose", position=made("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0), orientation=quaternion(R))
+        found["odom"] = made(
+            ODOMETRY,
+            header=header(t, "odom"),
+            child_frame_id="base_link",
+            pose=made("geometry_msgs/msg/PoseWithCovariance", pose=at, covariance=UNKNOWN),
+            twist=made("geometry_msgs/msg/TwistWithCovariance", twist=moved, covariance=UNKNOWN),
+        )
+        found["range"] = made(
+            RANGE,
+            header=header(t, "base_link"),
+            radiation_type=1,
+            field_of_view=0.0,
+            min_range=0.0,
+            max_range=math.inf,
+            range=reading.range_m,
+            variance=0.0,
+        )
+    return found
+
+
+def reading_of(robot: Robot, found: Mapping[str, Message]) -> Reading:
+    """The reading that messages by topic tell. ParameterError: a topic or a joint is missing."""
+    if missing := sorted(set(sensors_of(robot)) - set(found)):
+        words = ", ".join(f"{name} ({sensors_of(robot)[name]})" for name in missing)
+        raise ParameterError("readings", f"need {words}, of which nothing was heard")
+    q = qd = np.zeros(0)
+    if robot.joints:
+        q, qd = joints_of(found["joint_states"], robot.joints)
+    if robot.base == "fixed":
+        return Reading(q, qd)
+    imu = found["imu"]
+    o, oriented = imu.orientation, imu.orientation_covariance[0] >= 0
+    R = rotation_from_quaternion(np.array([o.w, o.x, o.y, o.z]) / (math.hypot(o.w, o.x, o.y, o.z) or 1.0))
+    roll, pitch, heading = np.radians(rpy_of(R.tolist())).tolist()
+    if robot.base == "planar":
+        return Reading(q, qd, heading if oriented else None)
+    tilt, rates = np.array([roll, pitch]), np.array(three(imu.angular_velocity))
+    velocity = np.array(three(found["odom"].twist.twist.linear))
+    # Of the flight loops' own state these messages tell nothing: their references are what the craft does.
+    estimate = FlightEstimate(velocity, rates, tilt, rates, 0.0, bool(R[2, 2] < math.cos(RECOVER_RAD)), False)
+    return FlightReading(q, qd, heading if oriented else None, tilt, range_m=float(found["range"].range), estimate=estimate)
+
+
+def joints_of(message: Message, names: Sequence[str]) -> tuple[Array, Array]:
+    """Positions and velocities (n,) [rad, m] of joints by their names; velocities that are not told are NaN.
+    ParameterError: one is not in the message.
+    """
+    there = {name: i for i, name in enumerate(message.name)}
+    if missing := [name for name in names if name not in there]:
+        words = f"have no {', '.join(missing)}; this robot's joints are {', '.join(names)}, in any order, with others or without"
+        raise ParameterError("joint_states", words, list(message.name))
+    order = [there[name] for name in names]
+    q, qd = np.asarray(message.position, dtype=float), np.asarray(message.velocity, dtype=float)
+    return q[order], qd[order] if len(qd) == len(message.name) else np.full(len(order), np.nan)
