@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
-Format = Literal["mcap", "lerobot", "csv"]  # what other tools read
+Format = Literal["mcap", "rosbag2", "lerobot", "csv"]  # what other tools read
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,19 @@ class Exported:
 
 def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a comparison's.")],
-    to: Annotated[Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. lerobot: a dataset v3.0. csv: tables.")],
+    to: Annotated[
+        Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2. lerobot: a dataset v3.0. csv: tables.")
+    ],
     out: Annotated[Path | None, typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]")] = None,
-    start: Annotated[float | None, typer.Option(min=0, metavar="SECONDS", help="mcap: what t = 0 is, since 1970. [default: 0]")] = None,
+    start: Annotated[
+        float | None, typer.Option(min=0, metavar="SECONDS", help="mcap, rosbag2: what t = 0 is, since 1970. [default: 0]")
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
     plugin: Plugins = None,
 ) -> None:
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
-    if start is not None and to != "mcap":
-        raise ParameterError.only_for("--start", "--to mcap; the times of other formats begin at 0")
+    if start is not None and to not in ("mcap", "rosbag2"):
+        raise ParameterError.only_for("--start", "--to mcap and rosbag2; the times of other formats begin at 0")
     from rich.progress import Progress, TimeRemainingColumn
 
     from vstestbed.cli.progress import ProgressBar, show_notes
@@ -70,6 +74,13 @@ def export(
             from vstestbed.report.export.lerobot import write_dataset
 
             write_dataset(runs, path, bar.were_done, found.within)
+        elif to == "rosbag2":
+            from vstestbed.ros.bag import write_rosbag2, write_rosbags
+
+            if found.within is None:
+                write_rosbag2(next(runs), path, start or 0.0, bar.were_done)
+            else:
+                write_rosbags(runs, path, found.within, start or 0.0, bar.were_done)
         else:
             from vstestbed.report.export.mcap_file import write_mcap, write_mcaps
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -29,6 +30,7 @@ def ros(
     pace: Annotated[Literal["lockstep", "wall"], typer.Option(help="robot: time waits for commands, or goes with the clock.")] = "lockstep",
     start: Annotated[bool, typer.Option("--start", help="law: servo at once, without waiting for ~/start.")] = False,
     watchdog: Annotated[float | None, typer.Option(min=0.01, metavar="SECONDS", help="Rest after so long without the other side.")] = None,
+    bag: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: record what is told and commanded as rosbag2.")] = None,
     truth: Annotated[bool, typer.Option("--truth", help="robot: tell true poses under /truth.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="robot: folder of the run. [default: runs/SCENARIO/NUMBER]")] = None,
     remap: Remap = None,
@@ -55,7 +57,7 @@ def ros(
                 if not quiet:
                     typer.echo(f"{len(servo.took_s)} twists, each {median_ms(servo.took_s):.2f} ms after its picture (median)", err=True)
             elif role == "robot":
-                _fly(given, link, pace, truth, watchdog, out, quiet, ended)
+                _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:
                 answers = [f"{name}: {answer[1]}" for name in NODES if (answer := link.call(f"/{name}/{role}"))]
                 if not answers:
@@ -66,16 +68,22 @@ def ros(
             signal.signal(number, handler)
 
 
-def _fly(given, link, pace, truth, watchdog, out, quiet, ended) -> None:  # type: ignore[no-untyped-def] - as above
+def _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended) -> None:  # type: ignore[no-untyped-def] - as above
     from vstestbed.cli.ending import GOAL_REACHED, NOT_REACHED
     from vstestbed.cli.progress import Progress, summary_text
+    from vstestbed.core.files import make_parents, must_be_new
+    from vstestbed.loop.episode import BY_HAND
+    from vstestbed.ros.bag import Bag
     from vstestbed.ros.law import median_ms
     from vstestbed.ros.robot import RobotNode
     from vstestbed.studies.run_folder import new_folder, run_into
 
-    node = RobotNode(given, link, pace, truth, watchdog, ended)
+    if bag is not None:
+        must_be_new(bag, "give a new folder with --bag")
     folder = new_folder(given, out)
-    with Progress(given, shown=not quiet) as progress:
+    given = given.but(description=f"{given.description} {BY_HAND} commanded from outside.".strip())  # before it flies: it is written first
+    with Progress(given, shown=not quiet) as progress, nullcontext() if bag is None else Bag(make_parents(bag)) as record:
+        node = RobotNode(given, link, pace, truth, watchdog, ended, record)
         recording = run_into(folder, given, "none", [progress], progress.say, fly=node.fly)
     if not quiet:
         typer.echo(summary_text(recording, folder, filmed=False), err=True)
@@ -93,3 +101,32 @@ def remapped(words: list[str] | None) -> dict[str, str]:
             raise ParameterError.form("--remap", "TOPIC=/OTHER, such as image_raw=/camera/color/image_raw", word)
         found[name.removeprefix("~/").removeprefix("/")] = other
     return found
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A folder of rosbag2, or an MCAP file of it or of `export --to mcap`.")],
+    scenario: ScenarioName,
+    set_: Settings = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder for page and table. [default: BAG_replay]")] = None,
+    remap: Remap = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """A recorded bag through a scenario's controller: where its twists differ from the recorded ones."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.cli.studies import command_line
+    from vstestbed.core.files import must_be_new, whole_folder
+    from vstestbed.ros.bag import replay as replayed
+    from vstestbed.ros.bag import write_replay
+
+    given, beside = load_scenario(scenario, set_, plugin, None), bag.resolve()
+    path = out or beside.with_name(f"{beside.stem}_replay")
+    must_be_new(path, "give a new folder with --out")
+    show_notes(not quiet)
+    found = replayed(bag, given, remapped(remap))
+    with whole_folder(path) as folder:
+        write_replay(folder, found, bag.name, command_line())
+    if not quiet:
+        differs = found.differs
+        words = f"; of {len(differs)} recorded twists the largest difference is {differs.max():.3g}" if len(differs) else ""
+        typer.echo(f"{len(found.table)} pictures{words}\n{path / 'report.html'}", err=True)

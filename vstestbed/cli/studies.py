@@ -37,7 +37,8 @@ def _tell(as_json: bool, quiet: bool, plain: Callable[[], Any], text: Callable[[
         typer.echo(text(), err=True)
 
 
-def _command() -> str:
+def command_line() -> str:
+    """The command as it was given, for the page of what it made; "" of a call from Python."""
     return shlex.join(["vstestbed", *sys.argv[1:]]) if len(sys.argv) > 1 else ""
 
 
@@ -104,7 +105,7 @@ def basin(
     show_notes(not quiet)
     found = laws(comparison, field_of_view, force)
     mapped: list[Basin] = []
-    with _results_in("basin", out, mapped, len(found), "maps", lambda folder: write(folder, mapped, _command())) as folder:
+    with _results_in("basin", out, mapped, len(found), "maps", lambda folder: write(folder, mapped, command_line())) as folder:
         for label, scenario in found:
             mapped.append(map_of(label, scenario, across, up, rest, check, jobs=jobs, folder=folder))
             if mapped[-1].interrupted:
@@ -168,7 +169,7 @@ def sweep(
             typer.echo(f"{len(found)} of {total} runs", err=True)
 
     total = len(study.runs)
-    with _results_in("sweep", out, found, total, "runs", lambda folder: write(folder, study, ended(), _command())) as folder:
+    with _results_in("sweep", out, found, total, "runs", lambda folder: write(folder, study, ended(), command_line())) as folder:
         study.run_all(folder, jobs, done)
     if as_json:
         sys.stdout.write(study.table(ended()).write_json() + "\n")
@@ -214,7 +215,9 @@ def gain_limit(
         if not (quiet or as_json):
             typer.echo(_summary_line(one), err=True)
 
-    with _results_in("gain-limit", out, limits, total, "delays", lambda folder: write(folder, limits, chosen.name, _command())) as folder:
+    with _results_in(
+        "gain-limit", out, limits, total, "delays", lambda folder: write(folder, limits, chosen.name, command_line())
+    ) as folder:
         find_limits(chosen, delays, done)
     _tell(as_json, quiet, lambda: [limit.row() for limit in limits], lambda: RESULTS.format(folder))
 

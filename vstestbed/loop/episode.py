@@ -36,6 +36,7 @@ from vstestbed.vision.base import goal_of_points, points_of
 
 _NOWHERE = np.full(3, np.nan)  # place and odometry of a robot that has none
 
+BY_HAND = "Changed by hand during the run:"  # in the description of a run that no scenario repeats
 PARTS = ("physics", "render", "detect", "law", "record", "video")  # parts of a run's wall time
 
 
@@ -90,6 +91,11 @@ class Episode:
             self.loop_s += time.perf_counter() - start
 
     @property
+    def now(self) -> float:
+        """The simulated time [s]; of a frame that has just come that of its picture's arrival."""
+        return self._step * self.plant.step_s
+
+    @property
     def steps(self) -> bool:
         """Whether it is under way to its next frame, in another thread."""
         return inspect.getgeneratorstate(self._frames) == inspect.GEN_RUNNING
@@ -123,7 +129,7 @@ class Episode:
         scenario = self.scenario
         if self.by_hand:
             words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
-            scenario = replace(scenario, description=f"{scenario.description} Changed by hand during the run: {words}.".strip())
+            scenario = replace(scenario, description=f"{scenario.description} {BY_HAND} {words}.".strip())
         return Recording(
             scenario,
             outcome,

@@ -42,7 +42,8 @@ class Session:
     Args:
         scenario: the experiment; ParameterError where it is none.
         pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
-            detector `tags`: a tag's texture drawn whole differs from one drawn in a window by a grey level, its corners by .001 px.
+            the detectors `tags` and `lines`: what is drawn whole differs from what is drawn in a window by a grey level here and there, a
+            tag's corners by 0.001 px, a line on the floor by 0.06 px in 9 of 1,126 frames of car_line.
         watch: receive every frame, with the command that was sent.
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
     """
@@ -100,7 +101,7 @@ class Session:
         return (episode.advance(numbers) or episode.ended()).protected()
 
     def take_pictures(self, on: bool) -> None:
-        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time. No number changes."""
+        """Whether the exposures from now on are whole pictures, where `pictures` was asked for: fewer take less time."""
         self._running().take_pictures(on and self._pictures)
 
     def retune(self, law: Law[Any]) -> None:

@@ -24,6 +24,7 @@ from vstestbed.ros.messages import (
     OPTICAL,
     Message,
     body_frame,
+    check_single,
     depth_of,
     joints_of,
     picture_of,
@@ -55,6 +56,11 @@ def command_frame(scenario: Scenario) -> str:
 
 def _in_the_room(scenario: Scenario) -> bool:
     return scenario.target.on_gripper
+
+
+def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
+    """The twist (6,) of an order in the frame in which twists are sent; of a robot whose joints are at q."""
+    return order.twist if command_frame(scenario) == OPTICAL else mount_at(scenario, mount, q).to_flange @ order.twist
 
 
 class Stepped(NamedTuple):
@@ -134,6 +140,7 @@ class Servo:
     """
 
     def __init__(self, scenario: Scenario, live: bool = True):
+        check_single(scenario.camera)
         self.scenario, self._live = scenario, live
         self.controller = Controller(scenario)
         self.senses = Senses(scenario.robot, LATE * scenario.camera.period)
@@ -170,10 +177,7 @@ class Servo:
 
     def sent(self, order: Order) -> Array:
         """The twist (6,) of an order in the frame in which twists are sent (`command_frame`)."""
-        if command_frame(self.scenario) == OPTICAL:
-            return order.twist
-        mount = mount_at(self.scenario, self.mount, self.senses.at().q)
-        return mount.to_flange @ order.twist
+        return sent(self.scenario, self.mount, order, self.senses.at().q)
 
 
 class LawNode:
@@ -188,7 +192,7 @@ class LawNode:
         self.servo, self.link, self.scenario = Servo(scenario), link, scenario
         self.watchdog_s = watchdog_s or scenario.timing.order_s(scenario.camera)
         self._stopped = "" if started else "not started"
-        self._asked_to_reset = False
+        self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset
         self._picture: Message | None = None
         self._news = threading.Condition()
         self._status = ""
@@ -236,10 +240,12 @@ class LawNode:
         with self._news:
             self._asked_to_reset, self._stopped = True, "not started"
         self._rest(self._stopped)
+        self._moved = False
         return True, self._stopped
 
     def _rest(self, why: str) -> None:
-        self._send(np.zeros(6), self._now())
+        if self._moved:  # who has not begun leaves the robot to others, who may bring it to its start
+            self._send(np.zeros(6), self._now())
         self._tell(f"stopped: {why}")
 
     def _send(self, v: Array, t: float) -> None:
@@ -296,6 +302,7 @@ class LawNode:
             stopped = self._stopped
         if stopped:  # meanwhile
             return time.monotonic()
+        self._moved = True
         self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(time.perf_counter() - began)
         if cycle.latched:
@@ -313,7 +320,7 @@ class LawNode:
             )
 
     def _silent(self, elapsed_s: float) -> None:
-        words = f"no picture for {elapsed_s:.1f} s"
+        words = f"no picture for over {self.watchdog_s:g} s"
         if self.servo.controller.before is None:
             return self._rest("waits for pictures")
         try:

@@ -40,8 +40,8 @@ class Link(ABC):
         return f"/{self.node}/{topic[2:]}" if topic.startswith("~/") else topic if topic.startswith("/") else f"/{topic}"
 
     @abstractmethod
-    def publish(self, topic: str, message: Message) -> None:
-        """Send a message."""
+    def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
+        """Send a message. now: the time by its clock [s], which a bag keeps."""
 
     @abstractmethod
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
@@ -94,7 +94,7 @@ class Zenoh(Link):
         package, _, name = kind.split("/")
         return f"{self.domain}/{self.name(topic).strip('/')}/{package}::msg::dds_::{name}_/{types().hash_rihs01(kind)}"
 
-    def publish(self, topic: str, message: Message) -> None:
+    def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         """As `Link.publish`."""
         key = self.key(topic, message.__msgtype__)
         if key not in self._publishers:
@@ -173,7 +173,7 @@ class Rclpy(Link):
             return qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         return qos.QoSProfile(depth=10)
 
-    def publish(self, topic: str, message: Message) -> None:
+    def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
         """As `Link.publish`; without a word where the message's package is not installed."""
         if topic not in self._publishers:
             kind = self._class(message.__msgtype__)

@@ -233,6 +233,13 @@ def pose(t: float, T: Array, frame: str = WORLD) -> Message:
 
 
 # Readings of a robot's sensors.
+def check_single(camera: Camera) -> None:
+    """Refuse a camera whose pictures are no one image; ParameterError."""
+    if len(camera.panels) > 1:
+        words = f"has {len(camera.panels)} pictures at once, and a topic has one; works: perspective, fisheye or catadioptric"
+        raise ParameterError("camera", words)
+
+
 def body_frame(robot: Robot) -> str:
     """The frame in which the camera is mounted."""
     return "flange" if robot.base == "fixed" else "base_link"

@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,13 +28,16 @@ from vstestbed.ros.messages import (
     Message,
     body_frame,
     camera_info,
+    check_single,
     clock,
     depth_image,
+    header,
     image,
     pose,
     readings,
     time_of,
     transforms,
+    twist,
     twist_of,
 )
 from vstestbed.scenario.scenario import Scenario, check_scenario
@@ -41,6 +45,49 @@ from vstestbed.tasks.frame import Frame
 
 Pace = Literal["lockstep", "wall"]
 AGAIN_S = 0.01  # after so long without an answer readings are told again [s]
+
+
+class Voice:
+    """What a robot's camera and sensors tell, frame by frame, as messages. link: where to. offset_s: what t = 0 is by the stamps [s].
+    truth: whether the poses of camera and target are told, under `/truth`.
+    """
+
+    def __init__(self, scenario: Scenario, link: Link, truth: bool, offset_s: float = 0.0):
+        check_single(scenario.camera)
+        self._scenario, self._link, self._truth, self._offset = scenario, link, truth, offset_s
+        self._mount = Mount.of(scenario.believed_camera.mount.T)
+        self._info = camera_info(0.0, scenario.believed_camera)
+        self._readings: list[tuple[float, Reading]] = []
+        self.stamp = self.now = 0.0
+        self.q = scenario.robot.start_joints()
+
+    def readings(self) -> None:
+        """Those of the last exposure and of now; again, as a robot's driver tells them: single ones may be lost beside a picture."""
+        for stamp, reading in self._readings:
+            for topic, message in readings(stamp, self._scenario.robot, reading).items():
+                self._link.publish(topic, message, stamp)
+
+    def frame(self, episode: Episode, frame: Frame) -> None:
+        """A frame that has just arrived: readings at its exposure and now, where the camera is, then the picture."""
+        s, link, shot = self._scenario, self._link, episode.controller.before
+        assert shot is not None and frame.image is not None
+        t, now = shot.t + self._offset, episode.now + self._offset
+        self.stamp, self.now, self.q = t, now, shot.reading.q
+        link.publish("/clock", clock(now), now)
+        self._readings = [(t, shot.reading)] if now <= t else [(t, shot.reading), (now, episode.plant.reading())]
+        self.readings()
+        of_arm, parent = s.robot.base == "fixed" and s.robot.joints, body_frame(s.robot)
+        poses = {(WORLD, "flange"): s.robot.flange_pose(self.q)} if of_arm else {}
+        poses[WORLD if s.target.on_gripper else parent, OPTICAL] = self._mount.T_flange_camera
+        link.publish("/tf", transforms(t, poses), t)
+        if self._truth:
+            link.publish("/truth/camera_pose", pose(frame.t + self._offset, frame.truth.T_world_camera), now)
+            link.publish("/truth/target_pose", pose(frame.t + self._offset, frame.truth.T_world_target), now)
+        if self._info is not None:
+            link.publish("~/camera_info", replace(self._info, header=header(t, OPTICAL)), now)
+        if frame.depth_image is not None:
+            link.publish("~/depth", depth_image(t, frame.depth_image), now)
+        link.publish("~/image_raw", image(t, frame.image), now)
 
 
 class RobotNode:
@@ -53,6 +100,7 @@ class RobotNode:
             of it.
         truth: whether the poses of camera and target are told, under `/truth`.
         watchdog_s: wall time without a command after which the robot is told to rest [s]; by default for as long as an order lasts.
+        ended: when to end. record: a bag that keeps what is told and commanded; None for none.
     """
 
     def __init__(
@@ -63,23 +111,24 @@ class RobotNode:
         truth: bool = False,
         watchdog_s: float | None = None,
         ended: threading.Event | None = None,
+        record: Link | None = None,
     ):
         check_scenario(scenario)
         if scenario.detector.needs_truth and not scenario.needs_image:
             words = f"sends no pictures with detector {scenario.detector.kind}, for none are drawn; works: --set detector=blobs"
             raise ParameterError("robot", words)
         self.scenario, self.link, self._pace, self._truth = scenario.resolved, link, pace, truth
+        self._voice, self._record = Voice(self.scenario, link, truth), record
         self.watchdog_s = watchdog_s or self.scenario.timing.order_s(self.scenario.camera)
         self._news = threading.Condition()
         self._command: tuple[float, Array, float] | None = None  # stamp, twist of the camera, when it came
         self._stopped = False
-        self._silent = True  # nobody has commanded yet, or not for too long
+        self._as_told = np.zeros(6), command_frame(scenario)
+        self._heard, self._silent = False, False  # a command ever; none for too long
         self._mount = Mount.of(self.scenario.believed_camera.mount.T)
         self.answered_s: list[float] = []  # from a picture's sending to its command
         self.behind_s = 0.0  # at most, of simulated behind wall time
         self.refused = ""
-        self._readings: list[tuple[float, Reading]] = []
-        self._q, self._offset = self.scenario.robot.start_joints(), 0.0
         self.ended = ended or threading.Event()
         link.subscribe(command_topic(scenario), TWIST, self._hear)
         link.serve("~/stop", self.stop)
@@ -112,13 +161,13 @@ class RobotNode:
             return
         with self._news:
             in_camera = frame == OPTICAL or (not frame and command_frame(self.scenario) == OPTICAL)
+            self._heard, self._as_told = True, (v, frame)
             self._command = time_of(message), v if in_camera else self._of_body(v), time.monotonic()
             self._news.notify()
 
     def _of_body(self, v: Array) -> Array:
         """The camera's twist of one of the flange or the base."""
-        q = self._q if self.scenario.target.on_gripper else np.zeros(0)
-        return mount_at(self.scenario, self._mount, q).to_camera @ v
+        return mount_at(self.scenario, self._mount, self._voice.q).to_camera @ v
 
     def fly(self, scenario: Scenario, watch: Iterable[Watcher] = (), folder: Path | None = None, *, pictures: bool = True) -> Recording:
         """Run it until an outcome, or `ended`; as `loop.run`."""
@@ -126,68 +175,56 @@ class RobotNode:
         with contextlib.closing(episode):
             frame = episode.advance()
             began, simulated = time.monotonic(), 0.0 if frame is None else frame.t
-            self._offset = time.time() - simulated if self._pace == "wall" else 0.0
+            offset = time.time() - simulated if self._pace == "wall" else 0.0
+            self._voice = Voice(self.scenario, self.link, self._truth, offset)
+            recorded = self._record and Voice(self.scenario, self._record, True, offset)
             while frame is not None and episode.outcome is None and not self.ended.is_set():
-                self._publish(episode, frame)
+                if recorded is not None:
+                    recorded.frame(episode, frame)
+                self._voice.frame(episode, frame)
+                if self._pace == "lockstep" and not self._heard:
+                    self._wait_for_the_first(episode, frame)
+                    began = time.monotonic() - (frame.t - simulated)
                 sent = time.monotonic()
-                v = self._wait(frame, began + frame.t - simulated + scenario.camera.period)
+                v = self._wait(began + frame.t - simulated + scenario.camera.period)
                 if v is not None:
                     self.answered_s.append(time.monotonic() - sent)
+                    if self._record is not None:
+                        raw, frame_id = self._as_told
+                        self._record.publish(command_topic(scenario), twist(self._voice.now, raw, frame_id), self._voice.now)
                 episode.changed_by_hand("commanded from outside")
                 frame = episode.advance(np.zeros(6) if v is None else v)
                 if frame is not None:
                     self.behind_s = max(self.behind_s, time.monotonic() - began - (frame.t - simulated))
         return episode.recording()
 
-    def _wait(self, frame: Frame, due: float) -> Array | None:
-        """The twist for a frame; None for rest. due: when the next picture is due [s]."""
+    def _wait_for_the_first(self, episode: Episode, frame: Frame) -> None:
+        """Tell a frame again until there is a command: who will give it may not be there yet."""
+        logging.getLogger("vstestbed").warning("waits for commands on %s", self.link.name(command_topic(self.scenario)))
+        while not (self._heard or self.ended.is_set()):
+            with self._news:
+                self._news.wait(0.5)
+            if not self._heard:
+                self._voice.frame(episode, frame)
+
+    def _wait(self, due: float) -> Array | None:
+        """The twist for the frame that was told; None for rest. due: when the next picture is due [s]."""
         with self._news:
             if self._pace == "wall":
                 while not self.ended.is_set() and (left := due - time.monotonic()) > 0:
-                    self._news.wait(min(left, 0.1))
+                    if not self._news.wait(min(left, AGAIN_S)):
+                        self._voice.readings()
                 fresh = self._command is not None and time.monotonic() - self._command[2] <= self.watchdog_s
                 self._silent = not fresh
                 return self._command[1] if self._command is not None and fresh and not self._stopped else None
             # After a silence simulated time goes on with the wall's: a robot whose law is dead comes to rest, and its pictures go on.
             end = time.monotonic() + (self.scenario.camera.period if self._silent else self.watchdog_s)
-            stamp = frame.t + self._offset
             answered = False
             while not (answered or self._stopped or self.ended.is_set()) and (left := end - time.monotonic()) > 0:
                 if not self._news.wait(min(left, AGAIN_S)):
-                    self._tell_readings()
-                answered = self._command is not None and self._command[0] >= stamp - 1e-6
+                    self._voice.readings()
+                answered = self._command is not None and self._command[0] >= self._voice.stamp - 1e-6
             if self._stopped:
                 self._news.wait_for(self.ended.is_set, timeout=max(0.0, min(self.scenario.camera.period, end - time.monotonic())))
             self._silent = not answered
             return self._command[1] if self._command is not None and answered and not self._stopped else None
-
-    def _tell_readings(self) -> None:
-        """Those of the last exposure and of now, as often as a robot's driver would: single ones may be lost beside a picture."""
-        for stamp, reading in self._readings:
-            for topic, message in readings(stamp, self.scenario.robot, reading).items():
-                self.link.publish(topic, message)
-
-    def _publish(self, episode: Episode, frame: Frame) -> None:
-        """What camera and sensors tell at a frame: readings at the exposure and now, then the picture."""
-        robot, t, shot = self.scenario.robot, frame.t + self._offset, episode.controller.before
-        assert shot is not None and frame.image is not None
-        now = t + self.scenario.camera.latency_s
-        publish = self.link.publish
-        publish("/clock", clock(now))
-        self._readings = [(t, shot.reading)] if now <= t else [(t, shot.reading), (now, episode.plant.reading())]
-        self._tell_readings()
-        if robot.base == "fixed":
-            self._q = shot.reading.q
-            known = {(WORLD, "flange"): robot.flange_pose(self._q)} if robot.joints else {}
-            parent = WORLD if self.scenario.target.on_gripper else "flange"
-            publish("/tf", transforms(t, {**known, (parent, OPTICAL): self._mount.T_flange_camera}))
-        else:
-            publish("/tf", transforms(t, {("base_link", OPTICAL): self._mount.T_flange_camera}))
-        if self._truth:
-            publish("/truth/camera_pose", pose(t, frame.truth.T_world_camera))
-            publish("/truth/target_pose", pose(t, frame.truth.T_world_target))
-        if (info := camera_info(t, self.scenario.believed_camera)) is not None:
-            publish("~/camera_info", info)
-        if frame.depth_image is not None:
-            publish("~/depth", depth_image(t, frame.depth_image))
-        publish("~/image_raw", image(t, frame.image))

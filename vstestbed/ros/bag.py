@@ -1,0 +1,336 @@
+"""Bags: a run as rosbag2 (MCAP with ROS 2 messages), and a recorded bag, ours or somebody's, fed through the controller."""
+
+from __future__ import annotations
+
+import io
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, short
+from vstestbed.core.files import make_folder, whole_folder, write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.loop.episode import BY_HAND, Episode
+from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
+from vstestbed.robots import Mount
+from vstestbed.ros.law import Servo, command_frame, command_topic, sent
+from vstestbed.ros.link import Answer, Heard, Link
+from vstestbed.ros.messages import (
+    COMPRESSED,
+    IMAGE,
+    JOINTS,
+    NS,
+    TWIST,
+    Message,
+    header,
+    made,
+    sensors_of,
+    time_of,
+    to_cdr,
+    twist,
+    twist_of,
+    types,
+)
+from vstestbed.ros.robot import Voice
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.metrics import TWIST as TWIST_NAMES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SAME = 1e-9  # largest difference of a twist computed again from the recorded one that is called none [m/s, rad/s]
+SAME_RUN = 0.001  # largest difference of commands flown again from those of the log that is not worth a word [m/s, rad/s]
+
+
+class Bag(Link):
+    """A bag that is written: what is published stands in it, with the time of its clock. folder: a new one."""
+
+    def __init__(self, folder: Path, node: str = "vstestbed_robot"):
+        super().__init__(node, 0, {})
+        self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._writer.open()
+        self._topics: dict[str, Any] = {}
+
+    def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
+        """As `Link.publish`."""
+        name, kind = self.name(topic), message.__msgtype__
+        if name not in self._topics:
+            self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
+        self._writer.write(self._topics[name], round(now * NS), to_cdr(message))
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        """Nothing is heard from a bag that is written."""
+
+    def serve(self, service: str, answer: Answer) -> None:
+        """Nobody asks one."""
+
+    def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
+        """Nobody answers."""
+        return None
+
+    def close(self) -> None:
+        """As `Link.close`."""
+        self._writer.close()
+
+
+def write_rosbag2(run: RecordedRun, out: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None) -> Path:
+    """Fly a run again, and write what its camera and its sensors told, and the twists that were ordered, into a new folder `out`, which
+    appears whole or not at all. Pictures and readings are those that the controller was given, noise and motion blur included.
+
+    start_s: what t = 0 is by the stamps [s]. tick: called after each frame.
+    Raises RunFolderError: it was commanded from outside.
+    """
+    s, logged = run.scenario, run.log.frame().select([f"cmd_{name}" for name in TWIST_NAMES]).to_numpy()
+    mount, frames, differs = Mount.of(s.believed_camera.mount.T), 0, 0.0
+    if BY_HAND in s.given.description:
+        words = "was commanded from outside, which cannot be flown again"
+        raise RunFolderError(run.folder, words, "vstestbed ros ... --role robot --bag DIR records while it flies")
+    with whole_folder(out) as folder:
+        with Bag(folder / out.name) as bag, closing(Episode(s, True, (), None)) as episode:
+            voice = Voice(s, bag, truth=True, offset_s=start_s)
+            frame = episode.advance()
+            while frame is not None and frames < len(logged):
+                differs = max(differs, float(np.nan_to_num(np.abs(frame.command.twist - logged[frames])).max()))
+                voice.frame(episode, frame)
+                v = sent(s, mount, frame.order, voice.q)
+                bag.publish(command_topic(s), twist(voice.now, v, command_frame(s)), voice.now)
+                tick()
+                frames += 1
+                frame = episode.advance() if episode.outcome is None else None
+        for path in (folder / out.name).iterdir():
+            path.rename(folder / path.name)
+        (folder / out.name).rmdir()
+    if differs > SAME_RUN:  # tags and lines are a little elsewhere in whole pictures, which no window has
+        logging.getLogger("vstestbed").warning(
+            "%s: its commands, flown again, differ by up to %.2g from those of %s", out, differs, run.folder
+        )
+    return out
+
+
+def write_rosbags(
+    runs: Iterable[RecordedRun], out: Path, within: Path, start_s: float = 0.0, tick: Callable[[], None] = lambda: None
+) -> Path:
+    """Write a bag for each run into a new folder `out`, which appears whole or not at all, at the run's place within a folder."""
+    with whole_folder(out) as folder:
+        for run in runs:
+            path = folder / run.place(within)
+            make_folder(path.parent)
+            write_rosbag2(run, path, start_s, tick)
+    return out
+
+
+# Replay: what was recorded, in the order of its arrival, through the controller.
+class Event(NamedTuple):
+    """A message of a bag: what it is here (`image`, `depth`, `twist`, or a topic of `sensors_of`), and when it came [s]."""
+
+    role: str
+    arrived: float
+    message: Message
+
+
+def events(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Event]:
+    """The messages of a bag that a controller needs, in their order. path: a folder of rosbag2, an MCAP file of it, or of
+    `export --to mcap`. remap: topics by `image_raw`, `depth`, `twist`, and those of the readings.
+    Raises RunFolderError: no bag, or one that cannot be read. ParameterError: no topic, or more than one, for what is needed.
+    """
+    if not path.exists():
+        raise RunFolderError(path, "no such file or folder", "a folder of rosbag2, or an MCAP file")
+    if path.is_file() and _of_foxglove(path):
+        yield from _foxglove(path, scenario)
+        return
+    try:
+        reader = AnyReader([path], default_typestore=types())
+        reader.open()
+    except (AnyReaderError, OSError, ValueError) as error:
+        raise RunFolderError(path, f"cannot be read ({error})", "a folder of rosbag2, or an MCAP file") from None
+    with closing(reader):
+        roles = {topic: role for role, topic in _topics(reader, scenario, remap).items()}
+        for connection, timestamp, data in reader.messages([c for c in reader.connections if c.topic in roles]):
+            yield Event(roles[connection.topic], timestamp / NS, reader.deserialize(data, connection.msgtype))
+
+
+def _topics(reader: AnyReader, scenario: Scenario, remap: Mapping[str, str]) -> dict[str, str]:
+    """Topics by what they are here: as they are mapped, named as ours, or the only one of their kind."""
+    kinds = {"image_raw": (IMAGE, COMPRESSED), "twist": (TWIST,)} | {name: (kind,) for name, kind in sensors_of(scenario.robot).items()}
+    if scenario.law.depth.measured:
+        kinds["depth"] = (IMAGE,)
+    ours = {"image_raw": "/vstestbed_robot/image_raw", "depth": "/vstestbed_robot/depth", "twist": command_topic(scenario)}
+    there = {c.topic: c.msgtype for c in reader.connections}
+    found: dict[str, str] = {}
+    for role, those in kinds.items():
+        named, of_kind = remap.get(role, ours.get(role, f"/{role}")), [topic for topic, kind in there.items() if kind in those]
+        if named in of_kind:
+            found[role] = named
+        elif role not in remap and len(of_kind) == 1 and role != "depth":
+            found[role] = of_kind[0]
+        elif role != "twist" or role in remap:
+            listed = ", ".join(of_kind) or f"none; the bag has {', '.join(f'{t} ({k})' for t, k in there.items()) or 'nothing'}"
+            raise ParameterError("--remap", f"{role}=TOPIC must say which topic it is: of {' or '.join(those)} there are {listed}")
+    return found
+
+
+def _of_foxglove(path: Path) -> bool:
+    """Whether an MCAP file has messages in protobuf, as `export --to mcap` writes them."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import make_reader
+    except ImportError as error:
+        raise EnvironmentLackError(f"MCAP files need {error.name}, which is not installed", "pip install 'vstestbed[export]'") from None
+    with path.open("rb") as file:
+        try:
+            summary = make_reader(file).get_summary()
+        except McapError as error:
+            raise RunFolderError(path, f"is no MCAP file ({error})", "a folder of rosbag2, or an MCAP file") from None
+        return summary is not None and any(c.message_encoding == "protobuf" for c in summary.channels.values())
+
+
+def _foxglove(path: Path, scenario: Scenario) -> Iterator[Event]:
+    """The same of a file of `export --to mcap`, whose joints are the true ones."""
+    from mcap_protobuf.reader import read_protobuf_messages
+
+    joints = scenario.robot.joints
+    units = {name: unit_of_joint(name, scenario) for name in joints}
+    named = {"/truth/joint_positions": {n: name_with_unit(n, u) for n, u in units.items()}}
+    named["/truth/joint_velocities"] = {n: name_with_unit(n, f"{u}/s") for n, u in units.items()}
+    values = [name_with_unit(name, "m/s" if name.startswith("v") else "rad/s") for name in TWIST_NAMES]
+    waiting: dict[str, Any] = {}
+    latency, last_image = scenario.camera.latency_s, None
+    order = {"/truth/joint_positions": 0, "/truth/joint_velocities": 1, "/camera/image": 2, "/robot/applied": 3}
+    for m in sorted(read_protobuf_messages(str(path), topics=list(order)), key=lambda m: (m.log_time_ns, order[m.topic])):
+        t, message = m.log_time_ns / NS, m.proto_msg
+        if m.topic in named:
+            waiting[m.topic] = np.array([getattr(message, named[m.topic][name]) for name in joints])
+            if len(waiting) == 2:
+                q, qd = (waiting.pop(topic) for topic in named)
+                yield Event(
+                    "joint_states", t, made(JOINTS, header=header(t, ""), name=list(joints), position=q, velocity=qd, effort=np.zeros(0))
+                )
+        elif m.topic == "/camera/image":
+            data = np.frombuffer(message.data, np.uint8)
+            yield Event("image_raw", t + latency, made(COMPRESSED, header=header(t, "camera"), format=message.format, data=data))
+            last_image = t
+        elif last_image is not None:
+            yield Event("twist", t, twist(t, np.array([getattr(message, name) for name in values]), command_frame(scenario)))
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A bag that went through the controller. table: a line for each picture. recorded, computed: twists (n, 6), NaN where none is."""
+
+    table: pl.DataFrame
+    recorded: Array
+    computed: Array
+
+    @property
+    def differs(self) -> Array:
+        """The largest difference of a component, of each picture to which a twist was recorded."""
+        both = np.abs(self.recorded - self.computed).max(axis=1)
+        return both[np.isfinite(both)]
+
+
+def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None, tick: Callable[[], None] = lambda: None) -> Replayed:
+    """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture.
+    A twist belongs to the picture before it.
+    """
+    servo, rows, recorded = Servo(scenario, live=False), list[dict[str, Any]](), list[Array]()
+    waiting: list[Event] = []
+
+    def step(event: Event) -> None:
+        began = time.perf_counter()
+        late = event.arrived - time_of(event.message)  # by another clock it says nothing
+        cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None).cycle
+        row = {"t": cycle.t, "stopped": cycle.stopped, "reason": cycle.reason, "notes": "; ".join(cycle.notes)}
+        row["took_ms"] = 1e3 * (time.perf_counter() - began)
+        rows.append(row | dict(zip((f"computed_{n}" for n in TWIST_NAMES), servo.sent(cycle.order).tolist(), strict=True)))
+        recorded.append(np.full(6, np.nan))
+        tick()
+
+    for event in events(path, scenario, remap or {}):
+        if event.role == "image_raw":
+            waiting.append(event)
+        elif event.role == "twist" and rows and not waiting:
+            recorded[-1] = twist_of(event.message) if np.isnan(recorded[-1]).any() else recorded[-1]
+        elif event.role == "twist" and waiting:
+            step(waiting.pop(0))
+            recorded[-1] = twist_of(event.message)
+        elif event.role == "depth":
+            servo.depth = event.message
+        elif event.role in sensors_of(scenario.robot):
+            servo.senses.hear(event.role, event.message)
+        while len(waiting) > 1 or (waiting and servo.senses.until(time_of(waiting[0].message))):
+            step(waiting.pop(0))
+    for event in waiting:
+        step(event)
+    if not rows:
+        raise RunFolderError(path, "has no picture", "is the topic the right one (--remap image_raw=/TOPIC)?")
+    table, given = pl.DataFrame(rows), np.array(recorded)
+    computed = table.select([f"computed_{name}" for name in TWIST_NAMES]).to_numpy()
+    return Replayed(table.with_columns([pl.Series(f"recorded_{n}", given[:, i]) for i, n in enumerate(TWIST_NAMES)]), given, computed)
+
+
+def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Path:
+    """Write `replay.parquet` and the page into a folder; the page's path."""
+    from vstestbed.report.canvas import publish, style
+    from vstestbed.report.pages import write_page
+
+    content = io.BytesIO()
+    found.table.write_parquet(content)
+    write_whole(folder / "replay.parquet", content.getvalue())
+    with style():
+        plots = [("Twists", publish(_drawn(found), "twists", "Twists", None), CAPTION)]
+    differs, n = found.differs, len(found.table)
+    took = found.table["took_ms"].median()
+    sentences = [
+        f"{n} pictures went through the controller, each in {took:.2f} ms (median); {int(found.table['stopped'].sum())} ended in a stop."
+    ]
+    if len(differs):
+        same = int((differs <= SAME).sum())
+        head = f"{same} of {len(differs)} recorded twists are computed again to {SAME:g}"
+        sentences.append(f"The largest difference is {differs.max():.3g}, the median {np.median(differs):.3g} [m/s, rad/s].")
+        state = "good" if same == len(differs) else "open"
+    else:
+        head, state = "No twist was recorded: these are what the law would have ordered", "open"
+    reasons = found.table.filter(pl.col("reason") != "")["reason"].value_counts(sort=True).head(8).rows()
+    tables = (
+        [("Why it stopped, or did not follow the law", ["Reason", "Pictures"], [[str(r), str(c)] for r, c in reasons])] if reasons else []
+    )
+    return write_page(
+        folder, "study.html", f"Replay of {short(source)}", outcome=(head, state, sentences), plots=plots, tables=tables, command=command
+    )
+
+
+CAPTION = (
+    "Recorded twists (dots) and those that the controller computes of the recorded pictures and readings (lines), in the frame in which"
+    " they were sent; below the largest difference of a component."
+)
+
+
+def _drawn(found: Replayed) -> Figure:
+    from vstestbed.report.canvas import new_figure
+    from vstestbed.report.marks import LINE_COLORS
+
+    drawn, t = new_figure(5.2, 7.16), found.table["t"].to_numpy()
+    grid = drawn.subplots(3, 1, sharex=True)
+    for k, (axes, unit) in enumerate(zip(grid, ("m/s", "rad/s"), strict=False)):
+        for i in range(3):
+            colour, name = LINE_COLORS[i], TWIST_NAMES[3 * k + i]
+            axes.plot(t, found.computed[:, 3 * k + i], color=colour, label=name)
+            axes.plot(t, found.recorded[:, 3 * k + i], ".", markersize=2.5, color=colour)
+        axes.set_ylabel(f"[{unit}]")
+        axes.legend(loc="upper right", ncols=3)
+    differs = np.abs(found.recorded - found.computed).max(axis=1)
+    if np.isfinite(differs).any():
+        grid[2].semilogy(t, np.maximum(differs, 1e-17), ".", markersize=2.5, color=LINE_COLORS[3])
+    grid[2].set_ylabel("difference")
+    grid[2].set_xlabel("time [s]")
+    return drawn
