@@ -20,7 +20,7 @@ from vstestbed.cli import complete, tools
 from vstestbed.cli.compare import compare
 from vstestbed.cli.ending import GOAL_REACHED, INTERRUPTED, NOT_REACHED, exit_code
 from vstestbed.cli.export import export
-from vstestbed.cli.robots import calibrate
+from vstestbed.cli.robots import calibrate, excite, identify
 from vstestbed.cli.ros import replay, ros
 from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
@@ -220,7 +220,7 @@ def report(
 COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
-        *(run, render, report, export, compare, tune, basin, gain_limit, sweep, ros, replay, calibrate),
+        *(run, render, report, export, compare, tune, basin, gain_limit, sweep, ros, replay, calibrate, excite, identify),
         *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench, grade),
     )
 }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from vstestbed.cli.tools import Plugins, load_scenario
-from vstestbed.core.errors import ParameterError
+from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 BOARD = "7x5:0.04:0.03:4X4_50"
@@ -48,9 +49,11 @@ def calibrate(
     of = room.Board.of(board)
     if print_board is not None:
         room.print_to(of, print_board)
-        return typer.echo(f"{print_board}: print it {1e3 * of.columns * of.square_m:g} mm wide", err=True)
+        typer.echo(f"{print_board}: print it {1e3 * of.columns * of.square_m:g} mm wide", err=True)
+        return
     if table:
-        return _table(source, of, trials, out, quiet, plugin)
+        _table(source, of, trials, out, quiet, plugin)
+        return
     truth, place = None, Path(source)
     if (place / "scenario.yaml").is_file():
         truth, shots = room.shots_of_run(place)
@@ -58,8 +61,6 @@ def calibrate(
         scenario = load_scenario(robot, None, plugin, None) if robot else None
         shots = list(room.shots_of_folder(place, scenario.robot if scenario else None))
     known = room.camera_of(intrinsics) if intrinsics else None
-    import math
-
     made = room.calibrated(shots, of, setup == "hand", model, known, corner_px, math.radians(joint_deg))
     with study_folder("calibrate", out) as folder:
         room.write(folder, made, place.name, truth, command_line())
@@ -85,3 +86,72 @@ def _table(source: str, board: object, trials: int, out: Path | None, quiet: boo
         room.write_table(folder, lines, scenario, command_line())
     if not quiet:
         typer.echo(f"{folder / 'report.html'}", err=True)
+
+
+def excite(
+    scenario: ScenarioName,
+    set_: Settings = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
+    fly: Annotated[bool, typer.Option("--fly", help="Let the simulated robot do it, and keep what is read: record.parquet.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="--fly: a new folder. [default: runs/excite/NUMBER]")] = None,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """A motion by which a robot shows its latencies and time constants: steps and sines, as a table of commands."""
+    from vstestbed.studies.folder import study_folder
+    from vstestbed.studies.identification import RECORD, motion_of
+    from vstestbed.studies.identification import fly as flown
+
+    given = load_scenario(scenario, set_, plugin, seed)
+    motion = motion_of(given)
+    if not fly:
+        typer.echo(motion.write_csv(), nl=False)
+        return
+    from vstestbed.core.files import write_whole
+    from vstestbed.scenario.dump import documents
+
+    with study_folder("excite", out) as folder:
+        record, content = flown(given.resolved, motion), io.BytesIO()
+        record.write_parquet(content)
+        write_whole(folder / RECORD, content.getvalue())
+        write_whole(folder / "motion.csv", motion.write_csv())
+        write_whole(folder / "scenario.yaml", documents(given)["scenario.yaml"])
+    if not quiet:
+        typer.echo(f"{len(record)} of {len(motion)} commands were flown\n{folder / RECORD}", err=True)
+
+
+def identify(
+    record: Annotated[Path, typer.Argument(metavar="RECORD|BAG", help="Of `excite --fly`; a table with its columns; or a rosbag2.")],
+    scenario: ScenarioName,
+    set_: Settings = None,
+    fit: Annotated[
+        list[str] | None, typer.Option(metavar="FIELD=LOW..HIGH", help="What to find; xLOW..xHIGH is a factor. [default: by the robot]")
+    ] = None,
+    remap: Annotated[list[str] | None, typer.Option(metavar="TOPIC=OTHER", help="BAG: another name of a topic.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="A new folder. [default: runs/identify/NUMBER]")] = None,
+    quiet: Quiet = False,
+    plugin: Plugins = None,
+) -> None:
+    """Latencies, time constants, wheel radii and noise of a robot, from a record of its motion, as a preset for `robot.realism`."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.cli.ros import remapped
+    from vstestbed.cli.studies import command_line
+    from vstestbed.studies import identification as room
+    from vstestbed.studies.folder import study_folder
+
+    given = load_scenario(scenario, set_, plugin, None)
+    show_notes(not quiet)
+    if (record / "metadata.yaml").is_file() or record.suffix == ".mcap":
+        from vstestbed.ros.bag import record_of
+
+        table = record_of(record, given, remapped(remap))
+    else:
+        table = room.read_record(record)
+    say = (lambda words: None) if quiet else (lambda words: typer.echo(f"  tries {words}", err=True))
+    found = room.identify(table, given, [room.Parameter.of(words) for words in fit or []], say)
+    with study_folder("identify", out) as folder:
+        room.write(folder, found, record.name, command_line())
+    for line in room.lines_of(found):
+        typer.echo(f"{line[0]:40s} {line[1]:>12s}   {line[2]}")
+    if not quiet:
+        typer.echo(f"  results   {folder} (robot.yaml, report.html)", err=True)

@@ -14,7 +14,7 @@ from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.shares import STOPS
 
-Role = Literal["robot", "law", "start", "stop", "reset"]
+Role = Literal["robot", "law", "excite", "start", "stop", "reset"]
 NODES = "vstestbed_law", "vstestbed_robot"
 Remap = Annotated[
     list[str] | None, typer.Option("--remap", metavar="TOPIC=OTHER", help="Another name of a topic, such as image_raw=/cam/image.")
@@ -23,7 +23,9 @@ Remap = Annotated[
 
 def ros(
     scenario: ScenarioName,
-    role: Annotated[Role, typer.Option(help="robot: simulate it. law: servo. start, stop, reset: tell the nodes that run.")],
+    role: Annotated[
+        Role, typer.Option(help="robot: simulate it. law: servo. excite: the motion of `excite`. start, stop, reset: tell nodes.")
+    ],
     set_: Settings = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Draw the start and the noise from this seed.")] = None,
     backend: Annotated[Literal["auto", "rclpy", "zenoh"], typer.Option(help="auto: rclpy where ROS 2 is, else zenoh.")] = "auto",
@@ -56,6 +58,12 @@ def ros(
                 servo.spin(ended)
                 if not quiet:
                     typer.echo(f"{len(servo.took_s)} twists, each {median_ms(servo.took_s):.2f} ms after its picture (median)", err=True)
+            elif role == "excite":
+                from vstestbed.ros.law import excite
+                from vstestbed.studies.identification import motion_of
+
+                motion = motion_of(given).drop("t").to_numpy()
+                typer.echo(f"{excite(given, link, motion, ended)} of {len(motion)} commands were sent", err=True)
             elif role == "robot":
                 _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended)
             else:

@@ -14,8 +14,8 @@ from vstestbed.core.errors import OutputError, ParameterError
 
 ENDINGS = re.compile(r"\.(onnx|xml|mjcf|urdf|png|jpe?g|stl|obj|json|ya?ml)$|\.py:\w+$", re.IGNORECASE)
 """The end of a value of a field of FILE_FIELDS: a network, a model, a picture, a solid, a calibration, a function in a Python file."""
-CALIBRATED = "intrinsics", "mount", "calibration"
-"""Blocks that the name of a calibration's file may stand for, which is read with the scenario."""
+CALIBRATED = "intrinsics", "mount", "calibration", "realism"
+"""Fields that the name of a file may stand for, which is read with the scenario: of a calibration, of a robot's imperfections."""
 FILE_FIELDS = "file", "scenery", "picture", "texture", *CALIBRATED
 """Fields that name a file; the blocks `scenery` and `picture` may be their file's name alone."""
 PACKAGE = "package:"

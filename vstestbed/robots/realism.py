@@ -5,19 +5,36 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+import yaml
 from pydantic import model_validator
 from pydantic_core import ArgsKwargs
 
 from vstestbed.core.errors import ParameterError
+from vstestbed.core.named_files import absolute_file, place_of_file
 from vstestbed.core.registry import brief_mapping
-from vstestbed.core.spec import spec
+from vstestbed.core.spec import OrText, spec
 from vstestbed.effects.base import Further
 from vstestbed.robots.base import Robot
 
 Level = Literal["none", "lab", "field"]
 LEVELS: tuple[Level, ...] = typing.get_args(Level)
+
+
+def _preset_in(file: str) -> dict[str, Any]:
+    """The fields of a robot in a file. ParameterError: it is not there, or holds no mapping."""
+    works = "fields of the robot, such as drive_lag_s: 0.05"
+    try:
+        plain = yaml.safe_load(place_of_file(absolute_file(file, Path.cwd())).read_text(encoding="utf-8"))
+    except ParameterError as error:
+        raise ParameterError("realism", error.problem, file) from None
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ParameterError.unreadable("realism", " ".join(str(error).split()), works, file) from None
+    if not isinstance(plain, dict) or "kind" in plain:
+        raise ParameterError.unreadable("realism", "it is no block of imperfections", works, file)
+    return plain
 
 
 @spec
@@ -31,14 +48,15 @@ class Realistic(Robot):
     Args:
         effects: further imperfections, of kinds that plugins add; e.g. `[]`.
         realism: imperfections that are not given: `none`, those of a well-kept robot in a `lab`, or those of one in the `field`, worn and
-            badly calibrated; e.g. `lab`.
+            badly calibrated; or the name of a file with them, such as `vstestbed identify` writes it, which is read with the scenario;
+            e.g. `lab`.
 
     Attributes:
         presets: by level, the fields that it fills and their values.
     """
 
     effects: Further = ()
-    realism: Level = "none"
+    realism: Annotated[Level, OrText()] = "none"
     presets: ClassVar[Mapping[Level, Mapping[str, object]]] = {}
 
     @model_validator(mode="before")
@@ -49,6 +67,9 @@ class Realistic(Robot):
         if not isinstance(values, Mapping):
             return given  # a robot already
         level: Level = values.get("realism", "none")
+        if isinstance(level, str) and level.lower().endswith((".yaml", ".yml")):
+            own = {**_preset_in(level), **values, "realism": "none"}
+            return ArgsKwargs((), own) if isinstance(given, ArgsKwargs) else own
         if level not in LEVELS:
             return given  # which is refused
         if level != "none" and level not in cls.presets:

@@ -19,9 +19,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, RunFolderError, short
 from vstestbed.core.files import make_folder, whole_folder, write_whole
 from vstestbed.core.geometry import Array
+from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
-from vstestbed.robots import Mount
+from vstestbed.robots import Mount, Reading
 from vstestbed.ros.law import Servo, command_frame, command_topic, sent
 from vstestbed.ros.link import Answer, Heard, Link
 from vstestbed.ros.messages import (
@@ -29,6 +30,7 @@ from vstestbed.ros.messages import (
     IMAGE,
     JOINTS,
     NS,
+    OPTICAL,
     TWIST,
     Message,
     header,
@@ -42,6 +44,7 @@ from vstestbed.ros.messages import (
 )
 from vstestbed.ros.robot import Voice
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.frame import Cycle
 from vstestbed.tasks.metrics import TWIST as TWIST_NAMES
 
 if TYPE_CHECKING:
@@ -238,44 +241,90 @@ class Replayed:
         return both[np.isfinite(both)]
 
 
-def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None, tick: Callable[[], None] = lambda: None) -> Replayed:
-    """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture.
-    A twist belongs to the picture before it.
+class Step(NamedTuple):
+    """A picture of a bag that went through the controller: when it was stamped and when it came [s], its cycle with what it took [ms], the
+    robot's reading at the exposure, the twist (6,) that the controller sends, and the recorded one, NaN where there is none.
     """
-    servo, rows, recorded = Servo(scenario, live=False), list[dict[str, Any]](), list[Array]()
-    waiting: list[Event] = []
 
-    def step(event: Event) -> None:
-        began = time.perf_counter()
-        late = event.arrived - time_of(event.message)  # by another clock it says nothing
+    stamp: float
+    arrived: float
+    cycle: Cycle
+    took_ms: float
+    reading: Reading
+    computed: Array
+    recorded: Array
+
+
+def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Step]:
+    """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture. A twist
+    belongs to the picture before it.
+    """
+    servo, waiting = Servo(scenario, live=False), list[Event]()
+    last: Step | None = None
+
+    def step(event: Event) -> Step:
+        began, stamp = time.perf_counter(), time_of(event.message)
+        late = event.arrived - stamp  # by another clock it says nothing
         cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None).cycle
-        row = {"t": cycle.t, "stopped": cycle.stopped, "reason": cycle.reason, "notes": "; ".join(cycle.notes)}
-        row["took_ms"] = 1e3 * (time.perf_counter() - began)
-        rows.append(row | dict(zip((f"computed_{n}" for n in TWIST_NAMES), servo.sent(cycle.order).tolist(), strict=True)))
-        recorded.append(np.full(6, np.nan))
-        tick()
+        took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
+        return Step(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan))
 
-    for event in events(path, scenario, remap or {}):
+    def due() -> bool:
+        return len(waiting) > 1 or bool(waiting and servo.senses.until(time_of(waiting[0].message)))
+
+    for event in events(path, scenario, remap):
         if event.role == "image_raw":
             waiting.append(event)
-        elif event.role == "twist" and rows and not waiting:
-            recorded[-1] = twist_of(event.message) if np.isnan(recorded[-1]).any() else recorded[-1]
-        elif event.role == "twist" and waiting:
-            step(waiting.pop(0))
-            recorded[-1] = twist_of(event.message)
         elif event.role == "depth":
             servo.depth = event.message
+        elif event.role == "twist" and (waiting or (last is not None and np.isnan(last.recorded).any())):
+            if waiting:  # it was answered, whatever was heard since
+                yield from () if last is None else (last,)
+                last = step(waiting.pop(0))
+            assert last is not None
+            last = last._replace(recorded=twist_of(event.message))
         elif event.role in sensors_of(scenario.robot):
             servo.senses.hear(event.role, event.message)
-        while len(waiting) > 1 or (waiting and servo.senses.until(time_of(waiting[0].message))):
-            step(waiting.pop(0))
+        while due():
+            yield from () if last is None else (last,)
+            last = step(waiting.pop(0))
     for event in waiting:
-        step(event)
-    if not rows:
+        yield from () if last is None else (last,)
+        last = step(event)
+    if last is None:
         raise RunFolderError(path, "has no picture", "is the topic the right one (--remap image_raw=/TOPIC)?")
-    table, given = pl.DataFrame(rows), np.array(recorded)
-    computed = table.select([f"computed_{name}" for name in TWIST_NAMES]).to_numpy()
-    return Replayed(table.with_columns([pl.Series(f"recorded_{n}", given[:, i]) for i, n in enumerate(TWIST_NAMES)]), given, computed)
+    yield last
+
+
+def replay(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> Replayed:
+    """What the controller of a scenario makes of a bag; errors: as of `stepped`."""
+    rows, steps = [], list(stepped(path, scenario, remap or {}))
+    for one in steps:
+        row = {"t": one.cycle.t, "stopped": one.cycle.stopped, "reason": one.cycle.reason, "notes": "; ".join(one.cycle.notes)}
+        row |= {f"computed_{n}": v for n, v in zip(TWIST_NAMES, one.computed.tolist(), strict=True)}
+        rows.append(row | {f"recorded_{n}": v for n, v in zip(TWIST_NAMES, one.recorded.tolist(), strict=True)} | {"took_ms": one.took_ms})
+    return Replayed(pl.DataFrame(rows), np.array([one.recorded for one in steps]), np.array([one.computed for one in steps]))
+
+
+def record_of(path: Path, scenario: Scenario, remap: Mapping[str, str] | None = None) -> pl.DataFrame:
+    """A bag as a record for `identify`: the commands along the robot's own motions, joints, and the markers that the detector finds."""
+    mount, robot, rows = Mount.of(scenario.believed_camera.mount.T), scenario.robot, []
+    for one in stepped(path, scenario, remap or {}):
+        at, told = mount_at(scenario, mount, one.reading.q), np.nan_to_num(one.recorded)
+        v = told if command_frame(scenario) == OPTICAL else at.to_camera @ told
+        u = np.linalg.pinv(robot.motion_basis(at, one.reading.q)) @ v
+        row: dict[str, float] = {
+            "t": one.stamp,
+            "t_q": one.stamp,
+            "arrived": one.arrived,
+            **{f"u_{i}": x for i, x in enumerate(u.tolist())},
+        }
+        for name, q, qd in zip(robot.joints, one.reading.q.tolist(), one.reading.qd.tolist(), strict=True):
+            row |= {f"q_{name}": q, f"qd_{name}": qd}
+        for i, (a, b) in enumerate(one.cycle.observation.uv.tolist()):
+            row |= {f"u_px_{i}": a, f"v_px_{i}": b}
+        rows.append(row)
+    return pl.DataFrame(rows)
 
 
 def write_replay(folder: Path, found: Replayed, source: str, command: str) -> Path:

@@ -335,3 +335,23 @@ class LawNode:
 def median_ms(seconds: list[float]) -> float:
     """The median of times [s], in milliseconds; NaN of none."""
     return 1e3 * float(np.median(seconds)) if seconds else math.nan
+
+
+def excite(scenario: Scenario, link: Link, motion: Array, ended: threading.Event) -> int:
+    """Send the commands of a motion (n, motions), one each camera period of wall time, as twists, and zero at the end, or when `ended`; how
+    many were sent. Record them, and what the robot and its camera say, as a bag: `identify` reads it.
+    """
+    robot, sent_ones, begun = scenario.robot, 0, time.monotonic()
+    mount = mount_at(scenario, Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
+    basis = robot.motion_basis(mount, robot.start_joints())
+    turn = np.eye(6) if command_frame(scenario) == OPTICAL else mount.to_flange
+    try:
+        for u in motion:
+            if ended.wait(max(0.0, begun + sent_ones * scenario.camera.period - time.monotonic())):
+                break
+            link.publish(command_topic(scenario), twist(time.time(), turn @ (basis @ u), command_frame(scenario)))
+            sent_ones += 1
+    finally:
+        for _ in range(3):
+            link.publish(command_topic(scenario), twist(time.time(), np.zeros(6), command_frame(scenario)))
+    return sent_ones

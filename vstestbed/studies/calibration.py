@@ -76,7 +76,7 @@ class Board:
             uv, ids, _, _ = detector.detectBoard(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
             if ids is None or len(ids) < LEAST_CORNERS:
                 return None
-            return corners[np.ravel(ids)], np.asarray(uv, dtype=float).reshape(-1, 2)
+            return corners[np.asarray(ids, dtype=int).ravel()], np.asarray(uv, dtype=float).reshape(-1, 2)
 
         return find
 
@@ -219,9 +219,10 @@ def intrinsics_of(corners: Sequence[tuple[Array, Array]], size: tuple[int, int],
     model = model or "plumb_bob"
     try:
         if model == "equidistant":
-            flags = cv2.fisheye.CALIB_RECOMPUTE_EXTRINSIC | cv2.fisheye.CALIB_FIX_SKEW
+            flags = cv2.CALIB_RECOMPUTE_EXTRINSIC | cv2.CALIB_FIX_SKEW
+            no: Any = None
             rms, K, k, _, _ = cv2.fisheye.calibrate(
-                [p.astype(float) for p in points], [p.astype(float) for p in uv], (width, height), None, None, flags=flags
+                [p.astype(float) for p in points], [p.astype(float) for p in uv], (width, height), no, no, flags=flags
             )
         else:
             flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
@@ -232,7 +233,7 @@ def intrinsics_of(corners: Sequence[tuple[Array, Array]], size: tuple[int, int],
         ) from None
     found = Intrinsics.of(K, np.ravel(k), (width, height), model)
     camera: Camera = Fisheye(intrinsics=found) if model == "equidistant" else Perspective(intrinsics=found)
-    return camera, float(rms)
+    return camera, float(rms) / math.sqrt(2)  # OpenCV's is of points, and here of coordinates
 
 
 # What a calibration says of itself.
@@ -359,7 +360,8 @@ def told(made: Calibrated, truth: Scenario | None) -> list[str]:
     yaw, pitch, roll = Rotation.from_matrix(made.found.X[:3, :3]).as_euler("ZYX", degrees=True)
     place, turn = 1e3 * np.linalg.norm(made.found.sigma[0]), math.degrees(float(np.linalg.norm(made.found.sigma[1])))
     lines = [
-        f"{len(made.views)} views; xyz {x:.2f} {y:.2f} {z:.2f} mm, rpy {roll:.3f} {pitch:.3f} {yaw:.3f} deg, +-{place:.2f} mm +-{turn:.3f} deg"
+        f"{len(made.views)} views; xyz {x:.2f} {y:.2f} {z:.2f} mm, rpy {roll:.3f} {pitch:.3f} {yaw:.3f} deg,"
+        f" +-{place:.2f} mm +-{turn:.3f} deg"
     ]
     if truth is not None:
         lines += [f"  off by    {mm:.2f} mm and {deg:.3f} deg by {name}" for name, (mm, deg) in errors_of(made, truth).items()]

@@ -92,7 +92,7 @@ def andreff(A: Array, B: Array) -> Array:
     C, d = np.vstack(rows), np.concatenate([np.concatenate([np.zeros(9), a[:3, 3]]) for a in A])
     x = np.linalg.lstsq(C, d, rcond=None)[0]
     X = np.eye(4)
-    X[:3, :3], X[:3, 3] = _nearest(x[:9].reshape(3, 3)), x[9:]
+    X[:3, :3], X[:3, 3] = _nearest(np.asarray(x[:9], dtype=float).reshape(3, 3)), x[9:]
     return X
 
 
@@ -285,7 +285,7 @@ def held_out(views: Sequence[View], camera: Camera, in_hand: bool, pixel_sigma: 
             made = calibrate(kept, camera, in_hand, pixel_sigma, joint_sigma)
         except ParameterError:
             continue
-        for i in np.flatnonzero(out):
+        for i in np.flatnonzero(out).tolist():
             v = views[i]
             T = chained(made.X, made.fixed, v.T_base_flange[None], in_hand)[0]
             uv = camera.project(v.points @ T[:3, :3].T + T[:3, 3])

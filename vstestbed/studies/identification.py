@@ -1,0 +1,459 @@
+"""Identification: what of a robot's record this project can simulate, by prediction errors: latencies, time constants, wheel radii, noise.
+
+A record has the commands that were sent, and what was read at each picture: joints, and markers. The simulator flies the same commands, and
+least squares find the parameters with which it reads the same.
+
+Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (prediction error methods, and their covariance).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from vstestbed.core.errors import ParameterError, RunFolderError
+from vstestbed.core.geometry import Array
+from vstestbed.core.registry import to_mapping
+from vstestbed.loop.episode import Episode
+from vstestbed.robots import Mount
+from vstestbed.scenario.dump import as_yaml
+from vstestbed.scenario.load import parse
+from vstestbed.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RECORD = "record.parquet"
+COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
+"""The two parameters that only shift what is predicted: from when on a command acts, and how much later than its exposure a picture is
+stamped, by the clock of the joints' readings."""
+GRID_S = 0.004  # latencies between which predictions are interpolated [s], whole steps of the physics clock
+LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}  # under which a sensor's noise is not believed [rad, px]
+APART = 0.998  # cosine of what two parameters change in the predictions, from which on they are not told apart
+
+# The motion: of each of a robot's own motions a step to and fro, then sines of all at once.
+REST_S, STEP_S, SINES_S = 0.6, 0.4, 4.0
+SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)}  # amplitudes by `Robot.base` [m/s, rad/s]
+
+
+def motion_of(scenario: Scenario) -> pl.DataFrame:
+    """Commands at the camera's rate, along the robot's own motions: `t` and `u_0`, ... [m/s, rad/s]; they end where they began."""
+    robot = scenario.robot
+    basis = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
+    n, rate = basis.shape[1], scenario.camera.rate_hz
+    linear, angular = SHARES[robot.base]
+    sizes = np.array([linear if np.linalg.norm(basis[:3, i]) > 0.5 else angular for i in range(n)])
+    if n == 6:  # camera twists
+        sizes = np.array([linear] * 3 + [angular] * 3)
+    rest, step = (np.zeros((round(rate * REST_S), n)), round(rate * STEP_S))
+    parts = [rest]
+    for i in range(n):
+        one = np.zeros((4 * step, n))
+        one[:step, i], one[2 * step : 3 * step, i] = sizes[i], -sizes[i]
+        parts.append(one)
+    at = np.arange(round(rate * SINES_S)) / rate
+    whole = np.array([(k + 2) / SINES_S * 2 for k in range(n)])  # whole periods, each motion its own
+    parts += [0.7 * sizes * np.sin(2 * np.pi * at[:, None] * whole) * np.array([(-1) ** k for k in range(n)]), rest, rest]
+    u = np.concatenate(parts)
+    return pl.DataFrame({"t": np.arange(len(u)) / rate, **{f"u_{i}": u[:, i] for i in range(n)}})
+
+
+def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lambda: None) -> pl.DataFrame:
+    """The record of a simulated robot that is commanded so: with each picture its stamp `t`, when it came, the command that was sent
+    then, and what was read: joints by the robot's sensors, at `t_q` by its clock, and markers by the detector. It ends with the motion,
+    or where the robot stops by itself.
+    """
+    u = motion.select(pl.selectors.starts_with("u_")).to_numpy()
+    rows: list[dict[str, float]] = []
+    with closing(Episode(_undisturbed(scenario), False, (), None)) as episode:
+        frame = episode.advance()
+        while frame is not None and len(rows) < len(u) and episode.outcome is None:
+            shot = episode.controller.before
+            assert shot is not None
+            row = {"t": shot.t, "t_q": frame.t, "arrived": episode.now, **{f"u_{i}": v for i, v in enumerate(u[len(rows)].tolist())}}
+            for name, q, qd in zip(scenario.robot.joints, shot.reading.q.tolist(), shot.reading.qd.tolist(), strict=True):
+                row |= {f"q_{name}": q, f"qd_{name}": qd}
+            for i, (a, b) in enumerate(frame.observation.uv.tolist()):
+                row |= {f"u_px_{i}": a, f"v_px_{i}": b}
+            rows.append(row)
+            tick()
+            frame = episode.advance(u[len(rows) - 1])
+    return pl.DataFrame(rows)
+
+
+def _undisturbed(scenario: Scenario) -> Scenario:
+    """The same without an end but that of its motion."""
+    stop = replace(scenario.stop, duration_s=600.0, lost_after_s=600.0, converged=replace(scenario.stop.converged, hold_s=600.0))
+    return replace(scenario, stop=stop)
+
+
+def read_record(path: Path) -> pl.DataFrame:
+    """A record, from its file or the folder that has it. RunFolderError: none there, or one without the columns of one."""
+    file, works = (
+        path / RECORD if path.is_dir() else path,
+        "a file or folder of `vstestbed excite`, with columns t, arrived, u_0, ..., q_..., u_px_0, ...",
+    )
+    if not file.is_file():
+        raise RunFolderError(path, f"has no {RECORD}", works)
+    try:
+        found = pl.read_csv(file) if file.suffix == ".csv" else pl.read_parquet(file)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise RunFolderError(file, f"cannot be read ({error})", works) from None
+    if not {"t", "u_0"} <= set(found.columns):
+        raise RunFolderError(file, f"has the columns {', '.join(found.columns[:8])}", works)
+    return found
+
+
+# What is fitted.
+@dataclass(frozen=True)
+class Parameter:
+    """A number to be found. field: its dotted path in a scenario; low, high: its bounds. factor: of the scenario's values, in place of
+    them.
+    """
+
+    field: str
+    low: float
+    high: float
+    factor: bool = False
+
+    @classmethod
+    def of(cls, words: str) -> Parameter:
+        """The parameter of `FIELD=LOW..HIGH`, or `FIELD=xLOW..xHIGH` of a factor. ParameterError: of another form."""
+        field, _, bounds = words.partition("=")
+        low, dots, high = bounds.partition("..")
+        try:
+            made = cls(field.strip(), float(low.lstrip("x")), float(high.lstrip("x")), low.startswith("x"))
+        except ValueError:
+            made = None
+        if made is None or not (made.field and dots and made.low < made.high):
+            form = "FIELD=LOW..HIGH, such as robot.drive_lag_s=0.001..0.5; with xLOW..xHIGH as a factor"
+            raise ParameterError.form("--fit", form, words)
+        return made
+
+    @property
+    def shifts(self) -> bool:
+        """Whether it only shifts what is predicted."""
+        return self.field in (COMMAND_LATENCY, STAMPS)
+
+    def value(self, scenario: Scenario, x: float) -> Any:
+        """What its field is with the number x."""
+        if not self.factor:
+            return x
+        now: Any = scenario
+        for part in self.field.split("."):
+            now = getattr(now, part)
+        return [x * v for v in now] if isinstance(now, tuple) else x * now
+
+
+USUAL: Mapping[str, tuple[Parameter, ...]] = {
+    "mjcf": (Parameter("robot.servo_kv", 0.2, 5.0, factor=True),),
+    "omni": (Parameter("robot.drive_lag_s", 0.001, 0.5), Parameter("robot.wheel_radius_error", -0.1, 0.1)),
+    "car": (Parameter("robot.drive_lag_s", 0.001, 0.5), Parameter("robot.wheel_radius_error", -0.1, 0.1)),
+    "quadrotor": (Parameter("robot.gains.velocity", 0.5, 5.0), Parameter("robot.gains.climb", 0.5, 6.0)),
+}
+"""What is fitted of a robot by default, besides the two latencies."""
+
+
+def usual(scenario: Scenario, record: pl.DataFrame) -> tuple[Parameter, ...]:
+    """What is fitted by default: the latencies, and the parameters of the robot's kind."""
+    markers = "u_px_0" in record.columns
+    stamps = (Parameter(STAMPS, -0.2, 0.5),) if markers else ()
+    own = USUAL.get(scenario.robot.kind, ())
+    return (Parameter(COMMAND_LATENCY, 0.0, 0.5), *stamps, *(p for p in own if markers or p.field != "robot.wheel_radius_error"))
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What was found. values, half: of each parameter, and half of its 95 % interval. together: pairs of parameters that the record does
+    not tell apart, with the cosine between what they change. noise: standard deviations of what was read, by name [rad, m or px];
+    latency_s, jitter_s: of the pictures from stamp to arrival, and of their stamps' distances. residual: RMS of the prediction errors
+    over the noise [1].
+    """
+
+    scenario: Scenario
+    parameters: tuple[Parameter, ...]
+    values: Array
+    half: Array
+    together: list[tuple[str, str, float]]
+    noise: dict[str, float]
+    latency_s: float
+    jitter_s: float
+    residual: float
+    record: pl.DataFrame
+    predicted: Array
+    measured: Array
+    names: list[str]
+
+
+def identify(
+    record: pl.DataFrame, scenario: Scenario, parameters: Sequence[Parameter] = (), say: Callable[[str], None] = lambda _: None
+) -> Identified:
+    """Fit parameters to a record. say: told of each run of the simulator.
+    Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
+    """
+    fit = tuple(parameters) or usual(scenario, record)
+    names, measured, t = _measured(record, scenario)
+    sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
+    pixels = np.array(["_px_" in name for name in names])
+    model = _Model(record, scenario, fit, say)
+    start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
+    there = np.isfinite(measured)
+
+    def errors(x: Array) -> Array:
+        off = (model.predicted(x) - measured) / sigma
+        return off[there & np.isfinite(off)] if np.isfinite(off[there]).all() else np.nan_to_num(off[there], nan=1e3)
+
+    steps = np.array([0.002 if p.shifts else 0.02 * max(abs(s), 0.1 * (p.high - p.low)) for p, s in zip(fit, start, strict=True)])
+    scale = np.array([0.02 if p.shifts else 0.3 * (p.high - p.low) for p in fit])
+    inside = np.clip(start, [p.low + 1e-9 for p in fit], [p.high - 1e-9 for p in fit])
+    found = least_squares(
+        errors,
+        inside,
+        bounds=([p.low for p in fit], [p.high for p in fit]),
+        x_scale=scale,
+        diff_step=steps / np.maximum(np.abs(inside), 1e-3),
+        loss="soft_l1",
+        f_scale=3.0,
+        max_nfev=25,
+        ftol=1e-6,
+        xtol=1e-6,
+    )
+    J = _jacobian(errors, found.x, fit)
+    off = errors(found.x)
+    dof = max(1, len(off) - len(fit))
+    s2 = float(off @ off) / dof
+    cov = np.linalg.pinv(J.T @ J) * s2
+    deviation = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    C = J.T @ J / np.outer(sizes, sizes)  # of what they do to the predictions
+    together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
+    for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
+        if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
+            deviation[i] = np.inf
+    arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
+    noise = {"joints": sigma[~pixels], "markers": sigma[pixels]}
+    return Identified(
+        scenario,
+        fit,
+        found.x,
+        student.ppf(0.975, dof) * deviation,
+        together,
+        {name: float(np.median(s)) for name, s in noise.items() if len(s)},
+        float(np.median(arrived - t)),
+        float(np.std(np.diff(t))),
+        math.sqrt(s2),
+        record,
+        model.predicted(found.x),
+        measured,
+        names,
+    )
+
+
+def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Parameter]) -> Array:
+    """By central differences, wide enough for a simulator whose events fall on steps."""
+    columns = []
+    for i, p in enumerate(fit):
+        h = 0.004 if p.shifts else 0.02 * max(abs(x[i]), 0.05 * (p.high - p.low))
+        ends = np.clip(x[i] + np.array([-h, h]), p.low, p.high)
+        low, high = (errors(np.where(np.arange(len(x)) == i, end, x)) for end in ends)
+        columns.append((high - low) / (ends[1] - ends[0]))
+    return np.stack(columns, axis=1)
+
+
+def _start(p: Parameter, scenario: Scenario) -> float:
+    """Where the search begins: at the scenario's value, a factor at 1; in the middle where there is none."""
+    if p.field == STAMPS or p.factor:
+        return 1.0 if p.factor else 0.0
+    now: Any = scenario
+    for part in p.field.split("."):
+        now = getattr(now, part, None)
+    if p.field == COMMAND_LATENCY:
+        return 0.03
+    return float(now) if isinstance(now, int | float) and now else (0.05 if p.low > 0 else 0.5 * (p.low + p.high))
+
+
+def _measured(record: pl.DataFrame, scenario: Scenario) -> tuple[list[str], Array, Array]:
+    """Names and values (n, k) of what was read, and its times (n,), from 0 on."""
+    joints = [f"q_{name}" for name in scenario.robot.joints if f"q_{name}" in record.columns]
+    pixels = [name for i in range(len(scenario.target.points)) for name in (f"u_px_{i}", f"v_px_{i}") if name in record.columns]
+    if not joints and not pixels:
+        words = f"has none of q_{', q_'.join(scenario.robot.joints)} and no u_px_0, ...: is it of another robot?"
+        raise ParameterError("record", words, record.columns[:8])
+    moving = [name for name in joints if record[name].max() != record[name].min()]  # type: ignore[operator] - numbers
+    t = record["t" if not joints or "t_q" not in record.columns else "t_q"].to_numpy()
+    return moving + pixels, record.select(moving + pixels).to_numpy(), t
+
+
+def _noise(a: Array, what: str) -> float:
+    """Standard deviation of white noise on a smooth signal (n,), by its third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
+    d = np.diff(a[np.isfinite(a)], 3)
+    return max(1.4826 * float(np.median(np.abs(d))) / math.sqrt(20), LEAST_NOISE[what]) if len(d) else LEAST_NOISE[what]
+
+
+class _Model:
+    """What the simulator predicts, over the parameters; runs are kept. Commands reach a simulated robot at a step of its clock: between two
+    latencies on a grid, predictions are interpolated.
+    """
+
+    def __init__(self, record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], say: Callable[[str], None]):
+        self._scenario, self._fit, self._record, self._say = scenario, fit, record, say
+        self._names, _, t = _measured(record, scenario)
+        self._pixels = np.array(["_px_" in name for name in self._names])
+        self._t, self._stamps = t - t[0], record["t"].to_numpy() - t[0]
+        arrived = record["arrived"].to_numpy() - t[0] if "arrived" in record.columns else self._t
+        self._latency_s = max(0.0, float(np.median(arrived - self._t)))
+        self._kept: dict[tuple[float, ...], Array] = {}
+        self._plain = as_yaml(scenario.made_of or to_mapping(scenario))
+        self._qd = {name: f"qd_{name.removeprefix('q_')}" for name in self._names}
+
+    def predicted(self, x: Array) -> Array:
+        """What is read at each picture (n, k)."""
+        shift = {p.field: v for p, v in zip(self._fit, x.tolist(), strict=True) if p.shifts}
+        own = tuple(round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts)
+        steps, share = divmod(shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / GRID_S, 1.0)
+        ends = [self._run(own, steps + k) if share > 1e-9 or k == 0 else None for k in (0, 1)]
+        whole = ends[0] if ends[1] is None else (1 - share) * ends[0] + share * ends[1]  # type: ignore[operator] - the first is a run
+        assert whole is not None
+        times, (values, speeds) = np.arange(len(whole)) * self._scenario.camera.period, np.split(whole, 2, axis=1)
+        out = np.empty((len(self._t), values.shape[1]))
+        for joint in (True, False):
+            those = self._pixels != joint
+            if those.any():
+                at = np.clip(self._t if joint else self._stamps - shift.get(STAMPS, 0.0), 0, times[-1])
+                of = CubicHermiteSpline(times, values[:, those], speeds[:, those]) if joint else CubicSpline(times, values[:, those])
+                out[:, those] = of(at)
+        return out
+
+    def _run(self, own: tuple[float, ...], steps: float) -> Array:
+        """What is read without noise, and the joints' speeds (frames, 2 k), with these values and a latency of so many steps of the
+        grid.
+        """
+        if (steps, *own) not in self._kept:
+            self._kept[steps, *own] = self._simulated(own, steps * GRID_S)
+        return self._kept[steps, *own]
+
+    def _simulated(self, own: tuple[float, ...], latency_s: float) -> Array:
+        values = iter(own)
+        given = {p.field: p.value(self._scenario, next(values)) for p in self._fit if not p.shifts}
+        self._say(", ".join(f"{name} {v if isinstance(v, list) else round(v, 5)}" for name, v in given.items()))
+        # exact sensors and an ideal camera: what is read is what there is
+        timing = {"command_latency_s": latency_s, "command_timeout_s": self._scenario.timing.command_timeout_s}
+        given |= {"timing": timing, "noise": {}, "detector": {"kind": "oracle", "field_of_view": "unlimited"}, "calibration": {}}
+        given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
+        given |= {"law": {"kind": "ibvs", "depth": "goal"}} if "image" in self._scenario.law.inputs else {}  # it moves nothing here
+        given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
+        s, period = parse(self._plain, self._scenario.name or "scenario", given), self._scenario.camera.period
+        commands = self._record.select(pl.selectors.matches(r"^u_\d+$")).to_numpy()
+        at = np.arange(math.ceil(self._t[-1] / period + 1e-6) + 1) * period
+        u = commands[np.clip(np.searchsorted(self._t, at + period / 2) - 1, 0, len(commands) - 1)]
+        table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": u[:, i] for i in range(u.shape[1])}}))
+        speeds = [table[self._qd[name]] if self._qd[name] in table.columns else pl.Series(np.zeros(len(table))) for name in self._names]
+        return np.column_stack([table.select(self._names).to_numpy(), *(one.to_numpy() for one in speeds)])
+
+
+def robot_preset(found: Identified) -> dict[str, Any]:
+    """The robot's fields that were found, as a file for `robot.realism`."""
+    block: dict[str, Any] = {}
+    for p, v in zip(found.parameters, found.values.tolist(), strict=True):
+        if p.field.startswith("robot."):
+            *path, last = p.field.split(".")[1:]
+            place = block
+            for part in path:
+                place = place.setdefault(part, {})
+            value = p.value(found.scenario, v)
+            place[last] = [float(f"{one:.6g}") for one in value] if isinstance(value, list) else float(f"{value:.6g}")
+    return block
+
+
+def overrides(found: Identified) -> dict[str, float]:
+    """The scenario's other fields that were found, by their paths."""
+    latency = {p.field: v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.field == COMMAND_LATENCY}
+    late = next((v for p, v in zip(found.parameters, found.values.tolist(), strict=True) if p.field == STAMPS), 0.0)
+    given = {"camera.latency_s": max(found.latency_s + late, 0.0), **{name: max(v, 0.0) for name, v in latency.items()}}
+    if "markers" in found.noise:
+        given["noise.pixel_sigma_px"] = found.noise["markers"]
+    return {name: float(f"{v:.4g}") for name, v in given.items()}
+
+
+def lines_of(found: Identified) -> list[list[str]]:
+    """Each parameter with its value and its interval."""
+    lines = []
+    for p, v, h in zip(found.parameters, found.values, found.half, strict=True):
+        name = f"{p.field} (factor)" if p.factor else p.field
+        edge = " at its bound" if min(v - p.low, p.high - v) < 1e-3 * (p.high - p.low) and p.field != STAMPS else ""
+        lines.append([name, f"{v:.5g}{edge}", f"{v - h:.5g} to {v + h:.5g}"])
+    return lines
+
+
+def write(folder: Path, found: Identified, source: str, command: str) -> Path:
+    """Write `robot.yaml` (for `robot.realism`), and the page, into a folder; the page's path."""
+    from vstestbed.core.files import write_whole
+    from vstestbed.report.canvas import publish, style
+    from vstestbed.report.pages import write_page
+
+    write_whole(folder / "robot.yaml", f"# found in {source}; robot.realism: this file\n{as_yaml(robot_preset(found))}")
+    sets = " ".join(f"--set {name}={v:g}" for name, v in overrides(found).items())
+    sentences = [f"The prediction errors are {found.residual:.2f} times the sensors' noise (RMS); 1 is all that can be asked for."]
+    for a, b, c in found.together:
+        sentences.append(
+            f"{a} and {b} are not told apart by this record (cosine of what they change {c:.4f}): "
+            f"only their {'sum' if c > 0 else 'difference'} is known."
+        )
+    for name, s in found.noise.items():
+        sentences.append(f"Noise of the {name}: {s:.3g} {'px' if name == 'markers' else 'rad or m'}.")
+    sentences.append(
+        f"Pictures come {1e3 * found.latency_s:.1f} ms after their stamps (median), which are {1e3 * found.jitter_s:.2f} ms uneven."
+    )
+    good = found.residual < 2 and not found.together
+    head = (
+        "The simulator reads what the robot read"
+        if good
+        else "The simulator does not read what the robot read"
+        if found.residual >= 2
+        else "Not all is told apart"
+    )
+    tables = [("What was found", ["Parameter", "Value", "95 % interval"], lines_of(found))]
+    with style():
+        plots = [("Read, and predicted", publish(_drawn(found), "predicted", "Readings and predictions", None), CAPTION)]
+    return write_page(
+        folder,
+        "study.html",
+        f"Identification from {source}",
+        outcome=(head, "good" if good else "open", sentences),
+        take=f"vstestbed run {found.scenario.name} --set robot.realism={folder / 'robot.yaml'} {sets}",
+        plots=plots,
+        tables=tables,
+        command=command,
+    )
+
+
+CAPTION = "Dots: what was read; lines: what the simulator predicts with the numbers found; both less the first reading."
+
+
+def _drawn(found: Identified) -> Figure:
+    from vstestbed.report.canvas import new_figure
+    from vstestbed.report.marks import LINE_COLORS
+
+    drawn, t = new_figure(4.4, 7.16), found.record["t"].to_numpy()
+    for axes, pick, label in zip(drawn.subplots(2, 1, sharex=True), ("q_", "u_px_"), ("joints [rad, m]", "markers u [px]"), strict=True):
+        those = [i for i, name in enumerate(found.names) if name.startswith(pick)][:7]
+        for k, i in enumerate(those):
+            colour, origin = LINE_COLORS[k % len(LINE_COLORS)], found.measured[0, i]
+            axes.plot(t, found.measured[:, i] - origin, ".", markersize=2, color=colour)
+            axes.plot(t, found.predicted[:, i] - origin, color=colour, linewidth=0.8)
+        axes.set_ylabel(label)
+    drawn.axes[-1].set_xlabel("time [s]")
+    return drawn
+
+
+__all__ = ["Identified", "Parameter", "fly", "identify", "motion_of", "overrides", "read_record", "robot_preset", "write"]
