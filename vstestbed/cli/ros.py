@@ -45,7 +45,8 @@ def ros(
     from vstestbed.cli.progress import show_notes
     from vstestbed.ros.link import connected
 
-    given, ended = load_scenario(scenario, set_, plugin, seed), threading.Event()
+    idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
+    given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
     show_notes(not quiet)
     before = {number: signal.signal(number, lambda *_: ended.set()) for number in STOPS}
     try:

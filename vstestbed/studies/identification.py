@@ -93,7 +93,7 @@ def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lam
 
 def _undisturbed(scenario: Scenario) -> Scenario:
     """The same without an end but that of its motion."""
-    stop = replace(scenario.stop, duration_s=600.0, lost_after_s=600.0, converged=replace(scenario.stop.converged, hold_s=600.0))
+    stop = replace(scenario.stop, duration_s=600.0, lost_after_s=600.0, rest_after_s=None, converged=replace(scenario.stop.converged, hold_s=600.0))
     return replace(scenario, stop=stop)
 
 
@@ -234,8 +234,8 @@ def identify(
     s2 = float(off @ off) / dof
     cov = np.linalg.pinv(J.T @ J) * s2
     deviation = np.sqrt(np.maximum(np.diag(cov), 1e-300))
-    sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    C = J.T @ J / np.outer(sizes, sizes)  # of what they do to the predictions
+    sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+    C = J.T @ J / np.outer(sizes, sizes)  # cosines of what they do to the predictions
     together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
     for i, p in enumerate(fit):  # of what is not told apart, nothing is known of each alone
         if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
@@ -357,6 +357,9 @@ class _Model:
         at = np.arange(math.ceil(self._t[-1] / period + 1e-6) + 1) * period
         u = commands[np.clip(np.searchsorted(self._t, at + period / 2) - 1, 0, len(commands) - 1)]
         table = fly(s, pl.DataFrame({"t": at, **{f"u_{i}": u[:, i] for i in range(u.shape[1])}}))
+        if len(table) < len(at):
+            words = f"ends after {len(table) * period:.2f} of {at[-1]:.2f} s, though it is commanded as in the record: does its start fit?"
+            raise ParameterError("robot", words)
         speeds = [table[self._qd[name]] if self._qd[name] in table.columns else pl.Series(np.zeros(len(table))) for name in self._names]
         return np.column_stack([table.select(self._names).to_numpy(), *(one.to_numpy() for one in speeds)])
 
