@@ -63,8 +63,8 @@ def test_a_law(command) -> None:
     shown = [line.split(" ")[0] for line in lines[lines.index("field default unit what it is") :]]
     assert shown.index("translation") < shown.index("gain") < shown.index("solve")  # its own field before those of all laws of an error
     assert any(line.startswith("gain 0.5 1/s lambda, a number or an adaptive gain") for line in lines)
-    assert any(line.startswith("Used in: arm_pbvs, ") for line in lines)
-    assert lines[-1] == "law: {kind: pbvs, gain: 0.5, translation: cdMc}"
+    assert any(line.startswith("Used in: arm_calibrate, arm_pbvs, ") for line in lines)
+    assert lines[-1] == "law: {kind: pbvs, gain: 1.5, translation: cdMc}"
 
 
 def test_items_of_lists_and_rows_of_definitions_stay_apart() -> None:

@@ -112,7 +112,7 @@ def test_bad_input_is_refused_in_a_sentence(command, place):
         ((place / "nowhere", "--to", "csv"), "no such folder"),
         ((place, "--to", "csv"), "no run here"),
         ((place / "run", "--to", "csv", "--start", "1"), "--start is for --to mcap"),
-        ((place / "run", "--to", "bag"), "'mcap', 'lerobot', 'csv'"),
+        ((place / "run", "--to", "bag"), "'mcap', 'rosbag2', 'lerobot', 'csv'"),
         ((place / "run", "--to", "mcap", "--out", place / "run/log.parquet/no.mcap"), "cannot be written"),
         ((place / "run/assets.txt", "--to", "csv"), "no such folder"),
         ((place / "note.txt", "--to", "csv"), "is a file, and not one of a run's or a comparison's folder; give the folder"),

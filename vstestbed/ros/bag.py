@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import struct
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
@@ -23,7 +24,7 @@ from vstestbed.loop.ego_motion import mount_at
 from vstestbed.loop.episode import BY_HAND, Episode
 from vstestbed.report.export.source import RecordedRun, name_with_unit, unit_of_joint
 from vstestbed.robots import Mount, Reading
-from vstestbed.ros.law import Servo, command_frame, command_topic, sent
+from vstestbed.ros.law import Feed, command_frame, command_topic, sent
 from vstestbed.ros.link import Answer, Heard, Link
 from vstestbed.ros.messages import (
     COMPRESSED,
@@ -192,7 +193,7 @@ def _of_foxglove(path: Path) -> bool:
     with path.open("rb") as file:
         try:
             summary = make_reader(file).get_summary()
-        except McapError as error:
+        except (McapError, struct.error) as error:
             raise RunFolderError(path, f"is no MCAP file ({error})", "a folder of rosbag2, or an MCAP file") from None
         return summary is not None and any(c.message_encoding == "protobuf" for c in summary.channels.values())
 
@@ -241,7 +242,7 @@ class Replayed:
         return both[np.isfinite(both)]
 
 
-class Step(NamedTuple):
+class Fed(NamedTuple):
     """A picture of a bag that went through the controller: when it was stamped and when it came [s], its cycle with what it took [ms], the
     robot's reading at the exposure, the twist (6,) that the controller sends, and the recorded one, NaN where there is none.
     """
@@ -255,19 +256,19 @@ class Step(NamedTuple):
     recorded: Array
 
 
-def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Step]:
+def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterator[Fed]:
     """Feed a bag through the controller of a scenario, offline; errors: as of `events`, and of `Controller.step` at a picture. A twist
     belongs to the picture before it.
     """
-    servo, waiting = Servo(scenario, live=False), list[Event]()
-    last: Step | None = None
+    servo, waiting = Feed(scenario, live=False), list[Event]()
+    last: Fed | None = None
 
-    def step(event: Event) -> Step:
+    def step(event: Event) -> Fed:
         began, stamp = time.perf_counter(), time_of(event.message)
         late = event.arrived - stamp  # by another clock it says nothing
         cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None).cycle
         took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
-        return Step(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan))
+        return Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan))
 
     def due() -> bool:
         return len(waiting) > 1 or bool(waiting and servo.senses.until(time_of(waiting[0].message)))

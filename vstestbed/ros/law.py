@@ -133,7 +133,7 @@ class Senses:
         return {"q": q, "qd": np.where(np.isfinite(qd), qd, way)}
 
 
-class Servo:
+class Feed:
     """The controller of a scenario, fed with messages: its clock begins with the first picture. It is the same for a node and for a bag.
 
     scenario: whose detector, law, calibration and robot work. live: stamps are of this machine's clock where they are near to it.
@@ -189,7 +189,7 @@ class LawNode:
     """
 
     def __init__(self, scenario: Scenario, link: Link, watchdog_s: float | None = None, started: bool = False):
-        self.servo, self.link, self.scenario = Servo(scenario), link, scenario
+        self.servo, self.link, self.scenario = Feed(scenario), link, scenario
         self.watchdog_s = watchdog_s or scenario.timing.order_s(scenario.camera)
         self._stopped = "" if started else "not started"
         self._asked_to_reset = self._moved = False  # moved: it has sent a twist since it was reset

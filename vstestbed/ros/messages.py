@@ -21,6 +21,7 @@ from vstestbed.robots import Reading, Robot
 from vstestbed.robots.flight import RECOVER_RAD, FlightEstimate, FlightReading
 
 try:
+    from rosbags.serde import SerdeError
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 except ImportError as error:
@@ -44,7 +45,7 @@ Message = Any  # of one of rosbags' message classes: a dataclass whose fields ar
 
 @cache
 def types() -> Any:
-    """The messages of ROS 2 Jazzy, which are those of Humble to Kilted where this project uses them, and of the service Trigger."""
+    """The messages of ROS 2 Jazzy, of which Humble's differ in Range alone (`variance`), and those of the service Trigger."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("uint8 structure_needs_at_least_one_member\n", "std_srvs/msg/Trigger_Request"))
     store.register(get_types_from_msg("bool success\nstring message\n", "std_srvs/msg/Trigger_Response"))
@@ -62,8 +63,11 @@ def to_cdr(message: Message) -> bytes:
 
 
 def from_cdr(data: bytes, kind: str) -> Message:
-    """The message of what was received."""
-    return types().deserialize_cdr(data, kind)
+    """The message of what was received; of a kind whose fields were fewer in Humble also such a one."""
+    try:
+        return types().deserialize_cdr(data, kind)
+    except SerdeError:
+        return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, kind)
 
 
 def stamp(t: float) -> Message:

@@ -72,12 +72,13 @@ class Voice:
         s, link, shot = self._scenario, self._link, episode.controller.before
         assert shot is not None and frame.image is not None
         t, now = shot.t + self._offset, episode.now + self._offset
-        self.stamp, self.now, self.q = t, now, shot.reading.q
+        reading = episode.plant.reading()
+        self.stamp, self.now, self.q = t, now, reading.q
         link.publish("/clock", clock(now), now)
-        self._readings = [(t, shot.reading)] if now <= t else [(t, shot.reading), (now, episode.plant.reading())]
+        self._readings = [(t, shot.reading)] if now <= t else [(t, shot.reading), (now, reading)]
         self.readings()
         of_arm, parent = s.robot.base == "fixed" and s.robot.joints, body_frame(s.robot)
-        poses = {(WORLD, "flange"): s.robot.flange_pose(self.q)} if of_arm else {}
+        poses = {(WORLD, "flange"): s.robot.flange_pose(shot.reading.q)} if of_arm else {}
         poses[WORLD if s.target.on_gripper else parent, OPTICAL] = self._mount.T_flange_camera
         link.publish("/tf", transforms(t, poses), t)
         if self._truth:
@@ -114,9 +115,6 @@ class RobotNode:
         record: Link | None = None,
     ):
         check_scenario(scenario)
-        if scenario.detector.needs_truth and not scenario.needs_image:
-            words = f"sends no pictures with detector {scenario.detector.kind}, for none are drawn; works: --set detector=blobs"
-            raise ParameterError("robot", words)
         self.scenario, self.link, self._pace, self._truth = scenario.resolved, link, pace, truth
         self._voice, self._record = Voice(self.scenario, link, truth), record
         self.watchdog_s = watchdog_s or self.scenario.timing.order_s(self.scenario.camera)

@@ -215,7 +215,7 @@ def intrinsics_of(corners: Sequence[tuple[Array, Array]], size: tuple[int, int],
     [px].
     """
     height, width = size
-    points, uv = ([np.ascontiguousarray(part[i], np.float32).reshape(-1, 1, n) for part in corners] for i, n in ((0, 3), (1, 2)))
+    points, uv = ([np.ascontiguousarray(part[i], np.float32).reshape(1, -1, n) for part in corners] for i, n in ((0, 3), (1, 2)))
     model = model or "plumb_bob"
     try:
         if model == "equidistant":

@@ -37,7 +37,6 @@ RECORD = "record.parquet"
 COMMAND_LATENCY, STAMPS = "timing.command_latency_s", "stamps_late_s"
 """The two parameters that only shift what is predicted: from when on a command acts, and how much later than its exposure a picture is
 stamped, by the clock of the joints' readings."""
-GRID_S = 0.004  # latencies between which predictions are interpolated [s], whole steps of the physics clock
 LEAST_NOISE = {"joint": 1e-5, "pixel": 0.02}  # under which a sensor's noise is not believed [rad, px]
 APART = 0.998  # cosine of what two parameters change in the predictions, from which on they are not told apart
 
@@ -93,7 +92,9 @@ def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lam
 
 def _undisturbed(scenario: Scenario) -> Scenario:
     """The same without an end but that of its motion."""
-    stop = replace(scenario.stop, duration_s=600.0, lost_after_s=600.0, rest_after_s=None, converged=replace(scenario.stop.converged, hold_s=600.0))
+    stop = replace(
+        scenario.stop, duration_s=600.0, lost_after_s=600.0, rest_after_s=None, converged=replace(scenario.stop.converged, hold_s=600.0)
+    )
     return replace(scenario, stop=stop)
 
 
@@ -202,11 +203,10 @@ def identify(
     Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
     """
     fit = tuple(parameters) or usual(scenario, record)
-    names, measured, t = _measured(record, scenario)
+    names, measured, _ = _measured(record, scenario)
     sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
-    pixels = np.array(["_px_" in name for name in names])
-    model = _Model(record, scenario, fit, say)
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
+    model = _Model(record, scenario, fit, start, say)
     there = np.isfinite(measured)
 
     def errors(x: Array) -> Array:
@@ -228,12 +228,25 @@ def identify(
         ftol=1e-6,
         xtol=1e-6,
     )
-    J = _jacobian(errors, found.x, fit)
-    off = errors(found.x)
+    return _summed_up(record, scenario, fit, model, found.x, errors, sigma)
+
+
+def _summed_up(
+    record: pl.DataFrame,
+    scenario: Scenario,
+    fit: tuple[Parameter, ...],
+    model: _Model,
+    x: Array,
+    errors: Callable[[Array], Array],
+    sigma: Array,
+) -> Identified:
+    """What was found at x: intervals by the covariance s^2 (J^T J)^-1, what is not told apart, and the noise."""
+    names, measured, _ = _measured(record, scenario)
+    pixels, t = np.array(["_px_" in name for name in names]), record["t"].to_numpy()
+    J, off = _jacobian(errors, x, fit), errors(x)
     dof = max(1, len(off) - len(fit))
     s2 = float(off @ off) / dof
-    cov = np.linalg.pinv(J.T @ J) * s2
-    deviation = np.sqrt(np.maximum(np.diag(cov), 1e-300))
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J) * s2), 0.0))
     sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     C = J.T @ J / np.outer(sizes, sizes)  # cosines of what they do to the predictions
     together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
@@ -241,22 +254,13 @@ def identify(
         if any(p.field in pair[:2] for pair in together) or sizes[i] < 1e-9:
             deviation[i] = np.inf
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
-    noise = {"joints": sigma[~pixels], "markers": sigma[pixels]}
-    return Identified(
-        scenario,
-        fit,
-        found.x,
-        student.ppf(0.975, dof) * deviation,
-        together,
-        {name: float(np.median(s)) for name, s in noise.items() if len(s)},
-        float(np.median(arrived - t)),
-        float(np.std(np.diff(t))),
-        math.sqrt(s2),
-        record,
-        model.predicted(found.x),
-        measured,
-        names,
-    )
+    noise = {name: float(np.median(s)) for name, s in {"joints": sigma[~pixels], "markers": sigma[pixels]}.items() if len(s)}
+    half = student.ppf(0.975, dof) * deviation
+    # A command acts at the next step of the robot's clock: which instant between two of them it is, nothing tells.
+    half += np.array([model.grid_s / 2 if p.field == COMMAND_LATENCY else 0.0 for p in fit])
+    times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
+    rest = (record, model.predicted(x), measured, names)
+    return Identified(scenario, fit, x, half, together, noise, *times, math.sqrt(s2), *rest)
 
 
 def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Parameter]) -> Array:
@@ -305,7 +309,7 @@ class _Model:
     latencies on a grid, predictions are interpolated.
     """
 
-    def __init__(self, record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], say: Callable[[str], None]):
+    def __init__(self, record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], start: Array, say: Callable[[str], None]):
         self._scenario, self._fit, self._record, self._say = scenario, fit, record, say
         self._names, _, t = _measured(record, scenario)
         self._pixels = np.array(["_px_" in name for name in self._names])
@@ -315,12 +319,18 @@ class _Model:
         self._kept: dict[tuple[float, ...], Array] = {}
         self._plain = as_yaml(scenario.made_of or to_mapping(scenario))
         self._qd = {name: f"qd_{name.removeprefix('q_')}" for name in self._names}
+        made = self._made(self._own(start), 0.0)
+        onboard = made.robot.onboard  # which an imperfection may have switched on
+        self.grid_s = made.clock[0] if onboard is None else onboard.control_period_s
+
+    def _own(self, x: Array) -> tuple[float, ...]:
+        return tuple(round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts)
 
     def predicted(self, x: Array) -> Array:
         """What is read at each picture (n, k)."""
         shift = {p.field: v for p, v in zip(self._fit, x.tolist(), strict=True) if p.shifts}
-        own = tuple(round(v, 9) for p, v in zip(self._fit, x.tolist(), strict=True) if not p.shifts)
-        steps, share = divmod(shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / GRID_S, 1.0)
+        own = self._own(x)
+        steps, share = divmod(shift.get(COMMAND_LATENCY, self._scenario.timing.command_latency_s) / self.grid_s, 1.0)
         ends = [self._run(own, steps + k) if share > 1e-9 or k == 0 else None for k in (0, 1)]
         whole = ends[0] if ends[1] is None else (1 - share) * ends[0] + share * ends[1]  # type: ignore[operator] - the first is a run
         assert whole is not None
@@ -339,20 +349,24 @@ class _Model:
         grid.
         """
         if (steps, *own) not in self._kept:
-            self._kept[steps, *own] = self._simulated(own, steps * GRID_S)
+            self._kept[steps, *own] = self._simulated(own, steps * self.grid_s)
         return self._kept[steps, *own]
 
-    def _simulated(self, own: tuple[float, ...], latency_s: float) -> Array:
+    def _made(self, own: tuple[float, ...], latency_s: float) -> Scenario:
+        """The scenario with these values."""
         values = iter(own)
         given = {p.field: p.value(self._scenario, next(values)) for p in self._fit if not p.shifts}
-        self._say(", ".join(f"{name} {v if isinstance(v, list) else round(v, 5)}" for name, v in given.items()))
         # exact sensors and an ideal camera: what is read is what there is
         timing = {"command_latency_s": latency_s, "command_timeout_s": self._scenario.timing.command_timeout_s}
         given |= {"timing": timing, "noise": {}, "detector": {"kind": "oracle", "field_of_view": "unlimited"}, "calibration": {}}
         given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
         given |= {"law": {"kind": "ibvs", "depth": "goal"}} if "image" in self._scenario.law.inputs else {}  # it moves nothing here
         given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
-        s, period = parse(self._plain, self._scenario.name or "scenario", given), self._scenario.camera.period
+        return parse(self._plain, self._scenario.name or "scenario", given)
+
+    def _simulated(self, own: tuple[float, ...], latency_s: float) -> Array:
+        self._say(f"{1e3 * latency_s:g} ms, {', '.join(f'{v:.5g}' for v in own)}")
+        s, period = self._made(own, latency_s), self._scenario.camera.period
         commands = self._record.select(pl.selectors.matches(r"^u_\d+$")).to_numpy()
         at = np.arange(math.ceil(self._t[-1] / period + 1e-6) + 1) * period
         u = commands[np.clip(np.searchsorted(self._t, at + period / 2) - 1, 0, len(commands) - 1)]
