@@ -1,0 +1,39 @@
+"""The bridge to a robot without ROS: every picture is answered, silence and the end stop the robot."""
+
+import base64
+import json
+import socket
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+import vstestbed as vs
+from vstestbed.core.named_files import load_file
+
+BRIDGE = load_file(Path(__file__).with_name("bridge.py"))
+
+
+def test_every_picture_is_answered_and_silence_stops(monkeypatch):
+    monkeypatch.setattr(BRIDGE, "SILENCE_S", 2.0)  # a busy machine may draw the next picture late
+    scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.4})
+    robot, law = socket.socketpair()
+    thread = threading.Thread(target=BRIDGE.serve, args=(vs.Controller(scenario), law), daemon=True)
+    thread.start()
+    answers, out = robot.makefile("r"), robot.makefile("w")
+    with vs.Session(scenario, pictures=True) as session:
+        frame = session.reset()
+        for _ in range(4):
+            jpeg = cv2.imencode(".jpg", frame.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
+            line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "jpeg": base64.b64encode(jpeg).decode()}
+            out.write(json.dumps(line) + "\n")
+            out.flush()
+            moved = json.loads(answers.readline())["move"]
+            np.testing.assert_allclose(moved, frame.setpoint, atol=0.02)  # JPEG moves a marker by some hundredths of a pixel
+            frame = session.step()
+    assert json.loads(answers.readline())["stop"].startswith("no picture arrived")
+    robot.shutdown(socket.SHUT_WR)
+    said = [json.loads(line) for line in answers]
+    thread.join(5)
+    assert said[-1] == {"stop": "the bridge has ended", "latched": True}
