@@ -30,7 +30,7 @@ def obey(order, out: IO[str]) -> None:
 
 def picture_of(line: dict) -> np.ndarray:
     """The picture (H, W, 3), RGB."""
-    data = np.frombuffer(base64.b64decode(line["jpeg"]), np.uint8)
+    data = np.frombuffer(base64.b64decode(line["picture"]), np.uint8)
     return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 

@@ -25,12 +25,12 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     with vs.Session(scenario, pictures=True) as session:
         frame = session.reset()
         for _ in range(4):
-            jpeg = cv2.imencode(".jpg", frame.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
-            line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "jpeg": base64.b64encode(jpeg).decode()}
+            png = base64.b64encode(cv2.imencode(".png", frame.image[..., ::-1])[1]).decode()
+            line = {"t": frame.t, "q": frame.truth.q.tolist(), "qd": frame.truth.qd.tolist(), "picture": png}
             out.write(json.dumps(line) + "\n")
             out.flush()
             moved = json.loads(answers.readline())["move"]
-            np.testing.assert_allclose(moved, frame.setpoint, atol=0.02)  # JPEG moves a marker by some hundredths of a pixel
+            np.testing.assert_allclose(moved, frame.setpoint, atol=1e-12)
             frame = session.step()
     assert json.loads(answers.readline())["stop"].startswith("no picture arrived")
     robot.shutdown(socket.SHUT_WR)
