@@ -19,6 +19,7 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
     monkeypatch.setattr(BRIDGE, "SILENCE_S", 2.0)  # a busy machine may draw the next picture late
     scenario = vs.load("arm_ibvs", {"stop.duration_s": 0.4})
     robot, law = socket.socketpair()
+    robot.settimeout(20)
     thread = threading.Thread(target=BRIDGE.serve, args=(vs.Controller(scenario), law), daemon=True)
     thread.start()
     answers, out = robot.makefile("r"), robot.makefile("w")
@@ -34,6 +35,7 @@ def test_every_picture_is_answered_and_silence_stops(monkeypatch):
             frame = session.step()
     assert json.loads(answers.readline())["stop"].startswith("no picture arrived")
     robot.shutdown(socket.SHUT_WR)
-    said = [json.loads(line) for line in answers]
     thread.join(5)
+    law.close()
+    said = [json.loads(line) for line in answers]
     assert said[-1] == {"stop": "the bridge has ended", "latched": True}
