@@ -3,7 +3,7 @@
 A record has the commands that were sent, and what was read at each picture: joints, and markers. The simulator flies the same commands, and
 least squares find the parameters with which it reads the same.
 
-Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (prediction error methods, and their covariance).
+Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (prediction error methods, their weights and covariance).
 """
 
 from __future__ import annotations
@@ -207,46 +207,83 @@ def identify(
     sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
     model = _Model(record, scenario, fit, start, say)
-    there = np.isfinite(measured)
+    errors, x = _Errors(model, measured, sigma), start
+    for stage in range(STAGES):  # by the sensors' noise alone first; then by how the errors of that go together
+        x = _fitted(errors, x, fit)
+        if stage + 1 < STAGES:
+            errors = errors.whitened(x)
+    return _summed_up(record, scenario, fit, errors, x, sigma)
 
-    def errors(x: Array) -> Array:
-        off = (model.predicted(x) - measured) / sigma
-        return off[there & np.isfinite(off)] if np.isfinite(off[there]).all() else np.nan_to_num(off[there], nan=1e3)
 
+STAGES = 3
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Prediction errors over the parameters, whitened: those of the moment before are taken off as far as they go on (an AR(1) process for
+    each reading), and what is left is weighed by its covariance. A craft that drifts in its own sensors' noise, or a camera whose
+    markers move together, would else count as hundreds of independent surprises.
+
+    sigma: noise of each reading (k,). rho: how much of an error goes on (k,); 0 at first. W: weights (k, k), W^T W the inverse covariance.
+    """
+
+    model: _Model
+    measured: Array
+    sigma: Array
+    rho: Array | float = 0.0
+    W: Array | None = None
+
+    def plain(self, x: Array) -> Array:
+        """The errors over the noise (n, k); 0 where nothing was read."""
+        off = (self.model.predicted(x) - self.measured) / self.sigma
+        return np.where(np.isfinite(self.measured), np.nan_to_num(off, nan=1e3), 0.0)
+
+    def __call__(self, x: Array) -> Array:
+        """The whitened errors, flat."""
+        off = self._onward(self.plain(x))
+        return (off if self.W is None else off @ self.W.T).ravel()
+
+    def _onward(self, off: Array) -> Array:
+        return np.concatenate([off[:1], off[1:] - self.rho * off[:-1]])
+
+    def whitened(self, x: Array) -> _Errors:
+        """The same with rho and W of the errors at x."""
+        off = self.plain(x)
+        rho = np.clip((off[1:] * off[:-1]).sum(axis=0) / np.maximum((off[:-1] ** 2).sum(axis=0), 1e-12), 0.0, 0.995)
+        made = replace(self, rho=rho)
+        left = made._onward(off)[1:]
+        S = left.T @ left / len(left)
+        S = 0.95 * S + 0.05 * np.diag(np.diag(S)) + 1e-3 * np.eye(len(S))  # shrunk: of few moments it is uncertain
+        return replace(made, W=np.linalg.inv(np.linalg.cholesky(S)))
+
+
+def _fitted(errors: _Errors, start: Array, fit: Sequence[Parameter]) -> Array:
+    """The least squares from a start, robust against single outliers."""
+    low, high = np.array([p.low for p in fit]), np.array([p.high for p in fit])
     steps = np.array([0.002 if p.shifts else 0.02 * max(abs(s), 0.1 * (p.high - p.low)) for p, s in zip(fit, start, strict=True)])
-    scale = np.array([0.02 if p.shifts else 0.3 * (p.high - p.low) for p in fit])
-    inside = np.clip(start, [p.low + 1e-9 for p in fit], [p.high - 1e-9 for p in fit])
+    inside = np.clip(start, low + 1e-9, high - 1e-9)
     found = least_squares(
         errors,
         inside,
-        bounds=([p.low for p in fit], [p.high for p in fit]),
-        x_scale=scale,
+        bounds=(low, high),
+        x_scale=np.array([0.02 if p.shifts else 0.3 * (p.high - p.low) for p in fit]),
         diff_step=steps / np.maximum(np.abs(inside), 1e-3),
         loss="soft_l1",
         f_scale=3.0,
         max_nfev=25,
-        ftol=1e-6,
-        xtol=1e-6,
+        ftol=1e-5,
+        xtol=1e-5,
     )
-    return _summed_up(record, scenario, fit, model, found.x, errors, sigma)
+    return found.x
 
 
-def _summed_up(
-    record: pl.DataFrame,
-    scenario: Scenario,
-    fit: tuple[Parameter, ...],
-    model: _Model,
-    x: Array,
-    errors: Callable[[Array], Array],
-    sigma: Array,
-) -> Identified:
+def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, ...], errors: _Errors, x: Array, sigma: Array) -> Identified:
     """What was found at x: intervals by the covariance s^2 (J^T J)^-1, what is not told apart, and the noise."""
     names, measured, _ = _measured(record, scenario)
     pixels, t = np.array(["_px_" in name for name in names]), record["t"].to_numpy()
     J, off = _jacobian(errors, x, fit), errors(x)
     dof = max(1, len(off) - len(fit))
-    s2 = float(off @ off) / dof
-    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J) * s2), 0.0))
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J) * (off @ off) / dof), 0.0))
     sizes = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     C = J.T @ J / np.outer(sizes, sizes)  # cosines of what they do to the predictions
     together = [(fit[j].field, fit[i].field, float(C[i, j])) for i in range(len(fit)) for j in range(i) if abs(C[i, j]) > APART]
@@ -257,10 +294,10 @@ def _summed_up(
     noise = {name: float(np.median(s)) for name, s in {"joints": sigma[~pixels], "markers": sigma[pixels]}.items() if len(s)}
     half = student.ppf(0.975, dof) * deviation
     # A command acts at the next step of the robot's clock: which instant between two of them it is, nothing tells.
-    half += np.array([model.grid_s / 2 if p.field == COMMAND_LATENCY else 0.0 for p in fit])
+    half += np.array([errors.model.grid_s / 2 if p.field == COMMAND_LATENCY else 0.0 for p in fit])
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
-    rest = (record, model.predicted(x), measured, names)
-    return Identified(scenario, fit, x, half, together, noise, *times, math.sqrt(s2), *rest)
+    rest = (record, errors.model.predicted(x), measured, names)
+    return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((errors.plain(x) ** 2).mean())), *rest)
 
 
 def _jacobian(errors: Callable[[Array], Array], x: Array, fit: Sequence[Parameter]) -> Array:
@@ -302,6 +339,10 @@ def _noise(a: Array, what: str) -> float:
     """Standard deviation of white noise on a smooth signal (n,), by its third differences (Gasser, Sroka & Jennen-Steinmetz 1986)."""
     d = np.diff(a[np.isfinite(a)], 3)
     return max(1.4826 * float(np.median(np.abs(d))) / math.sqrt(20), LEAST_NOISE[what]) if len(d) else LEAST_NOISE[what]
+
+
+_EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.velocity.sigma_mps": 0.0, "robot.range_sigma_m": 0.0}
+"""Instruments without noise, of a robot that flies by them: its motion would else follow the noise of another flight."""
 
 
 class _Model:
@@ -360,6 +401,7 @@ class _Model:
         timing = {"command_latency_s": latency_s, "command_timeout_s": self._scenario.timing.command_timeout_s}
         given |= {"timing": timing, "noise": {}, "detector": {"kind": "oracle", "field_of_view": "unlimited"}, "calibration": {}}
         given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
+        given |= _EXACT if hasattr(self._scenario.robot, "imu") else {}
         given |= {"law": {"kind": "ibvs", "depth": "goal"}} if "image" in self._scenario.law.inputs else {}  # it moves nothing here
         given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
         return parse(self._plain, self._scenario.name or "scenario", given)
