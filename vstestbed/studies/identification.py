@@ -341,7 +341,7 @@ def _noise(a: Array, what: str) -> float:
     return max(1.4826 * float(np.median(np.abs(d))) / math.sqrt(20), LEAST_NOISE[what]) if len(d) else LEAST_NOISE[what]
 
 
-_EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.velocity.sigma_mps": 0.0, "robot.range_sigma_m": 0.0}
+_EXACT = {"robot.imu.gyro_sigma_radps": 0.0, "robot.imu.accel_sigma_mps2": 0.0, "robot.range_sigma_m": 0.0}
 """Instruments without noise, of a robot that flies by them: its motion would else follow the noise of another flight."""
 
 
@@ -401,7 +401,8 @@ class _Model:
         timing = {"command_latency_s": latency_s, "command_timeout_s": self._scenario.timing.command_timeout_s}
         given |= {"timing": timing, "noise": {}, "detector": {"kind": "oracle", "field_of_view": "unlimited"}, "calibration": {}}
         given |= {"camera.latency_s": self._latency_s, "camera.readout_s": 0.0}
-        given |= _EXACT if hasattr(self._scenario.robot, "imu") else {}
+        if (flow := getattr(self._scenario.robot, "velocity", None)) is not None:
+            given |= {**_EXACT, "robot.velocity": {**to_mapping(flow), "sigma_mps": 0.0}}
         given |= {"law": {"kind": "ibvs", "depth": "goal"}} if "image" in self._scenario.law.inputs else {}  # it moves nothing here
         given |= {f"camera.{name}": None for name in ("exposure", "stream") if getattr(self._scenario.camera, name) is not None}
         return parse(self._plain, self._scenario.name or "scenario", given)
