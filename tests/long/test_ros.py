@@ -158,15 +158,13 @@ def test_nothing_moves_after_a_stop_by_the_service(tmp_path):
 TRUTHS = {
     "omni_ibvs": {"robot.drive_lag_s": (0.02, 0.2), "robot.wheel_radius_error": (-0.03, 0.03)},
     "arm_jaco": {"robot.servo_kv": (0.5, 2.0)},
-    "quadrotor_perspective": {"robot.gains.velocity": (1.0, 3.0), "robot.gains.climb": (1.5, 4.0)},
+    "car_pbvs": {"robot.drive_lag_s": (0.02, 0.2), "robot.wheel_radius_error": (-0.03, 0.03)},
 }
 
 
 @pytest.mark.parametrize("robot", TRUTHS)
 def test_known_parameters_are_found_within_their_intervals(robot):
-    """Of 20 robots with drawn parameters, latencies and noise, each parameter is in its 95 % interval in 19 on the mean: in 16 at least
-    of each (by chance fewer in one of 60 such tests), and of all parameters together in 90 %.
-    """
+    """Of 20 robots with drawn parameters, latencies and noise, each parameter is in its 95 % interval in 19 on the mean: in 18 at least."""
     base, inside = vs.load(robot), []
     for seed in range(20):
         rng = np.random.default_rng([seed, len(robot)])
@@ -181,4 +179,4 @@ def test_known_parameters_are_found_within_their_intervals(robot):
         inside.append({p.field: abs(v - true[p.field]) <= half for p, v, half in told if p.field in true})
     table = pl.DataFrame(inside)
     counts = {name: int(table[name].sum()) for name in table.columns}
-    assert min(counts.values()) >= 16 and sum(counts.values()) >= 0.9 * 20 * len(counts), counts
+    assert min(counts.values()) >= 18, counts

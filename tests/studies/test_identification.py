@@ -21,11 +21,6 @@ def record():
     return idn.fly(scenario, motion[:100])  # a step ahead and back, and the next one
 
 
-@pytest.fixture(scope="module")
-def found(record):
-    return idn.identify(record, vs.load("omni_ibvs"), [LATENCY, STAMPS, LAG])
-
-
 def test_a_motion_ends_where_it_began_and_moves_all():
     for name, n in (("arm_ibvs", 6), ("omni_ibvs", 3), ("car_line", 2), ("quadrotor_perspective", 4)):
         motion = idn.motion_of(vs.load(name))
@@ -35,15 +30,13 @@ def test_a_motion_ends_where_it_began_and_moves_all():
         assert (u[:10] == 0).all() and (u[-10:] == 0).all()
 
 
-def test_what_was_put_in_is_found(found):
+def test_what_was_put_in_is_found_and_is_a_preset_of_the_robot(record, tmp_path):
+    found = idn.identify(record, vs.load("omni_ibvs"), [LATENCY, STAMPS, LAG])
     true = {"robot.drive_lag_s": 0.08, idn.COMMAND_LATENCY: 0.032, idn.STAMPS: 0.0}
     for p, value, half in zip(found.parameters, found.values, found.half, strict=True):
         assert value == pytest.approx(true[p.field], abs=max(half, 1e-6)) and half < 0.006, p.field
     assert found.latency_s == pytest.approx(0.04) and found.noise["markers"] == pytest.approx(0.3, rel=0.25)
     assert found.residual < 1.5 and found.together == []
-
-
-def test_it_is_a_preset_of_the_robot(found, tmp_path):
     page = idn.write(tmp_path, found, "record", "vstestbed identify").read_text(encoding="utf-8")
     assert "The simulator reads what the robot read" in page
     scenario = vs.load("omni_ibvs", {"robot.realism": str(tmp_path / "robot.yaml"), **idn.overrides(found)})
