@@ -65,8 +65,10 @@ def test_what_is_no_record_or_no_parameter_is_refused(record, tmp_path):
     (tmp_path / "a.csv").write_text("x,y\n1,2\n")
     with pytest.raises(RunFolderError, match="has the columns x, y"):
         idn.read_record(tmp_path / "a.csv")
-    with pytest.raises(ParameterError, match="is it of another robot"):
-        idn.identify(record.select("t", "arrived", "u_0"), vs.load("omni_ibvs"))
+    with pytest.raises(ParameterError, match="commands of 3 motions, and robot puma560 has 6"):
+        idn.identify(record, vs.load("arm_ibvs"))
+    with pytest.raises(ParameterError, match="has none of q_"):
+        idn.identify(record.select("t", "arrived", "u_0", "u_1", "u_2"), vs.load("omni_ibvs"))
     with pytest.raises(ScenarioError, match="unknown field"):
         idn.identify(record, vs.load("omni_ibvs"), [Parameter("robot.nothing", 0, 1)])
     with pytest.raises(ScenarioError, match="realism"):

@@ -9,6 +9,7 @@ Reference: Ljung 1999, System Identification, 2nd ed., chapters 7 and 9 (predict
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -47,8 +48,7 @@ SHARES = {"fixed": (0.06, 0.25), "planar": (0.25, 0.6), "floating": (0.4, 0.4)} 
 
 def motion_of(scenario: Scenario) -> pl.DataFrame:
     """Commands at the camera's rate, along the robot's own motions: `t` and `u_0`, ... [m/s, rad/s]; they end where they began."""
-    robot = scenario.robot
-    basis = robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), robot.start_joints())
+    robot, basis = scenario.robot, _motions(scenario)
     n, rate = basis.shape[1], scenario.camera.rate_hz
     linear, angular = SHARES[robot.base]
     sizes = np.array([linear if np.linalg.norm(basis[:3, i]) > 0.5 else angular for i in range(n)])
@@ -65,6 +65,11 @@ def motion_of(scenario: Scenario) -> pl.DataFrame:
     parts += [0.7 * sizes * np.sin(2 * np.pi * at[:, None] * whole) * np.array([(-1) ** k for k in range(n)]), rest, rest]
     u = np.concatenate(parts)
     return pl.DataFrame({"t": np.arange(len(u)) / rate, **{f"u_{i}": u[:, i] for i in range(n)}})
+
+
+def _motions(scenario: Scenario) -> Array:
+    """The camera twists of the robot's own motions at its start (6, n)."""
+    return scenario.robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints())
 
 
 def fly(scenario: Scenario, motion: pl.DataFrame, tick: Callable[[], None] = lambda: None) -> pl.DataFrame:
@@ -203,6 +208,10 @@ def identify(
     Raises ParameterError: a parameter that the scenario has not, or a record of another robot. ScenarioError: a value is refused.
     """
     fit = tuple(parameters) or usual(scenario, record)
+    commands, motions = sum(re.fullmatch(r"u_\d+", name) is not None for name in record.columns), _motions(scenario).shape[1]
+    if commands != motions:
+        words = f"has commands of {commands} motions, and robot {scenario.robot.kind} has {motions}: is it of another robot?"
+        raise ParameterError("record", words)
     names, measured, _ = _measured(record, scenario)
     sigma = np.array([_noise(measured[:, i], "pixel" if "_px_" in name else "joint") for i, name in enumerate(names)])
     start = np.array([min(max(_start(p, scenario), p.low), p.high) for p in fit])
