@@ -302,8 +302,8 @@ def _summed_up(record: pl.DataFrame, scenario: Scenario, fit: tuple[Parameter, .
     arrived = record["arrived"].to_numpy() if "arrived" in record.columns else t
     noise = {name: float(np.median(s)) for name, s in {"joints": sigma[~pixels], "markers": sigma[pixels]}.items() if len(s)}
     half = student.ppf(0.975, dof) * deviation
-    # A command acts at the next step of the robot's clock: which instant between two of them it is, nothing tells.
-    half += np.array([errors.model.grid_s / 2 if p.field == COMMAND_LATENCY else 0.0 for p in fit])
+    # A command acts at the next step of the robot's clock, one of some phase to the camera's: within a step nothing tells when it came.
+    half += np.array([errors.model.grid_s if p.field == COMMAND_LATENCY else 0.0 for p in fit])
     times = (float(np.median(arrived - t)), float(np.std(np.diff(t))))
     rest = (record, errors.model.predicted(x), measured, names)
     return Identified(scenario, fit, x, half, together, noise, *times, float(np.sqrt((errors.plain(x) ** 2).mean())), *rest)
