@@ -10,7 +10,7 @@ import vstestbed as vs
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.ros import link as links
 from vstestbed.ros import messages as m
-from vstestbed.ros.law import LawNode, command_frame, command_topic
+from vstestbed.ros.law import LawNode, Senses, command_frame, command_topic
 from vstestbed.ros.link import Link, connected
 from vstestbed.ros.robot import RobotNode
 
@@ -203,3 +203,18 @@ def test_topics_are_mapped():
     link = Wire("node")
     link._remap = {"image_raw": "/cam/image"}
     assert [link.name(topic) for topic in ("~/stop", "/tf", "imu", "~/image_raw")] == ["/node/stop", "/tf", "/imu", "/cam/image"]
+
+
+def test_readings_stand_in_the_order_of_their_times_once():
+    """With a camera later than its period the reading of now is told before that of the next exposure, and both again and again."""
+    robot = vs.load("arm_ibvs").robot
+    senses = Senses(robot, 0.06)
+    for t in (0.0, 0.1, 0.04, 0.14, 0.04, 0.14, 0.08, 0.18):
+        message = m.readings(t, robot, vs.Reading(np.full(6, t), np.ones(6)))["joint_states"]
+        senses.hear("joint_states", message)
+    for t in (0.0, 0.04, 0.06, 0.08, 0.11, 0.18):
+        np.testing.assert_allclose(senses.at(t).q, t, atol=1e-9)
+    assert senses.at().q[0] == pytest.approx(0.18)
+    senses.hear("joint_states", m.readings(100.0, robot, vs.Reading(np.ones(6), np.ones(6)))["joint_states"])
+    senses.hear("joint_states", m.readings(0.0, robot, vs.Reading(np.zeros(6), np.ones(6)))["joint_states"])  # the robot was started again
+    assert senses.at().q[0] == 0

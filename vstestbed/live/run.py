@@ -84,7 +84,7 @@ class Settings:
         for (key, text), (_, told) in zip(_texts(found, block), _texts(value, block), strict=True):
             known = self._given | (
                 {f"{TEXTURE}{name}" for name in textures()}
-                if key in FILE_FIELDS
+                if key in FILE_FIELDS and key != "realism"  # whose levels are words; its files end as no word does
                 else _words(sum(len(registry.members) for registry in REGISTRIES), len(SPECS))
             )
             if text not in known:

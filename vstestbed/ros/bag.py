@@ -266,7 +266,7 @@ def stepped(path: Path, scenario: Scenario, remap: Mapping[str, str]) -> Iterato
     def step(event: Event) -> Fed:
         began, stamp = time.perf_counter(), time_of(event.message)
         late = event.arrived - stamp  # by another clock it says nothing
-        cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None).cycle
+        cycle = servo.step(event.message, event.arrived if 0 <= late < scenario.timing.order_s(scenario.camera) else None)
         took, reading = 1e3 * (time.perf_counter() - began), servo.senses.at(stamp)
         return Fed(stamp, event.arrived, cycle, took, reading, servo.sent(cycle.order), np.full(6, np.nan))
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import bisect
 import logging
 import math
 import threading
 import time
-from collections import deque
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from vstestbed.tasks.frame import Cycle
 REMEMBERED = 400  # readings of each topic, two seconds of joints at 200 Hz
 WALL_S = 3600.0  # stamps this near to the clock of this machine are of it; others are of a simulation, or of a bag
 WAIT_S = 1.0  # for how long a picture waits for the reading of its exposure, unless the next picture comes first [s]
+RESTART_S = 5.0  # a clock that goes back by more has begun anew [s]
 LATE = 1.5  # a reading this many camera periods away from a picture's exposure is none of it
 
 
@@ -50,12 +51,8 @@ def command_topic(scenario: Scenario) -> str:
 
 def command_frame(scenario: Scenario) -> str:
     """In which frame twists are: the camera's, which arms take; the body's of a base, and of an arm in front of a camera in the room."""
-    by_camera = scenario.robot.base == "fixed" and not _in_the_room(scenario)
+    by_camera = scenario.robot.base == "fixed" and not scenario.target.on_gripper
     return OPTICAL if by_camera else body_frame(scenario.robot)
-
-
-def _in_the_room(scenario: Scenario) -> bool:
-    return scenario.target.on_gripper
 
 
 def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
@@ -63,11 +60,17 @@ def sent(scenario: Scenario, mount: Mount, order: Order, q: Array) -> Array:
     return order.twist if command_frame(scenario) == OPTICAL else mount_at(scenario, mount, q).to_flange @ order.twist
 
 
-class Stepped(NamedTuple):
-    """What a picture came to. stamp: of its exposure, as it was given [s]. cycle: of the controller."""
+Heard = TypeVar("Heard")
 
-    stamp: float
-    cycle: Cycle
+
+def _remember(known: list[tuple[float, Heard]], t: float, heard: Heard) -> None:
+    """Put what was heard in its place by time, once: a reading of an exposure may come after a later one, and is told again."""
+    if known and t < known[-1][0] - RESTART_S:
+        known.clear()
+    after = bisect.bisect_left(known, t, key=lambda one: one[0])
+    if after == len(known) or known[after][0] != t:
+        known.insert(after, (t, heard))
+    del known[:-REMEMBERED]
 
 
 class Senses:
@@ -78,8 +81,8 @@ class Senses:
 
     def __init__(self, robot: Robot, near_s: float):
         self._robot, self._near_s, self._topics = robot, near_s, sensors_of(robot)
-        self._heard: dict[str, deque[tuple[float, Message]]] = {name: deque(maxlen=REMEMBERED) for name in self._topics}
-        self._joints: deque[tuple[float, Array, Array]] = deque(maxlen=REMEMBERED)
+        self._heard: dict[str, list[tuple[float, Message]]] = {name: [] for name in self._topics}
+        self._joints: list[tuple[float, tuple[Array, Array]]] = []
         self._others = ""  # why joints that were heard are none of this robot's
         self._lock = threading.Lock()
 
@@ -89,11 +92,11 @@ class Senses:
         with self._lock:
             if topic == "joint_states":
                 try:
-                    self._joints.append((t, *joints_of(message, self._robot.joints)))
+                    _remember(self._joints, t, joints_of(message, self._robot.joints))
                 except ParameterError as error:
                     self._others = str(error)
                     return
-            self._heard[topic].append((t, message))
+            _remember(self._heard[topic], t, message)
 
     def until(self, stamp: float) -> bool:
         """Whether every topic was heard up to a time [s]."""
@@ -119,12 +122,12 @@ class Senses:
         return reading if not joints else replace(reading, **self._between(joints, stamp))
 
     @staticmethod
-    def _between(joints: list[tuple[float, Array, Array]], stamp: float | None) -> dict[str, Array]:
+    def _between(joints: list[tuple[float, tuple[Array, Array]]], stamp: float | None) -> dict[str, Array]:
         """Positions and velocities at a time; velocities that the driver does not tell are those of the way between two messages."""
-        times = [t for t, _, _ in joints]
+        times = [t for t, _ in joints]
         stamp = times[-1] if stamp is None else stamp
         after = min(max(int(np.searchsorted(times, stamp, side="left")), 1), len(joints) - 1)
-        (t0, q0, qd0), (t1, q1, qd1) = joints[after - 1], joints[after]
+        (t0, (q0, qd0)), (t1, (q1, qd1)) = joints[after - 1], joints[after]
         share = min(max((stamp - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
         q, qd = q0 + share * (q1 - q0), qd0 + share * (qd1 - qd0)
         if share in (0.0, 1.0):  # to the last digit
@@ -154,7 +157,7 @@ class Feed:
         self.controller.reset()
         self.began, self.depth = None, None
 
-    def step(self, message: Message, arrived: float | None = None) -> Stepped:
+    def step(self, message: Message, arrived: float | None = None) -> Cycle:
         """One control step for a picture. arrived: when it came [s], by the clock of the stamps; None: after `camera.latency_s`.
         ParameterError: see `Controller.step`; an encoding that is not read; no reading near to the exposure.
         """
@@ -167,7 +170,7 @@ class Feed:
         if arrived is None and self.by_wall:
             arrived = time.time()
         now = None if arrived is None else max(arrived, stamp) - self.began
-        return Stepped(stamp, self.controller.step(picture, stamp - self.began, given, now, depth=depth))
+        return self.controller.step(picture, stamp - self.began, given, now, depth=depth)
 
     def silent(self, elapsed_s: float) -> Order:
         """The order so long after the last picture [s]."""
@@ -197,7 +200,6 @@ class LawNode:
         self._news = threading.Condition()
         self._status = ""
         self.took_s: list[float] = []
-        self.ended = False
         for name, kind in sensors_of(scenario.robot).items():
             link.subscribe(name, kind, lambda message, name=name: self._sensed(name, message))
         for name, kind in (("/vstestbed_robot/image_raw", IMAGE), ("/vstestbed_robot/image_raw/compressed", COMPRESSED)):
@@ -231,16 +233,16 @@ class LawNode:
         """Stop, until `start`."""
         with self._news:
             self._stopped = self._stopped or why
+            self._rest(self._stopped)
             self._news.notify()
-        self._rest(self._stopped)
         return True, self._stopped
 
     def reset(self) -> tuple[bool, str]:
         """Forget the task so far, and a stop with it; it stays stopped until `start`."""
         with self._news:
             self._asked_to_reset, self._stopped = True, "not started"
-        self._rest(self._stopped)
-        self._moved = False
+            self._rest(self._stopped)
+            self._moved = False
         return True, self._stopped
 
     def _rest(self, why: str) -> None:
@@ -293,17 +295,15 @@ class LawNode:
         self._wait_for_reading(time_of(message))
         began = time.perf_counter()
         try:
-            stepped = self.servo.step(message)
+            cycle = self.servo.step(message)
         except ParameterError as error:
             self._rest(str(error))
             return time.monotonic()
-        cycle = stepped.cycle
-        with self._news:
-            stopped = self._stopped
-        if stopped:  # meanwhile
-            return time.monotonic()
-        self._moved = True
-        self._send(self.servo.sent(cycle.order), self._now())
+        with self._news:  # held while it is sent: a stop comes before it, and then it is not, or after it
+            if self._stopped:
+                return time.monotonic()
+            self._moved = True
+            self._send(self.servo.sent(cycle.order), self._now())
         self.took_s.append(time.perf_counter() - began)
         if cycle.latched:
             self.stop(cycle.reason)
