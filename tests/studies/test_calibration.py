@@ -74,7 +74,7 @@ def test_pictures_of_a_folder_give_lens_and_mount(folder, tmp_path):
     np.testing.assert_allclose(made.camera.centre, (324, 236), atol=2)
     assert made.rms_px < 0.15 and made.found.rms_px < 0.2
     page = c.write(tmp_path, made, "pictures", None, "vstestbed calibrate").read_text(encoding="utf-8")
-    assert "1 pictures do not show the board: empty.png" in page and "daniilidis" in page
+    assert "The board is not found in: empty.png." in page and "daniilidis" in page
     again = read_calibration(str(tmp_path / "calibration.yaml"))
     np.testing.assert_allclose(Pose(**again["mount"]).T, made.found.X, atol=1e-9)
     assert again["intrinsics"].focal_px == made.camera.intrinsics.focal_px

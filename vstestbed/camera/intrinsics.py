@@ -137,7 +137,7 @@ def _node(node: Any) -> Any:
     if node.isMap():
         if "data" in node.keys() and "rows" in node.keys():  # noqa: SIM118 - a FileNode is no mapping
             return node.mat()
-        return {name: _node(node.getNode(name)) for name in node.keys()}  # noqa: SIM118
+        return {name: _node(node.getNode(name)) for name in node.keys()}  # noqa: SIM118 - as above
     if node.isSeq():
         return [_node(node.at(i)) for i in range(node.size())]
     return node.string() if node.isString() else node.real()
@@ -231,7 +231,7 @@ def as_ros(camera: Camera) -> tuple[Array, Model, Sequence[float]] | None:
     if lens not in LENSES:
         return None
     k: tuple[float, ...] = camera.lens_coefficients  # type: ignore[attr-defined] - both lenses have them
-    (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre  # type: ignore[attr-defined]
+    (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre  # type: ignore[attr-defined] - as above
     model: Model = "equidistant" if lens == "fisheye" else "rational_polynomial" if len(k) == 8 else "plumb_bob"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), model, k or (0.0,) * 5
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import io
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
+
+if TYPE_CHECKING:
+    from vstestbed.studies.calibration import Board
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")]
 BOARD = "7x5:0.04:0.03:4X4_50"
@@ -70,7 +73,7 @@ def calibrate(
         typer.echo(f"  results   {folder} (calibration.yaml, report.html)", err=True)
 
 
-def _table(source: str, board: object, trials: int, out: Path | None, quiet: bool, plugin: list[str] | None) -> None:
+def _table(source: str, board: Board, trials: int, out: Path | None, quiet: bool, plugin: list[str] | None) -> None:
     from rich.progress import Progress
 
     from vstestbed.cli.progress import ProgressBar
@@ -82,7 +85,7 @@ def _table(source: str, board: object, trials: int, out: Path | None, quiet: boo
     total = trials * sum(map(len, room.OVER.values()))
     with study_folder("calibrate", out) as folder:
         with ProgressBar(Progress.get_default_columns(), not quiet, "calibrating", total) as bar:
-            lines = room.exactness(scenario, board, trials, bar.were_done)  # type: ignore[arg-type] - a Board
+            lines = room.exactness(scenario, board, trials, bar.were_done)
         room.write_table(folder, lines, scenario, command_line())
     if not quiet:
         typer.echo(f"{folder / 'report.html'}", err=True)

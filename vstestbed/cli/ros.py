@@ -6,13 +6,18 @@ import signal
 import threading
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from vstestbed.cli.tools import Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.shares import STOPS
+
+if TYPE_CHECKING:
+    from vstestbed.ros.link import Link
+    from vstestbed.ros.robot import Pace
+    from vstestbed.scenario.scenario import Scenario
 
 Role = Literal["robot", "law", "excite", "start", "stop", "reset"]
 NODES = "vstestbed_law", "vstestbed_robot"
@@ -48,7 +53,10 @@ def ros(
     idle = ["stop.rest_after_s=null"] if role == "robot" else []  # who waits for commands has not ended
     given, ended = load_scenario(scenario, [*idle, *(set_ or [])], plugin, seed), threading.Event()
     show_notes(not quiet)
-    before = {number: signal.signal(number, lambda *_: ended.set()) for number in STOPS}
+    # one that is ignored (`nohup`) stays so
+    before = {number: handler for number in STOPS if (handler := signal.getsignal(number)) != signal.SIG_IGN}
+    for number in before:
+        signal.signal(number, lambda *_: ended.set())
     try:
         node = f"vstestbed_{role}"
         with connected(node, backend, remapped(remap), connect or (), listen or ()) as link:
@@ -77,7 +85,17 @@ def ros(
             signal.signal(number, handler)
 
 
-def _fly(given, link, pace, truth, watchdog, bag, out, quiet, ended) -> None:  # type: ignore[no-untyped-def] - as above
+def _fly(
+    given: Scenario,
+    link: Link,
+    pace: Pace,
+    truth: bool,
+    watchdog: float | None,
+    bag: Path | None,
+    out: Path | None,
+    quiet: bool,
+    ended: threading.Event,
+) -> None:
     from vstestbed.cli.ending import GOAL_REACHED, NOT_REACHED
     from vstestbed.cli.progress import Progress, summary_text
     from vstestbed.core.files import make_parents, must_be_new

@@ -208,21 +208,30 @@ class RobotNode:
     def _wait(self, due: float) -> Array | None:
         """The twist for the frame that was told; None for rest. due: when the next picture is due [s]."""
         with self._news:
-            if self._pace == "wall":
-                while not self.ended.is_set() and (left := due - time.monotonic()) > 0:
-                    if not self._news.wait(min(left, AGAIN_S)):
-                        self._voice.readings()
-                fresh = self._command is not None and time.monotonic() - self._command[2] <= self.watchdog_s
-                self._silent = not fresh
-                return self._command[1] if self._command is not None and fresh and not self._stopped else None
-            # After a silence simulated time goes on with the wall's: a robot whose law is dead comes to rest, and its pictures go on.
-            end = time.monotonic() + (self.scenario.camera.period if self._silent else self.watchdog_s)
-            answered = False
-            while not (answered or self._stopped or self.ended.is_set()) and (left := end - time.monotonic()) > 0:
-                if not self._news.wait(min(left, AGAIN_S)):
-                    self._voice.readings()
-                answered = self._command is not None and self._command[0] >= self._voice.stamp - 1e-6
-            if self._stopped:
-                self._news.wait_for(self.ended.is_set, timeout=max(0.0, min(self.scenario.camera.period, end - time.monotonic())))
-            self._silent = not answered
-            return self._command[1] if self._command is not None and answered and not self._stopped else None
+            v = self._by_the_clock(due) if self._pace == "wall" else self._in_step()
+            return None if self._stopped else v
+
+    def _by_the_clock(self, due: float) -> Array | None:
+        """The newest twist when the next picture is due; None where it is too old."""
+        while not self.ended.is_set() and (left := due - time.monotonic()) > 0:
+            if not self._news.wait(min(left, AGAIN_S)):
+                self._voice.readings()
+        command = self._command
+        self._silent = command is None or time.monotonic() - command[2] > self.watchdog_s
+        return None if command is None or self._silent else command[1]
+
+    def _in_step(self) -> Array | None:
+        """The twist that answers the picture, once; None where none comes within the watchdog time. After a silence simulated time goes on
+        with the wall's: a robot whose law is dead comes to rest, and its pictures go on.
+        """
+        wait_s = self.scenario.camera.period if self._silent or self._stopped else self.watchdog_s
+        end = time.monotonic() + wait_s
+        while not self.ended.is_set() and (left := end - time.monotonic()) > 0:
+            command = self._command
+            if command is not None and command[0] >= self._voice.stamp - 1e-6 and not self._stopped:
+                self._command, self._silent = None, False  # each answers one picture
+                return command[1]
+            if not self._news.wait(min(left, AGAIN_S)):
+                self._voice.readings()
+        self._silent = True
+        return None

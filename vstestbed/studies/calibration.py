@@ -33,7 +33,6 @@ Model = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 MOST_VIEWS = 30  # of a run; more pictures tell hardly more, and each costs
 LEAST_CORNERS = 6  # corners in a picture with which it counts
 POSE_SIGMA = 1e-4  # error of poses that are not given by joints, along and about each axis [m, rad]
-PICTURES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True)
@@ -279,9 +278,10 @@ def write(folder: Path, made: Calibrated, source: str, truth: Scenario | None, c
         f"The corners are {made.found.rms_px:.3f} px (RMS) from where the pose puts them; of views that were left out {px:.3f} px, "
         f"{1e3 * mm:.2f} mm and {math.degrees(deg):.3f} degrees.",
         *([f"The lens alone explains them to {made.rms_px:.3f} px."] if math.isfinite(made.rms_px) else ["The lens was given."]),
-        *([f"{len(made.unseen)} pictures do not show the board: {', '.join(made.unseen[:6])}."] if made.unseen else []),
+        *([f"The board is not found in: {', '.join(made.unseen[:6])}."] if made.unseen else []),
         *advice(made),
     ]
+    state = "open" if advice(made) else "good"
     off = {} if truth is None else errors_of(made, truth)
     head = f"The camera {where} is known to {np.linalg.norm(place):.2f} mm and {np.linalg.norm(turn):.3f} degrees (one standard deviation)"
     if off:
@@ -290,7 +290,7 @@ def write(folder: Path, made: Calibrated, source: str, truth: Scenario | None, c
     with style():
         plots = [("Where the corners were", publish(_drawn(made), "corners", "Corners in the pictures", None), CAPTION)]
     return write_page(
-        folder, "study.html", f"Calibration from {source}", outcome=(head, "good", sentences), plots=plots, tables=tables, command=command
+        folder, "study.html", f"Calibration from {source}", outcome=(head, state, sentences), plots=plots, tables=tables, command=command
     )
 
 

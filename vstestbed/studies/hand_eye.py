@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from vstestbed.camera import Camera
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, inverse, lengths, rigid_error, skew
+from vstestbed.core.geometry import Array, inverse, rigid_error, skew
 
 LEAST_VIEWS = 3
 PARALLEL_DEG = 2.0  # RMS of the views' turns about some axis under which nothing is known about it [deg]
@@ -313,10 +313,3 @@ def seen_from(points: Array, uv: Array, camera: Camera) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec(np.ravel(r)).as_matrix(), np.ravel(t)
     return T
-
-
-def least_spread_words(views: Sequence[View]) -> str:
-    """What poses would tell more, in words."""
-    spread, axes = turns(views)
-    axis = ", ".join(f"{a:.1f}" for a in axes[0] / lengths(axes[0]))
-    return f"the flange turns by {spread[0]:.0f} degrees (RMS) about its axis ({axis}), by {spread[2]:.0f} about the best one"

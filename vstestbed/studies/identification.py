@@ -523,6 +523,3 @@ def _drawn(found: Identified) -> Figure:
         axes.set_ylabel(label)
     drawn.axes[-1].set_xlabel("time [s]")
     return drawn
-
-
-__all__ = ["Identified", "Parameter", "fly", "identify", "motion_of", "overrides", "read_record", "robot_preset", "write"]
