@@ -221,7 +221,13 @@ class Camera(ABC):
         words = f"are of a perspective or a fisheye lens, and this camera is {getattr(self, 'kind', 'another')}"
         raise ParameterError("calibration.intrinsics", words)
 
-    @property
+    @cached_property
+    def focal(self) -> float | Array:
+        """Focal length [px], the lens's `f`; of pixels that are no squares (fx, fy), shape (2,)."""
+        fx, fy = lens.focal_px if (lens := getattr(self, "intrinsics", None)) else (0.0, 0.0)
+        return float(getattr(self, "f")) if fx == fy else np.array([fx, fy])  # noqa: B009 - all lenses have it, this class has none
+
+    @cached_property
     def resampled(self) -> bool:
         """Whether the rendered image is interpolated from pinhole images, so that pixels at an edge mix colours."""
         return True
@@ -234,6 +240,8 @@ class Camera(ABC):
     @cached_property
     def centre(self) -> Array:
         """Principal point (cx, cy) [px], shape (2,)."""
+        if lens := getattr(self, "intrinsics", None):
+            return np.array(lens.principal_px)
         if self.principal_px is not None:
             return np.array(self.principal_px, dtype=float)
         return np.array([(self.width - 1) / 2, (self.height - 1) / 2])

@@ -231,7 +231,7 @@ def as_ros(camera: Camera) -> tuple[Array, Model, Sequence[float]] | None:
     if lens not in LENSES:
         return None
     k: tuple[float, ...] = camera.lens_coefficients  # type: ignore[attr-defined] - both lenses have them
-    (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre  # type: ignore[attr-defined] - as above
+    (fx, fy), (cx, cy) = np.broadcast_to(camera.focal, 2), camera.centre
     model: Model = "equidistant" if lens == "fisheye" else "rational_polynomial" if len(k) == 8 else "plumb_bob"
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), model, k or (0.0,) * 5
 

@@ -86,7 +86,7 @@ class Perspective(Camera):
             words = f"a rendered picture of {side:.4g} px, and {most} are the most"
             raise ParameterError.needs(field, words, self.lens_coefficients, works="smaller coefficients or a smaller picture")
 
-    @property
+    @cached_property
     def resampled(self) -> bool:
         """Only with distortion, or pixels that are no squares: a pinhole image is rendered directly."""
         return bool(self.lens_coefficients) or not isinstance(self.focal, float)
@@ -98,18 +98,6 @@ class Perspective(Camera):
             return self.distortion or ()
         k = self.intrinsics.distortion
         return (*k, 0.0) if len(k) == 4 else k
-
-    @cached_property
-    def focal(self) -> float | Array:
-        """Focal length [px]; of pixels that are no squares (fx, fy), shape (2,)."""
-        if self.intrinsics is None or self.intrinsics.focal_px[0] == self.intrinsics.focal_px[1]:
-            return self.f
-        return np.array(self.intrinsics.focal_px)
-
-    @cached_property
-    def centre(self) -> Array:
-        """As `Camera.centre`, or of the intrinsics."""
-        return super().centre if self.intrinsics is None else np.array(self.intrinsics.principal_px)
 
     @cached_property
     def f(self) -> float:

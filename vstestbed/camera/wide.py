@@ -76,11 +76,6 @@ class Radial(Camera):
         """Focal length [px]: pixels a radian on the axis of an equidistant lens."""
         return self.focal_length_px or min(self.width, self.height) / 2 / self.ring[1]
 
-    @cached_property
-    def focal(self) -> float | Array:
-        """Focal length [px]; of pixels that are no squares (fx, fy), shape (2,)."""
-        return self.f
-
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Radial:
         """As `Camera.miscalibrated`; without a distortion to be ignored, unless the lens has one."""
         if ignores_distortion:
@@ -163,18 +158,6 @@ class Fisheye(Radial):
     def f(self) -> float:
         """As `Radial.f`; of pixels that are no squares the one down the picture, fy."""
         return super().f if self.intrinsics is None else self.intrinsics.focal_px[1]
-
-    @cached_property
-    def focal(self) -> float | Array:
-        """As `Radial.focal`."""
-        if self.intrinsics is None or self.intrinsics.focal_px[0] == self.intrinsics.focal_px[1]:
-            return self.f
-        return np.array(self.intrinsics.focal_px)
-
-    @cached_property
-    def centre(self) -> Array:
-        """As `Camera.centre`, or of the intrinsics."""
-        return super().centre if self.intrinsics is None else np.array(self.intrinsics.principal_px)
 
     def with_intrinsics(self, intrinsics: Intrinsics) -> Fisheye:
         """As `Camera.with_intrinsics`."""
