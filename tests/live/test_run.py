@@ -75,6 +75,9 @@ class TestSettings:
             ("world.scenery.file", "..\\model.xml"),
             ("world.floor.texture", "HERE/picture.png"),
             ("world.floor.texture", b"picture.png"),
+            ("camera.mount", "HERE/hand_eye.yaml"),
+            ("calibration", "HERE/hand_eye.yaml"),
+            ("robot.realism", "HERE/robot.yaml"),
             ("name", "../../elsewhere"),
         ],
     )
@@ -95,6 +98,9 @@ class TestSettings:
         with pytest.raises(ScenarioError, match="is no word of this scenario; "):
             settings.change(path, here(value))
         assert settings.scenario == vs.load("arm_ibvs") and not (tmp_path / "ran").exists()
+
+    def test_a_level_of_realism_is_a_word(self):
+        assert Settings("arm_ibvs").change("robot.realism", "lab").robot.realism == "lab"
 
     def test_a_file_of_the_command_line_may_be_named_again(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.chdir(tmp_path)
