@@ -10,13 +10,14 @@ import pytest
 import vstestbed as vs
 from tests.laws.flight import book_camera
 from vstestbed.camera import Catadioptric, Fisheye, SphericalCamera
+from vstestbed.camera.base import pixel_interaction
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, Pose, transform
 from vstestbed.features import Point
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws import IBVS, Hybrid, Law, Partitioned
 from vstestbed.laws.base import ConstantGain, inputs_of
-from vstestbed.laws.points import Visibility, pixel_interaction
+from vstestbed.laws.points import Visibility
 from vstestbed.targets.base import Square
 from vstestbed.vision.homography import relative_view
 

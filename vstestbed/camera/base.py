@@ -386,3 +386,13 @@ class Calibration:
         """
         lens = None if camera_matrix is None else Intrinsics.of(camera_matrix, dist, model=model, name="camera_matrix")
         return cls(intrinsics=lens, mount=mount)  # type: ignore[arg-type] - a Pose is also made of a matrix
+
+
+STEP = 1e-6  # of the finite differences by which a lens is differentiated [m, rad]
+
+
+def pixel_interaction(camera: Camera, p: Array) -> Array:
+    """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by central differences along p_dot = -v - w x p."""
+    flow = np.concatenate([np.broadcast_to(-np.eye(3)[:, None], (3, len(p), 3)), -np.cross(np.eye(3)[:, None], p)])
+    L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
+    return np.nan_to_num(np.moveaxis(L, 0, -1))  # NaN: at the rim of the field of view, where a step leaves it

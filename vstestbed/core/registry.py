@@ -234,6 +234,8 @@ def brief_mapping(value: Any) -> Any:
         return block if kind is None else _with_kind(kind, block, registries_of(type(value)))
     if isinstance(value, tuple | list):
         return [brief_mapping(v) for v in value]
+    if isinstance(value, dict):
+        return {name: brief_mapping(v) for name, v in value.items()}
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e6:
         return int(value)
     return value

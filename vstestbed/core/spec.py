@@ -82,7 +82,8 @@ def _equal(self: Any, other: object) -> Any:
 
 def _hashed(self: Any) -> int:
     values = self.__dict__
-    return hash(tuple([values[name] for name in _compared(type(self))]))
+    parts = [values[name] for name in _compared(type(self))]
+    return hash(tuple([tuple(part.items()) if type(part) is dict else part for part in parts]))
 
 
 def _shown(self: Any) -> str:

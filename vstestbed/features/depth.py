@@ -24,7 +24,8 @@ class DepthCues(NamedTuple):
 
     Attributes:
         goal: the goal view. xy: normalised coordinates, shape (N, 2), NaN where a marker is not seen.
-        p_estimated, p_true, p_by_size: markers in the camera frame (N, 3) [m], by the estimated pose, in truth (oracle), by their size.
+        p_estimated, p_true, p_by_size, p_by_pair: markers in the camera frame (N, 3) [m], by the estimated pose, in truth (oracle), by
+            their size, triangulated with a second camera.
         by_flow: unit rays (N, 3) and ranges (N,) [m] of the recursive estimate.
         measured: depths by the depth camera (N,) [m], NaN in its holes (`DepthSource.read`).
     """
@@ -36,6 +37,7 @@ class DepthCues(NamedTuple):
     by_flow: tuple[Array, Array] | None = None
     measured: Array | None = None
     p_by_size: Array | None = None
+    p_by_pair: Array | None = None
 
 
 class DepthSource:
@@ -48,6 +50,7 @@ class DepthSource:
     on_floor: ClassVar[bool] = False  # that pose is one of a base that stands upright on the floor: three unknowns
     preset: ClassVar[bool] = False  # depths are given numbers, not measured: derotation leaves them as they are
     measured: ClassVar[bool] = False  # depths are read from the picture of a depth camera (`camera.depth_sensor`)
+    camera: Any = ""  # name of the further camera with which depths are triangulated; "" where they come from elsewhere
     estimator: Any = None  # parameters of the recursive estimate from motion (`Estimate`); None where depths come from elsewhere
 
     def read(self, depth_image: NDArray[np.float32] | None, uv: Array) -> Array | None:
@@ -248,5 +251,41 @@ def depth_at(depth_image: NDArray[np.float32], uv: Array, side: int = 1) -> Arra
     return np.where(enough, middle / 2, np.nan)
 
 
-DEPTHS = Registry("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, OracleDepth)
+@spec
+class Triangulated(DepthSource):
+    """Each marker's depth by a second camera (stereo): the middle of the shortest line between the rays of both.
+
+    Of a pair side by side, the baseline b apart, this is Z = b / d with the disparity d = x_l - x_r. A marker that one of the two does
+    not see has no depth, and the law does without it.
+
+    Args:
+        camera: name of the second camera (`cameras`), which takes its pictures at the same times.
+
+    Reference: Beardsley, Zisserman & Murray 1997, doi:10.1023/A:1007923216416 (midpoint method); against others: Hartley & Sturm 1997,
+    doi:10.1006/cviu.1997.0547.
+    """
+
+    kind: Literal["stereo"] = "stereo"
+    camera: str
+
+    def points(self, cues: DepthCues) -> Array | None:
+        """The middles."""
+        return cues.p_by_pair
+
+
+def triangulated(ray: Array, ray_other: Array, T_camera_other: Array) -> Array:
+    """Middles (N, 3) [m], in the first camera's frame, of the shortest lines between rays (N, 3) of two cameras; NaN where one is NaN,
+    where the rays are parallel, or meet behind a camera.
+
+    T_camera_other: pose (4, 4) of the second camera in the frame of the first.
+    """
+    a, b, t = ray, ray_other @ T_camera_other[:3, :3].T, T_camera_other[:3, 3]
+    c, at, bt = np.einsum("ni,ni->n", a, b), a @ t, b @ t
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, r = (at - c * bt) / (1 - c * c), (c * at - bt) / (1 - c * c)  # ranges along both rays
+    p = (a * s[:, None] + t + b * r[:, None]) / 2
+    return np.where(((s > 0) & (r > 0))[:, None], p, np.nan)
+
+
+DEPTHS = Registry("depth", PnP, Constant, AtGoal, Estimate, OnFloor, BySize, Sensed, Triangulated, OracleDepth)
 Depth = Annotated[DepthSource, DEPTHS]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -64,6 +65,7 @@ class Observation:
         radius_px: apparent radius of each marker (N,) [px], from the target's model and its depth.
         proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`).
         robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived.
+        cameras: what the further cameras tell, by name, as far as they have taken a picture.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -85,6 +87,7 @@ class Observation:
     robot: OwnModel | None = None
     image: Sight | None = None
     ids: NDArray[np.intp] | None = None
+    cameras: Mapping[str, CameraView] | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -109,6 +112,26 @@ class Observation:
         columns = {name: getattr(self, name) for name in (*COLUMNS, "xy", "radius_px")}
         kept = {name: np.where(counted if a.ndim == 1 else counted[:, None], a, np.nan) for name, a in columns.items() if a is not None}
         return replace(self, **kept)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraView:
+    """The last observation of a further camera.
+
+    Attributes:
+        seen: the observation, in its own frame. goal: the goal as it sees it; None of one that does not move with the law's camera.
+        T_camera_this: its pose (4, 4) in the frame of the law's camera, as the robot knows it at this frame.
+        rigid: both move as one: its twist is Ad(inverse(T_camera_this)) v, with v the twist of the law's camera.
+        moved: displacement (6,) of the law's camera from this exposure to that of the law's picture [m, rad], as the robot measures it.
+        weight: of its squared errors in pixels.
+    """
+
+    seen: Observation
+    goal: Goal | None
+    T_camera_this: Array
+    rigid: bool
+    moved: Array
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Generic, Literal, TypeVar
 
 import numpy as np
@@ -181,6 +182,8 @@ class Law(Generic[M]):
         rest_m: distance from the goal under which the law stands still for good [m]; 0 for a law that never stops.
         modes: words for what the law may do in a frame; `Command.mode` is the number of one, the log's `law_mode`.
         columns: names of the law's own columns in the log, such as `law_energy`; `Command.row` has their values in each frame.
+        cameras: further cameras whose equations the law stacks below its own, by name, with their weights.
+        stacks: whether it can.
         needs_same_markers: whether each row must show the same marker in every picture, in the target's order.
     """
 
@@ -198,6 +201,8 @@ class Law(Generic[M]):
     rest_m: Any = 0.0
     modes: Any = ()
     columns: Any = ()
+    cameras: Any = MappingProxyType({})
+    stacks: Any = False
     needs_same_markers: Any = False
 
     def markers_needed(self, basis: Array) -> int:
@@ -242,7 +247,8 @@ def held(limits: TwistLimits, u: Array | None, basis: Array, why: str) -> Comman
 def inputs_of(law: Law[Any]) -> tuple[str, ...]:
     """The fields of an Observation that a law reads, with what its feedforward and its repulsive field need."""
     motion = ("motion",) if isinstance(law.feedforward, Estimator) else ()
-    return tuple(dict.fromkeys((*law.inputs, *motion, *law.visibility.inputs)))
+    cameras = ("cameras",) if law.cameras else ()
+    return tuple(dict.fromkeys((*law.inputs, *motion, *cameras, *law.visibility.inputs)))
 
 
 OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))

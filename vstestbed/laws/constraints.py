@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from vstestbed.camera.base import pixel_interaction
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, TwistLimits
-from vstestbed.laws.points import pixel_interaction, points, usable_rows
+from vstestbed.laws.points import points, usable_rows
 from vstestbed.laws.solve import least_squares
 from vstestbed.robots.arm import unit_scale
 from vstestbed.robots.own_model import OwnModel

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Gt, Le
 
 from vstestbed.core.errors import ParameterError
-from vstestbed.core.geometry import Array, exp
+from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.core.quantity import Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
@@ -21,6 +22,7 @@ from vstestbed.laws.points import ALL, NO_POSE, TOO_FEW, Rows, Visibility, recko
 from vstestbed.laws.solve import Solve, least_squares
 from vstestbed.laws.views import Views
 
+StackWeight = Annotated[float, Gt(0), Le(1e3)]
 DEAD_RECKON_S = 0.3
 """How long what is not seen is dead-reckoned by the estimated motion of the target [s]: longer, and what it accelerates by counts."""
 
@@ -76,9 +78,12 @@ class ErrorLaw(Law[ErrorState], ABC):
         limits: largest speed and rate of the commanded twist.
         visibility: repulsive field at the border of the image.
         feedforward: the feedforward term for a moving target.
+        cameras: further cameras by name, with the weights of their squared errors: their equations stand below those of the law's own
+            camera, J_i Ad(T_i_camera), and each adds what it sees; e.g. `{right: 1}`.
 
     References: Chaumette & Hutchinson 2006, eqs 3-5, doi:10.1109/MRA.2006.250573; moving target: Chaumette & Hutchinson 2007,
-    doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487.
+    doi:10.1109/MRA.2007.339609; smooth start: Mansard & Chaumette 2007, doi:10.1109/TRO.2006.889487;
+    several cameras: Malis, Chaumette & Boudet 2000, doi:10.1109/ROBOT.2000.844150.
     """
 
     gain: Gain = ConstantGain()
@@ -89,6 +94,8 @@ class ErrorLaw(Law[ErrorState], ABC):
     limits: TwistLimits = TwistLimits()
     visibility: Visibility = Visibility()
     feedforward: Feedforward = NoFeedforward()
+    cameras: dict[str, StackWeight] = field(default_factory=dict)
+    stacks = True  # whether `cameras` may be given: not to a law whose motion is more than that of e and J
     extra_size = 0  # Numbers k that the law adds to the state (`ErrorState.extra`)
 
     @abstractmethod
@@ -145,10 +152,16 @@ class ErrorLaw(Law[ErrorState], ABC):
     def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:
         """One frame; rest where too few markers are seen, or no pose is known."""
         known, rows, why = self._known(state, observation, goal, basis)
-        if isinstance(rows, str):
+        if self.cameras:
+            stacked = self._stacked(known, goal, basis)
+            if isinstance(stacked, str):
+                return self._unseen(state, basis, stacked)
+            (e, J), view, at = stacked, known, goal
+        elif isinstance(rows, str):
             return self._unseen(state, basis, rows)
-        view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
-        e, J = self._checked(*self.equations(view, at))
+        else:
+            view, at = (known, goal) if rows is ALL else (known.of_rows(rows), goal.of_rows(rows))
+            e, J = self._checked(*self.equations(view, at))
         after, shift, tau = state, None, None
         if known.motion is not None and isinstance(self.feedforward, Estimator):
             after, shift, tau = self._estimated(state, known, goal, basis, why)
@@ -170,8 +183,26 @@ class ErrorLaw(Law[ErrorState], ABC):
         command = self.limits.command(u, basis)
         if command.scale < 1 and after.integral is not None:  # anti-windup: while limits shorten the command, the integral does not grow
             after = replace(after, integral=state.integral)
-        free = self.free_motions(J, e, x, basis)
+        free, why = self.free_motions(J, e, x, basis), "" if self.cameras else why
         return after, replace(command, free=free, rest_reason=why) if free or why else command
+
+    def _stacked(self, own: Observation, goal: Goal, basis: Array) -> tuple[Array, Array] | str:
+        """The error (rows,) and its Jacobian (rows, 6) in all pictures, each with what it shows, or the reason for rest."""
+        of_markers, of_pose = self._reads
+        fewest = self.markers_needed(basis[:, :1])  # that a camera needs to add something
+        found, errors, jacobians, views = 0, [], [], own.cameras or {}
+        for name, weight in {"": 1.0, **self.cameras}.items():
+            if (other := views.get(name)) is None and name:
+                continue
+            seen, at = (own, goal) if other is None else (other.seen, other.goal)
+            rows = usable_rows(seen, of_markers or ("xy",), fewest)
+            if at is None or isinstance(rows, str) or _without(seen, of_pose):
+                continue
+            e, J = self._checked(*self.equations(seen.of_rows(rows), at.of_rows(rows)))
+            found += len(seen.uv[rows])
+            errors.append(math.sqrt(weight) * e)
+            jacobians.append(math.sqrt(weight) * (J if other is None else J @ adjoint(inverse(other.T_camera_this))))
+        return (np.concatenate(errors), np.vstack(jacobians)) if found >= self.markers_needed(basis) else TOO_FEW
 
     @property
     def state_size(self) -> int:

@@ -40,6 +40,7 @@ class Hybrid(ErrorLaw):
     """
 
     kind: Literal["hybrid"] = "hybrid"
+    stacks = False
     source: Literal["homography", "model"] = "homography"
 
     @property

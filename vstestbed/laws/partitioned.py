@@ -72,6 +72,7 @@ class Partitioned(ErrorLaw):
     """
 
     kind: Literal["partitioned"] = "partitioned"
+    stacks = False
     needs_same_markers = True  # their polygon's size and angle
     gain_z: PositiveGain = 1.0
     gain_turn: PositiveGain = 0.5

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vstestbed.camera import Camera
-from vstestbed.camera.base import FORWARD_COSINE
+from vstestbed.camera.base import FORWARD_COSINE, pixel_interaction
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, all_finite, exp, lengths, skew, transform
 from vstestbed.core.quantity import Pixels, PositivePixels
@@ -121,7 +120,6 @@ def reckoned_markers(
 
 # A repulsive potential at the border of the image, for all image-based laws.
 NEAREST = 0.2  # least distance to the border that enters the field, as a share of the margin: at 0 the potential is infinite
-STEP = 1e-6  # of the finite differences by which a lens is differentiated [m, rad]
 
 
 @spec
@@ -195,10 +193,3 @@ def check_margin(field: str, margin_px: float, goal: Goal, marker_radius_m: floa
         words = f"reaches marker {called(marker)} of the goal view, whose edge is {nearest[marker]:.4g} px from the border"
         words += ", and would keep it"
         raise ParameterError(field, f"{words} off its goal; use less, or a goal farther back", margin_px)
-
-
-def pixel_interaction(camera: Camera, p: Array) -> Array:
-    """L (N, 2, 6) of the pixels of points p (N, 3) [m] in any lens, uv_dot = L v, by central differences along p_dot = -v - w x p."""
-    flow = np.concatenate([np.broadcast_to(-np.eye(3)[:, None], (3, len(p), 3)), -np.cross(np.eye(3)[:, None], p)])
-    L = (camera.project(p + STEP * flow) - camera.project(p - STEP * flow)) / (2 * STEP)
-    return np.nan_to_num(np.moveaxis(L, 0, -1))  # NaN: at the rim of the field of view, where a step leaves it

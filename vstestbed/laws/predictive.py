@@ -12,6 +12,7 @@ import numpy as np
 from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
+from vstestbed.camera.base import pixel_interaction
 from vstestbed.core.geometry import Array, adjoint, exp, skew, transform
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
@@ -24,7 +25,7 @@ from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, p
 from vstestbed.laws.error_law import ErrorState
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
-from vstestbed.laws.points import Rows, check_margin, pixel_interaction, points, usable_rows
+from vstestbed.laws.points import Rows, check_margin, points, usable_rows
 from vstestbed.robots.own_model import OwnModel
 
 STILL = np.zeros(6)

@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
+from vstestbed.camera.base import pixel_interaction
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.quantity import Angle, Distance, Pixels, PositiveGain, PositiveTime
@@ -36,7 +37,7 @@ from vstestbed.laws.hybrid import Hybrid
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.partitioned import Partitioned
 from vstestbed.laws.pbvs import PBVS
-from vstestbed.laws.points import check_margin, pixel_interaction, usable_rows
+from vstestbed.laws.points import check_margin, usable_rows
 from vstestbed.laws.solve import PINV_RCOND
 from vstestbed.laws.views import Views
 from vstestbed.robots.arm import singularity_damping2
@@ -253,6 +254,7 @@ class QP(Law[ErrorState]):
     depth = _of_law("depth")
     feature = _of_law("feature")
     feedforward = _of_law("feedforward")
+    cameras = _of_law("cameras")
     needs_same_markers = _of_law("needs_same_markers")
     state_size = _of_law("state_size")
 

@@ -14,10 +14,12 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.core.planar import place_of, relative
+from vstestbed.scenario.cameras import Eye
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST
 
+PER_MARKER = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 Kept = Mapping[str, Any]  # the numbers and arrays of a frame that enter the log, by name; no picture
 Stacked = Mapping[str, Array]  # the same for n frames, stacked along the first axis
@@ -54,6 +56,9 @@ def kept(frame: Frame) -> Kept:
     }
     if frame.command.row:
         numbers["law"] = frame.command.row
+    for name, record in frame.cameras.items():
+        numbers[f"camera {name}"] = np.concatenate([record.uv, record.p_camera, record.goal_uv, record.depth[:, None]], axis=1)
+        numbers[f"time {name}"] = record.t
     return numbers if frame.timing.own is None else numbers | dict(frame.timing.own)
 
 
@@ -63,7 +68,8 @@ class Layout:
     Measurements and truth (act_, q_, ctrl_, ...) are those of the exposure at t. The command cmd_ was computed from that picture and is in
     force from t_cmd on. applied_ is the twist after the robot's joint limits and singularity damping; scale is the product of the law's
     scale factor and the robot's. Of a camera without an image plane, theta and phi [rad] are the measured ray's angles from the axis and
-    about it. The robot's and the task's columns follow, the number of the law's mode, time stamps and losses, and those of the exposure.
+    about it. The robot's and the task's columns follow, the number of the law's mode, time stamps and losses, those of the exposure, and
+    those of further cameras with their names before them, of the last picture of each.
     """
 
     def __init__(self, scenario: Scenario):
@@ -74,6 +80,7 @@ class Layout:
         # With a wrong calibration the law's goal is not the true one, from which errors count; along a path it is the one of its time.
         self._goal_poses = None if exact or goal.by_clock else np.array(scenario.goal_poses)
         self._of_law: tuple[str, ...] = tuple(scenario.law.columns)
+        self._cameras = {name: len(scenario.target.points) for name in scenario.eyes}
         self._blocks = self._laid_out(scenario)
         self.columns: tuple[str, ...] = tuple(name for names, _ in self._blocks for name in names)
         if twice := sorted({name for name in self.columns if self.columns.count(name) > 1}):
@@ -83,7 +90,7 @@ class Layout:
     def _laid_out(self, scenario: Scenario) -> tuple[Block, ...]:
         """All columns in their order, which existing logs fix."""
         robot, columns = scenario.robot, scenario.timing.columns + scenario.camera.columns
-        per_marker = ("u", "v", "u_true", "v_true", "u_goal", "v_goal", "depth") + (("theta", "phi") if self._rays else ())
+        per_marker = PER_MARKER + (("theta", "phi") if self._rays else ())
         markers = tuple(f"{name}_{i}" for i in range(scenario.rows) for name in per_marker)
         return (
             (("t", "frame", "lost"), lambda k: np.column_stack([k["t"], k["frame"], k["lost"]])),
@@ -104,12 +111,26 @@ class Layout:
             *(((("law_mode",), lambda k: k["mode"][:, None]),) if scenario.law.modes else ()),
             *(((self._of_law, lambda k: k["law"]),) if self._of_law else ()),
             *(((columns, lambda k: np.column_stack([k[name] for name in columns])),) if columns else ()),
+            *(self._of_camera(eye) for eye in scenario.eyes.values()),
         )
+
+    def _of_camera(self, eye: Eye) -> Block:
+        """The columns of a further camera."""
+        columns = tuple(f"{eye.name}_{name}_{i}" for i in range(len(eye.target.points)) for name in PER_MARKER)
+
+        def values(k: Stacked) -> Array:
+            uv, p, goal_uv, depth = np.split(k[f"camera {eye.name}"], [2, 5, 7], axis=-1)
+            markers = np.concatenate([uv, eye.camera.project(p), goal_uv, depth], axis=-1)
+            return np.column_stack([k[f"time {eye.name}"], markers.reshape(len(uv), -1)])
+
+        return (f"{eye.name}_t", *columns), values
 
     def rows(self, frames: Sequence[Kept]) -> Array:
         """Frames as numbers, shape (len(frames), columns); the same numbers for one at a time and for many at once."""
-        unknown = {"law": (np.nan,) * len(self._of_law)}
-        names = {**frames[0], **(unknown if self._of_law else {})}
+        unknown: dict[str, Any] = {"law": (np.nan,) * len(self._of_law)} if self._of_law else {}
+        for name, markers in self._cameras.items():  # one that has not taken a picture yet
+            unknown |= {f"camera {name}": np.full((markers, 8), np.nan), f"time {name}": np.nan}
+        names = {**frames[0], **unknown}
         stacked = {name: np.array([frame[name] if name in frame else unknown[name] for frame in frames]) for name in names}
         return np.concatenate([values(stacked) for _, values in self._blocks], axis=1)
 

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,19 +19,19 @@ from vstestbed.camera import DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome
-from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
+from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
 from vstestbed.loop.inputs import Inputs, Readings
+from vstestbed.loop.perception import STILL, OtherCameras, Perception, observer_of
 from vstestbed.loop.plants import sight_of, with_images
 from vstestbed.robots import Allocation, Mount, Reading
 from vstestbed.robots.allocation import Order
 from vstestbed.robots.arm import Arm
-from vstestbed.scenario.randomise import NOISE_STREAM
+from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
-from vstestbed.vision import Detector, Observer
 
 
 class GuardedLaw:
@@ -98,26 +98,6 @@ class GuardedLaw:
         return ""
 
 
-def observer_of(scenario: Scenario) -> Observer:
-    """The observer of a scenario."""
-    perturbed = scenario.perturbed()
-    return Observer(
-        camera=scenario.believed_camera,
-        target=scenario.target,
-        goal=scenario.goal_view,
-        depth=scenario.law.depth,
-        pixel_sigma_px=scenario.noise.pixel_sigma_px,
-        dropout=scenario.noise.dropout,
-        required_fields=inputs_of(scenario.law),
-        grounded=scenario.robot.base == "planar",
-        derotation=scenario.derotation,
-        trim_s=scenario.level_trim_s,
-        depth_scale=scenario.depth_scale,
-        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
-        rows=scenario.detector.rows,
-    )
-
-
 # Why the law has no measurement, in words, for the reason of a run that ends as `target_lost`.
 NONE_SEEN, FEW_SEEN, NO_PICTURE = "no marker was in sight", "too few markers were in sight", "no picture arrived"
 GUESS = ": at the start they may be outside of it, hidden or too small"
@@ -158,8 +138,6 @@ def _never_found(scenario: Scenario) -> str:
     return f"{words}: the file {target.source.name if target.source else ''} may not show {target.marker.looks(n)} there"
 
 
-STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
-STILL.flags.writeable = False
 REST_S = 1e3  # time after which a robot that stops has come to rest, whatever its way to stop [s]
 
 
@@ -195,11 +173,8 @@ class Controller:
         scenario.law.prepare()  # a robot does not wait for imports between two pictures
         # The calibrated mount: what the robot does with a command follows from what it believes, errors included.
         self.mount = Mount.of(scenario.believed_camera.mount.T)
-        # an oracle looks with the true lens; a real detector knows only the calibrated one
-        self.seen_through = scenario.camera if scenario.detector.needs_truth else scenario.believed_camera
         self.observer = observer_of(scenario)
         self.observer.prepare(scenario.detector.needs_image)
-        self.detector: Detector[Any] = scenario.detector
         self.law: Law[Any] = scenario.law
         self._start = scenario.robot.start_joints()
         self._needed = scenario.law.markers_needed(scenario.robot.motion_basis(self._mount_at(self._start), self._start))
@@ -222,23 +197,22 @@ class Controller:
     def _begin(self) -> None:
         s = self.scenario
         mode, period = s.timing.interpolation, s.camera.period
-        self.rng = s.rng(NOISE_STREAM)
         self.last_twist, self.ordered = np.zeros(6), CommandHistory(6, mode, period)
         self._own_rates = OwnRates(s.robot, period, mode) if self._needs_robot else None
         self._order: Order | None = None  # in force
         self._taken_over = False
         self._at: tuple[float, Reading, Mount] | None = None
         self.guarded = GuardedLaw(self.law)
-        self.detector_state = self.detector.begin(self._views[0], self.seen_through, s.target)
-        self.observer_state = self.observer.init()
+        self._perception = Perception(s, self.observer, self._views[0])
+        self.others = OtherCameras(s, self.mount.T_flange_camera, self._views[0]) if s.cameras else None
         self.reference_state = s.goal.begin(s.setup, self._views)
         self.law_state = self.law.init(self._views[0])
         self.supervisor = s.robot.supervisor(s.goal.lands, *s.stop.lost_after)
         self.before: Exposure | None = None
         self.refused = 0
-        self._failed, self._found, self._why = False, False, ""
-        self._own_goal: Goal | None = None  # of a detector's own points, which are others in every picture
+        self._failed = False
         self.inputs = Inputs(s)
+        self._other_inputs = {name: Inputs(eye) for name, eye in s.eyes.items()}
         self._cycle: Cycle | None = None
 
     @contextmanager
@@ -254,7 +228,7 @@ class Controller:
 
     def step(
         self,
-        picture: Image | Sequence[Image],
+        picture: Image | Sequence[Image] | Mapping[str, Image | Sequence[Image]],
         t: float,
         readings: Reading | Readings,
         arrived: float | None = None,
@@ -263,7 +237,8 @@ class Controller:
         """One control step for a picture of a real camera.
 
         Args:
-            picture: (H, W, 3) uint8 RGB of the camera's size; of a camera with panels (spherical) one for each of them.
+            picture: (H, W, 3) uint8 RGB of the camera's size; of a camera with panels (spherical) one for each of them. Of several cameras
+                their pictures of one time by name, the law's as `camera`; those that come at other times go to `look`.
             t: time of the exposure's middle [s], on a clock that starts with the task.
             readings: of the robot's sensors, at the exposure and now; one where there is no difference.
             arrived: the time now [s]; by default `camera.latency_s` after the exposure.
@@ -279,6 +254,14 @@ class Controller:
         """
         with self._alone():
             depth = self.inputs.depth(depth)
+            if isinstance(picture, Mapping):
+                first = readings[0] if isinstance(readings, tuple) else readings
+                others = {name: self._inputs_of(name).shot(one, t, first) for name, one in picture.items() if name != OWN}
+                if OWN not in picture:
+                    raise ParameterError.missing("picture", f"{OWN}, the law's own camera; others alone go to `look`", list(picture))
+                for name, shot in others.items():
+                    self.see(name, shot)
+                picture = picture[OWN]
             (at_exposure, now), notes = self.inputs.given(picture, t, readings, arrived)
             if self._cycle is not None and t <= self._cycle.t:  # it came twice, or it is refused
                 self.refused += t < self._cycle.t
@@ -310,7 +293,27 @@ class Controller:
 
     def regions_of_interest(self) -> Regions | None:
         """The detector's region of interest for the next picture; None for all of it."""
-        return self.detector.regions_of_interest(self.detector_state, self.seen_through, self.scenario.target)
+        return self._perception.regions_of_interest()
+
+    def look(self, name: str, picture: Image | Sequence[Image], t: float, readings: Reading) -> None:
+        """A picture of a further camera, which the law has at its own camera's next one.
+        t: time of the exposure's middle [s]. readings: of the robot's sensors at the exposure. Errors: as of `step`, and ParameterError:
+        the scenario has no camera of this name.
+        """
+        with self._alone():
+            self.see(name, self._inputs_of(name).shot(picture, t, readings))
+
+    def see(self, name: str, shot: Exposure) -> None:
+        """The same, of what has been checked."""
+        assert self.others is not None
+        began = time.perf_counter()
+        self.others.see(name, shot, self.ordered, self._mount_at(shot.reading.q))
+        self.spent["detect"] += time.perf_counter() - began
+
+    def _inputs_of(self, name: str) -> Inputs:
+        if name not in self._other_inputs:
+            raise ParameterError.choice("picture", (OWN, *self._other_inputs), name)
+        return self._other_inputs[name]
 
     def refuses(self, shot: Exposure) -> bool:
         """Whether a picture is not later than the last one that was used, by its stamp (`timing.refuses`); `refused` counts them."""
@@ -326,11 +329,15 @@ class Controller:
         s = self.scenario
         began = time.perf_counter()
         mount = self._mount_at(reading.q)
-        seen = self._observe(shot, t, t_cmd, reading, mount)
+        views = {} if self.others is None else self.others.views(shot, t, self.ordered, mount, None)
+        own = self._observe(shot, t, t_cmd, reading, mount, views)
+        seen = own if s.fusion == "none" or self.others is None else self.others.fused(own, views)
         self.reference_state, goal = s.goal.reference(self.reference_state, seen)
-        if self._own_goal is not None:
-            goal = goal.of(self._own_goal)
-        seen = seen.only(goal.counted)
+        if self._perception.goal is not None:
+            goal = goal.of(self._perception.goal)
+        own, seen = own.only(goal.counted), seen.only(goal.counted)
+        if self.others is not None:
+            own, seen = (replace(one, cameras=self.others.views(shot, t, self.ordered, mount, goal)) for one in (own, seen))
         detected = time.perf_counter()
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
@@ -338,7 +345,7 @@ class Controller:
         error = ImageError.of(seen, goal, command.rest_reason)
         why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
         blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
-        blind = blind and blind + detail(s, seen, self._found, self._why)
+        blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
         moved = self._moved(t, reading, blind, mount)
         allocation = self._allocate(command, reading, mount)
         rests = late or bool(command.rest_reason and not command.twist.any() and not command.free)
@@ -353,7 +360,7 @@ class Controller:
             self.law_state = self.guarded.init(next_goal, self.law_state)
         self.spent["detect"] += detected - began
         self.spent["law"] += time.perf_counter() - detected
-        return Cycle(FrameTiming(shot.number, shot.t, t_cmd), seen, goal, error, command, allocation, order=order)
+        return Cycle(FrameTiming(shot.number, shot.t, t_cmd), own, goal, error, command, allocation, order=order)
 
     def override(self, cycle: Cycle, command: Array) -> tuple[Command, Allocation, Order]:
         """Another command in place of the law's in the last cycle: as it reads, within the robot's limits, and what the robot is told.
@@ -379,13 +386,12 @@ class Controller:
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
-    def _observe(self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> Observation:
+    def _observe(
+        self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount, views: Mapping[str, CameraView]
+    ) -> Observation:
         s, last, observer = self.scenario, self.before or shot, self.observer
         picture, period = shot.picture, shot.t - last.t
-        given = picture if s.detector.needs_image else None
-        detected = self.detector.detect(self.detector_state, given, shot.view, self.seen_through, s.target, self.rng)
-        self.detector_state, detection = detected
-        self._found, self._own_goal, self._why = self._found or bool(detection.seen.any()), detection.goal, detection.why
+        detection = self._perception.detect(shot)
         twist, own = STILL, None
         measured = observer.uses_motion(detection)
         if period > 0 and (measured or observer.needs_pose):  # the mean of the twists commanded since the last exposure
@@ -398,10 +404,7 @@ class Controller:
             if age > 0:
                 moved = s.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
             own = EgoMotion(twist, period, moved, age, self.last_twist)
-        heading, tilt = shot.reading.heading, shot.reading.tilt
-        depth = picture.depth if picture else None
-        observed = observer.observe(self.observer_state, shot.t, detection, twist, self.rng, heading, tilt, own, depth)
-        self.observer_state, seen = observed
+        seen = self._perception.observe(shot, detection, twist, own, views.get(s.law.depth.camera))
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:

@@ -30,7 +30,7 @@ from vstestbed.robots.base import RobotLog, RobotState
 from vstestbed.scenario.randomise import LINK_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Truth
-from vstestbed.tasks.frame import Cycle, Frame
+from vstestbed.tasks.frame import CameraRecord, Cycle, Frame
 from vstestbed.timing.clock import DelayLine, directions
 from vstestbed.vision.base import goal_of_points, points_of
 
@@ -63,6 +63,11 @@ class Episode:
         self.controller, self._goal_images = Controller(scenario, taken), tuple(sight.image for sight in taken)
         from_camera, self._to_robot = directions(scenario.timing.link, scenario.rng(LINK_STREAM))
         self._camera = CameraClock(scenario, self.plant, pictures or "image" in scenario.law.inputs, from_camera)
+        self._others = {
+            name: CameraClock(eye, self.plant.others[name], pictures, directions(scenario.timing.link, eye.rng(LINK_STREAM))[0])
+            for name, eye in scenario.eyes.items()
+        }
+        self._last_of: dict[str, Exposed] = {}  # what the further cameras showed last
         supervisor = self.controller.supervisor
         self._task, self._robot_log = scenario.goal.monitor(scenario.setup, supervisor), scenario.robot.log(supervisor)
         monitors = [(rule.kind, rule.monitor(scenario.setup)) for rule in scenario.monitors]
@@ -125,7 +130,8 @@ class Episode:
             self._log.flush()
         outcome, spent = self.outcome or Outcome.interrupted, self.controller.spent
         detect_s = spent["detect"] - self._redrawn_s
-        took = (self._physics_s, self.plant.render_s, detect_s, spent["law"], self._record_s, 0.0)
+        rendered_s = self.plant.render_s + sum(other.render_s for other in self.plant.others.values())
+        took = (self._physics_s, rendered_s, detect_s, spent["law"], self._record_s, 0.0)
         scenario = self.scenario
         if self.by_hand:
             words = "; ".join(f"{what} from {t:.2f} s on ({times} times)" for what, (t, times) in self.by_hand.items())
@@ -145,7 +151,8 @@ class Episode:
 
     def take_pictures(self, on: bool) -> None:
         """Whether the exposures from now on take whole pictures; only of an episode that was begun with pictures."""
-        self._camera.whole = on
+        for camera in (self._camera, *self._others.values()):
+            camera.whole = on
 
     def changed_by_hand(self, what: str) -> None:
         """Remember what a person changed, which no scenario file repeats."""
@@ -196,6 +203,8 @@ class Episode:
         silent_at = order_steps + round(scenario.camera.latency_s / plant.step_s)
         while True:
             camera.act(step, controller.regions_of_interest)
+            for name, other in self._others.items():
+                self._see(name, other, step)
             for made in camera.line.pop_due(step):
                 if (frame := self._arrive(made, step)) is None:  # refused
                     continue
@@ -217,11 +226,38 @@ class Episode:
             # The physics runs to the next event in one call.
             due = commands.next_due()
             ahead = min(camera.next_event(), silent_at, silent_at if due is None else due) - step
+            for other in self._others.values():
+                ahead = min(ahead, other.next_event() - step)
             start = time.perf_counter()
             if not plant.advance(ahead):
                 return self._end((Outcome.crashed, f"{Outcome.crashed.value} at {step * plant.step_s:.3f} s"), step * plant.step_s)
             self._physics_s += time.perf_counter() - start
             self._step = step = step + ahead
+
+    def _see(self, name: str, camera: CameraClock, step: int) -> None:
+        """Take the pictures of a further camera, and deliver them."""
+        assert self.controller.others is not None
+        camera.act(step, self.controller.others.perception[name].regions_of_interest)
+        for shot, truth in camera.line.pop_due(step):
+            given, _ = camera.received(shot, step)
+            last = self._last_of.get(name)
+            if last is not None and shot.t <= last[0].t:  # it was overtaken
+                continue
+            self.controller.see(name, given)
+            self._last_of[name] = shot, truth
+
+    def _records(self, c: Cycle) -> dict[str, CameraRecord]:
+        """What the further cameras showed last."""
+        assert self.controller.others is not None
+        records: dict[str, CameraRecord] = {}
+        for name, seen in self.controller.others.seen().items():
+            shot, truth = self._last_of[name]
+            view = (c.observation.cameras or {}).get(name)
+            goal_uv = np.full_like(seen.uv, np.nan) if view is None or view.goal is None else view.goal.uv
+            image = None if shot.picture is None else shot.picture.image
+            image = image.copy() if self._camera.whole and image is not None else image
+            records[name] = CameraRecord(shot.t, seen.uv, seen.depth, goal_uv, truth.p_camera, truth.T_world_camera, image)
+        return records
 
     def _arrive(self, made: Exposed, step: int) -> Frame | None:
         """A picture has arrived: the frame with its command, and its outcome if it is the last; None for one that is refused."""
@@ -266,7 +302,8 @@ class Episode:
             truth = truth._replace(p_camera=transform(inverse(truth.T_world_camera) @ truth.T_world_target, points))
         row = np.empty(self._own_columns)
         parts = c.timing, c.observation, c.goal, c.error, c.command, c.allocation
-        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth)
+        records = self._records(c) if self._others else {}
+        frame = Frame(*parts, truth, image, row, order=c.order, depth_image=depth, cameras=records)
         values = self._task.measure(frame)
         if self._robot_log.columns == RobotLog.columns:
             of_robot: Iterable[float] = (self.controller.supervisor.mode,)  # the state, a tenth of an ideal frame, is not needed

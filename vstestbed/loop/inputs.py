@@ -9,11 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from vstestbed.camera import DepthImage, Image
+from vstestbed.camera import DepthImage, Image, Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array
+from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Reading
 from vstestbed.robots.flight import FlightReading
+from vstestbed.scenario.cameras import Eye
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
@@ -25,11 +27,11 @@ OUTSIDE = 0.2
 class Inputs:
     """Checks what a controller is given, and counts the pictures (`taken`)."""
 
-    def __init__(self, scenario: Scenario):
+    def __init__(self, scenario: Scenario | Eye):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
         self._latest_s, self._refuses = scenario.timing.latest_s(scenario.camera), scenario.timing.refuses
         self._reading = scenario.robot.onboard.reading if scenario.robot.onboard else Reading
-        self._reads_depth = scenario.law.depth.measured
+        self._reads_depth = scenario.reads_depth
         self._t: float | None = None
         self._arrived: float | None = None
         self.taken = -1
@@ -72,6 +74,15 @@ class Inputs:
             found = f"{image.shape} {image.dtype}" if isinstance(image, np.ndarray) else type(image).__name__
             raise ParameterError.count("depth", wanted, "floats, in metres, NaN or 0 where nothing was measured", found)
         return np.where(image > 0, image, np.nan).astype(np.float32)
+
+    def shot(self, picture: Image | Sequence[Image], t: float, reading: Reading) -> Exposure:
+        """An exposure of a further camera, whose times rise like those of the law's camera."""
+        before = self.taken
+        (checked, _), _ = self.given(picture, t, reading, None)
+        if self.taken == before:
+            raise ParameterError.bound("t", "after", f"{self._t:g} s, when its last picture was taken", t)
+        images = (picture,) if isinstance(picture, np.ndarray) else tuple(picture)
+        return Exposure(self.taken, t, Picture(t, images), checked)
 
     def now(self, t: float) -> float:
         """A time [s] at which no picture has come, which is not before the last picture's."""

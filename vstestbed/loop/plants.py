@@ -15,7 +15,7 @@ from vstestbed.scenario.noise import Noise, TargetNoise
 from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, flange_for, posture_at
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import OtherCamera, build_plant
 from vstestbed.tasks.base import GoalPicture
 
 # Inactive effects, on pictures or measured points in a run that has none, are warned of: a comparison would take them for harmless.
@@ -149,4 +149,18 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
         order_s=scenario.timing.order_s(scenario.camera),
         interpolator=scenario.timing.interpolator(*scenario.clock),
         plate_m=plate_m,
+        others=[
+            OtherCamera(
+                eye.viewpoint,
+                needs_image=eye.needs_image or pictures,
+                needs_truth=eye.detector.needs_truth,
+                image_sigma=eye.noise.image_sigma,
+                rng=eye.rng(IMAGE_STREAM),
+                depth_rng=eye.rng(RGBD_STREAM),
+                imaging_rng=eye.rng(IMAGING_STREAM),
+                drift=eye.noise.drift,
+                perturbed=eye.perturbed(),
+            )
+            for eye in scenario.eyes.values()
+        ],
     )

@@ -278,6 +278,9 @@ def _in_field(node: Node, key: str, written: Any) -> Iterator[tuple[type, str, A
     if isinstance(written, list):
         for item in written if node.type is tuple else ():
             yield from _in_field(node.parts[0], f"{key}[]", item)
+    elif node.type is dict and isinstance(written, Mapping):
+        for item in written.values():
+            yield from _in_field(node.parts[0], f"{key}[]", item)
     elif (block := node.block_of(written)) is not None:
         yield from _in_block(block[0], key, written)
 

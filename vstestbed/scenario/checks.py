@@ -192,7 +192,7 @@ def check_markers(robot: Robot, camera: Camera, target: Target, detector: Detect
     """Refuse markers that the detector cannot detect, too few markers, and arrangements that do not determine the pose.
     needs_pose: the task needs the target's pose, which not every depth source estimates.
     """
-    _check_detected(target, detector, law)
+    check_detected(target, detector, law)
     _check_marker_count(robot, camera, target, detector, law)
     sized = is_sized(target)
     if law.depth.needs_size and not sized:
@@ -292,7 +292,7 @@ def _untold_pose(target: Target, law: Law[Any]) -> str:
     return f"which law.depth {law.depth.kind} does not estimate; works: {'law.depth pnp, or ' if _has_depth(law) else ''}error_px alone"
 
 
-def _check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
+def check_detected(target: Target, detector: Detector[Any], law: Law[Any]) -> None:
     """Refuse a detector that does not see this kind of markers, that nobody reads, or for which the target shows nothing."""
     of_markers = {kind: member for kind, member in DETECTORS.members.items() if member.rows is None and not member.needs_sheet}
     marker, shown = target.marker.kind, kind_of(type(target))

@@ -193,9 +193,9 @@ def check_plugins(scenario: Scenario) -> None:
 
 
 def _parts(part: Any, field: str = "scenario") -> Iterator[tuple[str, Any]]:
-    if isinstance(part, tuple):
-        for i, item in enumerate(part):
-            yield from _parts(item, f"{field}.{i}")
+    if isinstance(part, tuple | dict):
+        for name, item in part.items() if isinstance(part, dict) else enumerate(part):
+            yield from _parts(item, f"{field}.{name}")
     elif dataclasses.is_dataclass(part) and not isinstance(part, type):
         yield field, part
         for f in dataclasses.fields(part):

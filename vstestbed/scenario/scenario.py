@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -20,6 +20,7 @@ from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario import checks
+from vstestbed.scenario.cameras import Eye, FurtherCamera, check_cameras, eyes_of
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
@@ -81,6 +82,10 @@ class Scenario:
             (`--set robot.start.nominal=...`) is where a run begins.
         robot: what moves the camera, or the target.
         camera: lens, size, rate and latency of the pictures, and where the camera is mounted.
+        cameras: further cameras by name, each with a block of its own, for laws of several cameras, for a fused pose, for films and
+            learners; e.g. `{room: {on: world, camera: {mount: {xyz: [1, -1.5, 1], rpy_deg: [-90, 0, 0]}}}}`.
+        fusion: whether the target's pose is that which fits the markers in the pictures of all cameras best (`pose`), also where `camera`
+            itself sees too few of them; or its own alone (`none`).
         target: what the camera looks at: markers, or lines on the floor.
         detector: how markers are found in a picture.
         law: the control law.
@@ -111,6 +116,8 @@ class Scenario:
     draw_start: bool = False
     robot: Annotated[Robot, ROBOTS]
     camera: Annotated[Camera, CAMERAS] = Perspective()
+    cameras: dict[str, FurtherCamera] = field(default_factory=dict)
+    fusion: Literal["none", "pose"] = "none"
     target: Annotated[Target, TARGETS]
     detector: Annotated[Detector[Any], DETECTORS] = Blobs()
     law: Annotated[Law[Any], LAWS]
@@ -133,6 +140,7 @@ class Scenario:
         checks.check_times(self.robot, self.camera, self.timing, self.stop, self.clock[0], self.needs_image)
         checks.check_metres(self.robot, self.camera, self.target)
         self.believed_camera  # noqa: B018 - refuses errors that the lens cannot have
+        check_cameras(self)
         self.goal.check(self.setup)
         checks.check_robot(self.robot, self.target, self.world, self.derotation, self.level_trim_s)
         checks.check_carrier(self.target)
@@ -147,9 +155,9 @@ class Scenario:
         checks.check_judged(self.stop, self.target, self.detector, self.law)
         check_metrics(self.metrics)
         check_randomise(self.randomise)
-        field = "goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal"
+        place = "goal.T_camera_target" if hasattr(self.goal, "T_camera_target") else "goal"
         for view in self.goal_views:
-            checks.check_length(field, view.T_camera_target, checks.MOST_VIEW_M)
+            checks.check_length(place, view.T_camera_target, checks.MOST_VIEW_M)
         checks.check_own_points(self.robot, self.camera, self.detector, self.law, self.goal_views)
         self.goal.check_views(self.setup, self.goal_views)
         self.law.check(self.target.points, self.goal_view)
@@ -169,7 +177,13 @@ class Scenario:
         landmarks = not self.target.moves and self.target.painted_route is None
         by_compass = landmarks and isinstance(self.robot, Vehicle) and self.robot.draws_heading
         started = self.robot.start.random is not None or bool(self.randomise) or by_compass
-        return started or seen or any(part is not None and part.draws for part in parts)
+        others = any(eye.draws for eye in self.eyes.values())
+        return started or seen or others or any(part is not None and part.draws for part in parts)
+
+    @cached_property
+    def eyes(self) -> dict[str, Eye]:
+        """The further cameras by name, each with what a run needs of it."""
+        return eyes_of(self)
 
     @property
     def clock(self) -> tuple[float, int]:
@@ -216,6 +230,11 @@ class Scenario:
     def needs_image(self) -> bool:
         """Whether pictures are taken: the detector, or the law, works on them."""
         return self.detector.needs_image or "image" in self.law.inputs or self.law.depth.measured
+
+    @property
+    def reads_depth(self) -> bool:
+        """Whether depth pictures are read."""
+        return self.law.depth.measured
 
     @property
     def needs_goal_image(self) -> bool:

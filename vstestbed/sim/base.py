@@ -31,7 +31,7 @@ class SceneDescription:
     """The parts of a scene.
 
     `sights` are points that the outside view must show, besides the robot's start and the target [m]. `plate_m` is the edge of a plate
-    in reserve, out of sight until a person holds it somewhere; 0 for none [m].
+    in reserve, out of sight until a person holds it somewhere; 0 for none [m]. `others` are cameras besides the servo camera.
     """
 
     robot: Robot
@@ -41,6 +41,11 @@ class SceneDescription:
     step: float
     sights: tuple[tuple[float, float, float], ...] = ()
     plate_m: float = 0.0
+    others: tuple[Viewpoint, ...] = ()
+
+    def stands(self, eye: str) -> bool:
+        """Whether a camera stands in the room, so that it sees what encloses the lens of one on the flange."""
+        return any(other.stands for other in self.others if other.name == eye)
 
     @property
     def leader(self) -> Robot | None:
@@ -61,6 +66,23 @@ class SceneDescription:
     def start(self) -> tuple[Array, Array]:
         """Joints (n,) and the servo camera's pose (4, 4) at the nominal start."""
         return self.robot.start_joints(), camera_start(self.robot, self.camera, self.target)
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A further camera of a scene.
+
+    name: of its camera and its site in the scene. camera: the lens, with its pose in what carries it. stands: it stands in the room; else
+    the flange carries it.
+    """
+
+    name: str
+    camera: Camera
+    stands: bool = False
+
+    def pose(self, T_world_flange: Array) -> Array:
+        """Its pose (4, 4) where the flange is at one (4, 4)."""
+        return self.camera.mount.T if self.stands else T_world_flange @ self.camera.mount.T
 
 
 class Truth(NamedTuple):
@@ -120,46 +142,32 @@ class Renderer(Protocol):
         ...
 
 
-class Plant(ABC):
-    """The simulated robot, camera and target. The clock counts whole physics steps.
+class Eye(ABC):
+    """Takes the pictures of one camera of a plant, each with the truth then.
 
-    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
-    pictures and occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a target that moves by itself as
-    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from one setpoint to
-    the next; None: at once.
+    step_s: the physics step [s]. steps_per_frame: how many of them lie between two pictures. sensor: takes the pictures; None where no
+    detector needs them.
     """
 
-    _stage: Scene | None
-
-    def __init__(
-        self,
-        parts: SceneDescription,
-        steps_per_frame: int,
-        stage: Scene | None,
-        eye: ImageSensor | None,
-        path: Path | None,
-        order_s: float,
-        interpolator: Interpolator | None,
-    ):
-        robot = parts.robot
-        self._parts, self._stage, self._eye, self._path, self._target = parts, stage, eye, path, parts.target
-        self._own_path = path  # without what `move_target` has shifted
-        self.step_s, self.steps_per_frame, self._steps = parts.step, steps_per_frame, 0
-        self._setpoints = SetpointBuffer(
-            robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator
-        )
+    def __init__(self, step_s: float, steps_per_frame: int, sensor: ImageSensor | None):
+        self.step_s, self.steps_per_frame, self._eye = step_s, steps_per_frame, sensor
 
     @property
+    @abstractmethod
     def _t(self) -> float:
-        return self._steps * self.step_s
+        """The time now [s]."""
 
     @abstractmethod
     def _show(self) -> None:
         """Bring the stage, from which pictures are taken, to the present time."""
 
     @abstractmethod
-    def _actuate(self) -> None:
-        """Put the setpoint in force into effect."""
+    def truth(self) -> Truth:
+        """The truth, now."""
+
+    @abstractmethod
+    def reading(self) -> Reading:
+        """The robot's sensor reading, now."""
 
     @property
     def render_s(self) -> float:
@@ -179,13 +187,6 @@ class Plant(ABC):
         """A picture just taken with the camera's own image, where it has none: that of a lens with panels, `Picture.own`."""
         return self._eye.with_own(picture) if self._eye else picture
 
-    @abstractmethod
-    def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
-        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there.
-
-        The plant keeps its state. Only of a plant that takes pictures.
-        """
-
     def exposure_s(self) -> float | None:
         """Exposure time of the next picture as the camera's exposure control has set it [s]; None where nothing is pictured."""
         self._show()
@@ -204,17 +205,70 @@ class Plant(ABC):
         """The picture of all images added since the last one, stamped t [s]."""
         return self._eye.developed(t) if self._eye else None
 
+
+class Plant(Eye):
+    """The simulated robot, camera and target. The clock counts whole physics steps.
+
+    parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
+    pictures and occlusion. eye: takes the pictures; None where no detector needs them. path: the pose of a target that moves by itself as
+    a function of time, else None. order_s: how long a setpoint lasts before the robot stops [s]. interpolator: leads from one setpoint to
+    the next; None: at once. others: its further cameras by name.
+    """
+
+    _stage: Scene | None
+
+    def __init__(
+        self,
+        parts: SceneDescription,
+        steps_per_frame: int,
+        stage: Scene | None,
+        eye: ImageSensor | None,
+        path: Path | None,
+        order_s: float,
+        interpolator: Interpolator | None,
+    ):
+        robot = parts.robot
+        super().__init__(parts.step, steps_per_frame, eye)
+        self._parts, self._stage, self._path, self._target = parts, stage, path, parts.target
+        self._own_path = path  # without what `move_target` has shifted
+        self._steps, self.others = 0, dict[str, OtherEye]()
+        self._setpoints = SetpointBuffer(
+            robot.stopping, robot.onboard and robot.onboard.first_setpoint, order_s / parts.step, parts.step, interpolator
+        )
+
+    @property
+    def _t(self) -> float:
+        return self._steps * self.step_s
+
+    @property
+    def target(self) -> Target:
+        """What the cameras look at."""
+        return self._target
+
     @abstractmethod
-    def truth(self) -> Truth:
-        """The truth, now."""
+    def _actuate(self) -> None:
+        """Put the setpoint in force into effect."""
+
+    @abstractmethod
+    def picture_from(self, T_world_flange: Array, q: Array | None = None) -> Picture:
+        """A whole picture without noise with the flange at another pose (4, 4), an arm in its configuration q there.
+
+        The plant keeps its state. Only of a plant that takes pictures.
+        """
+
+    @abstractmethod
+    def pose_of(self, viewpoint: Viewpoint) -> Array:
+        """Pose (4, 4) of a further camera, now."""
+
+    def hidden(self, viewpoint: Viewpoint, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
+        """Which marker centres (N, 3) are occluded for a further camera at a pose (4, 4)."""
+        if self._stage is None:
+            return np.zeros(len(p_camera), dtype=bool)
+        return self._stage.hidden(T_world_camera, p_camera, viewpoint.name)
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
         """What stands now before each of points p_camera (N, 3) of a camera at a pose (4, 4), by the name of its body; "" for nothing."""
         return self._stage.names_before(T_world_camera, p_camera) if self._stage else ("",) * len(p_camera)
-
-    @abstractmethod
-    def reading(self) -> Reading:
-        """The robot's sensor reading, now."""
 
     def apply(self, setpoint: Array, stop: Stop = "") -> None:
         """Set the setpoint, which stays in force until the next one, or until it has lasted its time; or a stop in its place."""
@@ -255,6 +309,33 @@ class Plant(ABC):
         """Free pictures and physics."""
         if self._stage is not None:
             self._stage.close()
+
+
+class OtherEye(Eye):
+    """A further camera of a plant. see_hidden: whether its detector needs the occlusion of markers."""
+
+    def __init__(self, plant: Plant, viewpoint: Viewpoint, target: Target, sensor: ImageSensor | None, see_hidden: bool):
+        super().__init__(plant.step_s, round(viewpoint.camera.period / plant.step_s), sensor)
+        self._plant, self._viewpoint, self._target, self._see_hidden = plant, viewpoint, target, see_hidden
+
+    @property
+    def _t(self) -> float:
+        return self._plant._t
+
+    def _show(self) -> None:
+        self._plant._show()
+
+    def reading(self) -> Reading:
+        """The robot's, now."""
+        return self._plant.reading()
+
+    def truth(self) -> Truth:
+        """The truth, now: pose of this camera, and the markers in its frame; the twist is the servo camera's."""
+        truth = self._plant.truth()
+        T = self._plant.pose_of(self._viewpoint)
+        p_camera = self._target.seen_from(inverse(truth.T_world_target) @ T)
+        hidden = self._plant.hidden(self._viewpoint, T, p_camera) if self._see_hidden else np.zeros(len(p_camera), dtype=bool)
+        return truth._replace(T_world_camera=T, p_camera=p_camera, hidden=hidden)
 
 
 POSTURES = 12  # Most postures from which the goal's is sought: Newton's steps find the Jaco's from every second one

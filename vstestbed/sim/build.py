@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -10,12 +12,30 @@ from vstestbed.camera import Camera, Perspective
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
 from vstestbed.robots.base import longest_step
-from vstestbed.sim.base import Plant
+from vstestbed.sim.base import OtherEye, Plant, Viewpoint
 from vstestbed.sim.scene.world import World
 from vstestbed.targets.base import Target
 from vstestbed.timing.clock import Clock
 from vstestbed.timing.setpoints import Interpolator
 from vstestbed.vision.perturb import Perturbed
+
+if TYPE_CHECKING:
+    from vstestbed.sim.render.image_sensor import ImageSensor
+    from vstestbed.sim.scene.scene import Scene
+
+
+class OtherCamera(NamedTuple):
+    """A further camera of a plant, and what becomes of its pictures; see `build_plant` for what is not said here."""
+
+    viewpoint: Viewpoint
+    needs_image: bool
+    needs_truth: bool
+    image_sigma: float
+    rng: np.random.Generator
+    depth_rng: np.random.Generator
+    imaging_rng: np.random.Generator
+    drift: Drift
+    perturbed: Perturbed | None
 
 
 def build_plant(
@@ -38,6 +58,7 @@ def build_plant(
     order_s: float = math.inf,
     interpolator: Interpolator | None = None,
     plate_m: float = 0.0,
+    others: Sequence[OtherCamera] = (),
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -53,39 +74,69 @@ def build_plant(
         order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to
             the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
+        others: further cameras (`Plant.others`).
     """
     # Imports within functions: a run with the ideal camera and the oracle then starts without loading any renderer.
     from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.ideal import IdealPlant
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
-    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m)
+    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m, others=tuple(other.viewpoint for other in others))
     ideal = robot.body is None
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     may_hide = world.hides or (target.body is not None and not target.outlined)
-    if ideal and not (needs_image or plate_m or may_hide):
-        return IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator), "none"
+    pictured = needs_image or any(other.needs_image for other in others)
+    if ideal and not (pictured or plate_m or may_hide):
+        plant: Plant = IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator)
+        plant.others = {other.viewpoint.name: _other_eye(plant, other, None) for other in others}
+        return plant, "none"
+    from vstestbed.sim.scene.scene import Scene
+
+    stage = Scene(parts, samples=max(camera.multisampling, *(other.viewpoint.camera.multisampling for other in others), 0))
+    eye, renderer = None, "none"
+    if needs_image:
+        eye, renderer = _sensor(stage, camera, "eye", image_sigma, rng, depth_rng, imaging_rng, drift, perturbed)
+    if ideal:
+        plant = IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
+    else:
+        from vstestbed.sim.plant import MujocoPlant
+
+        plant = MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, interpolator)
+    plant.others = {other.viewpoint.name: _other_eye(plant, other, stage) for other in others}
+    return plant, renderer
+
+
+def _other_eye(plant: Plant, other: OtherCamera, stage: Scene | None) -> OtherEye:
+    sensor, viewpoint = None, other.viewpoint
+    if stage is not None and other.needs_image:
+        sensor, _ = _sensor(stage, viewpoint.camera, viewpoint.name, *other[3:])
+    return OtherEye(plant, viewpoint, plant.target, sensor, other.needs_truth)
+
+
+def _sensor(
+    stage: Scene,
+    camera: Camera,
+    eye: str,
+    image_sigma: float,
+    rng: np.random.Generator | None,
+    depth_rng: np.random.Generator | None,
+    imaging_rng: np.random.Generator | None,
+    drift: Drift,
+    perturbed: Perturbed | None,
+) -> tuple[ImageSensor, str]:
+    """The sensor of a camera of a stage, and the name of what draws its images."""
     from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
-    from vstestbed.sim.scene.scene import Scene
 
-    stage = Scene(parts, samples=camera.multisampling)
-    eye, renderer = None, "none"
-    if needs_image:
-        # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
-        drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s)
-        depth = None
-        if isinstance(camera, Perspective) and camera.depth_sensor is not None:
-            depth = DepthCamera(camera, camera.depth_sensor, _given(depth_rng))
-        changed = None if perturbed is None else perturbed.next_picture
-        chain = Chain(camera.imaging(imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
-        eye, renderer = ImageSensor(stage, drawn_by, chain, depth), drawn_by.name
-    if ideal:
-        return IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator), renderer
-    from vstestbed.sim.plant import MujocoPlant
-
-    return MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, interpolator), renderer
+    # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
+    drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s, eye=eye)
+    depth = None
+    if isinstance(camera, Perspective) and camera.depth_sensor is not None:
+        depth = DepthCamera(camera, camera.depth_sensor, _given(depth_rng))
+    changed = None if perturbed is None else perturbed.next_picture
+    chain = Chain(camera.imaging(imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
+    return ImageSensor(stage, drawn_by, chain, depth, camera), drawn_by.name
 
 
 def _given(rng: np.random.Generator | None) -> np.random.Generator:
@@ -94,17 +145,23 @@ def _given(rng: np.random.Generator | None) -> np.random.Generator:
 
 
 def scene_files(
-    robot: Robot, camera: Camera, target: Target, world: World, clock: Clock, sights: tuple[tuple[float, float, float], ...] = ()
+    robot: Robot,
+    camera: Camera,
+    target: Target,
+    world: World,
+    clock: Clock,
+    sights: tuple[tuple[float, float, float], ...] = (),
+    others: tuple[Viewpoint, ...] = (),
 ) -> tuple[str, dict[str, bytes]]:
     """The compiled scene as MJCF, and the asset files that it names, by their paths relative to it.
-    Its keyframe `start` is the nominal start. sights: points that the outside view must show [m].
+    Its keyframe `start` is the nominal start. sights: points that the outside view must show [m]. others: further cameras.
     """
     from vstestbed.core.geometry import quaternion_wxyz
     from vstestbed.sim.base import SceneDescription
     from vstestbed.sim.scene.compose import compose
     from vstestbed.sim.scene.scene import Scene
 
-    parts = SceneDescription(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights)
+    parts = SceneDescription(robot, camera, target, world, clock.resolve(camera, longest_step(robot))[0], sights, others=others)
     if robot.body is None:
         spec, T = compose(parts), robot.flange_pose(robot.configuration())
         body = spec.body("robot/camera")

@@ -9,7 +9,7 @@ import numpy as np
 from vstestbed.camera import Picture
 from vstestbed.core.geometry import Array, adjoint, exp, inverse
 from vstestbed.robots.base import Reading
-from vstestbed.sim.base import Plant, SceneDescription, Truth
+from vstestbed.sim.base import Plant, SceneDescription, Truth, Viewpoint
 from vstestbed.targets.motion import Path
 from vstestbed.timing.setpoints import Interpolator
 
@@ -36,7 +36,8 @@ class IdealPlant(Plant):
     ):
         super().__init__(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
         self._T = parts.start[1]
-        self._to_camera = adjoint(inverse(parts.camera.mount.T))
+        self._T_camera_flange = inverse(parts.camera.mount.T)
+        self._to_camera = adjoint(self._T_camera_flange)
         self._T_world_target = parts.target.pose.T
         self._T_target_world = inverse(self._T_world_target)
         self._twist = np.zeros(6)
@@ -59,6 +60,10 @@ class IdealPlant(Plant):
         with self._stage.kept():
             self._stage.place(self._t, self._T_world_target, NONE, T_world_flange @ self._parts.camera.mount.T)
             return self._eye.clean(self._t)
+
+    def pose_of(self, viewpoint: Viewpoint) -> Array:
+        """Pose (4, 4) of a further camera, now."""
+        return viewpoint.pose(self._T @ self._T_camera_flange)
 
     def _show(self) -> None:
         if self._path is not None:

@@ -17,7 +17,7 @@ from vstestbed.core.planar import place_of, pose_on_ground, relative
 from vstestbed.effects.base import Actor, Effect, StateIndices
 from vstestbed.robots import Mount, Robot
 from vstestbed.robots.base import Reading
-from vstestbed.sim.base import Plant, Truth
+from vstestbed.sim.base import Plant, Truth, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.targets.motion import Path
@@ -386,6 +386,10 @@ class MujocoPlant(Plant):
             joints = stage.data.qpos[stage.at.qpos] if q is None else shown_at(stage, T_world_flange, q)
             stage.place(stage.data.time, stage.target_pose(), joints, T_world_flange @ stage.parts.camera.mount.T)
             return self._eye.clean(self._t)
+
+    def pose_of(self, viewpoint: Viewpoint) -> Array:
+        """Pose (4, 4) of a further camera, now."""
+        return self._stage.camera_pose(viewpoint.name)
 
     def _twist(self, site: int) -> Array:
         """True twist (v, w) (6,) of a site in its own frame; MuJoCo has the angular part first."""

@@ -175,6 +175,7 @@ class BatchSetup:
         yield "target", not (solid and bordered), words
         exact = s.calibration.camera_exact and s.calibration.depth_exact
         yield "calibration", exact, "must be exact in a batch, whose poses and depths are true"
+        yield "cameras", not s.cameras, "must be none in a batch, whose runs have one camera each"
         yield "monitors", not s.monitors, "must be none in a batch, which ends runs by the loop's own alone"
         disturbed = s.noise != Noise() or s.timing != Timing() or any((s.camera.latency_s, s.camera.readout_s))
         words = "must have a free camera, detector oracle, no latency, no noise, no rolling shutter, and no plates or scenery for a batch"

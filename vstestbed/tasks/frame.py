@@ -112,6 +112,25 @@ class Cycle:
         return self.order.latched
 
 
+class CameraRecord(NamedTuple):
+    """What a further camera showed last, for the log and for films.
+
+    Attributes:
+        t: time of its exposure [s]. uv, depth: markers as measured (N, 2) [px], (N,) [m]. goal_uv: where the law wants them in its picture
+            (N, 2) [px], NaN where it wants them nowhere.
+        p_camera: true markers in its frame then (N, 3) [m]. T_world_camera: its true pose then (4, 4).
+        image: its picture (H, W, 3) uint8 RGB, valid until its next one; None where none was taken, or only part of it drawn.
+    """
+
+    t: float
+    uv: Array
+    depth: Array
+    goal_uv: Array
+    p_camera: Array
+    T_world_camera: Array
+    image: Image | None
+
+
 @dataclass(frozen=True, slots=True)
 class Frame(Cycle):
     """One control step with the truth at the time of exposure.
@@ -123,6 +142,7 @@ class Frame(Cycle):
         row: values of the columns that only this robot and this task have (`Scenario.own_columns`).
         verdict: how the run ended with this frame, and why; None while it goes on.
         depth_image: what the depth camera measured (H, W) [m], NaN in its holes; None without one.
+        cameras: what each further camera showed last, by name; none of one that has not taken a picture yet.
     """
 
     truth: Truth
@@ -130,6 +150,7 @@ class Frame(Cycle):
     row: Array
     verdict: Verdict | None = field(default=None, kw_only=True)
     depth_image: DepthImage | None = field(default=None, kw_only=True)
+    cameras: Mapping[str, CameraRecord] = field(default_factory=dict[str, CameraRecord], kw_only=True)
 
     def protected(self) -> Frame:
         """The same frame with its arrays read-only, but for the picture: the log keeps them, and who wrote to one would change a row."""

@@ -15,7 +15,7 @@ from vstestbed.camera.base import FORWARD_COSINE
 from vstestbed.core.geometry import Array, adjoint, all_finite, exp, inverse, transform
 from vstestbed.core.lazy import cv2
 from vstestbed.core.planar import arc, composed
-from vstestbed.features.depth import Depth, DepthCues, Estimate
+from vstestbed.features.depth import Depth, DepthCues, Estimate, triangulated
 from vstestbed.features.observation import EgoMotion, Goal, Observation
 from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, points_of
@@ -215,7 +215,9 @@ class Observer:
         """Whether the points are reported as they are detected, and nothing is kept from frame to frame: the ideal loop, at its speed."""
         changed = self.dropout > 0 or self.pixel_sigma_px > 0 or self.perturbed is not None or self.depth_scale is not None
         kept = self.needs_pose or self.depth.estimator is not None or self.grounded or self.derotation != "none"
-        read = self.depth.measured or self.depth.needs_size or not {"xy", "depth"}.issuperset(self.required_fields)
+        read = (
+            self.depth.measured or self.depth.needs_size or bool(self.depth.camera) or not {"xy", "depth"}.issuperset(self.required_fields)
+        )
         return not (changed or kept or read)
 
     def uses_motion(self, detection: Detection) -> bool:
@@ -235,6 +237,7 @@ class Observer:
         tilt: Array | None = None,
         own: EgoMotion | None = None,
         depth_image: NDArray[np.float32] | None = None,
+        pair: tuple[Array, Array] | None = None,
     ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
 
@@ -246,12 +249,13 @@ class Observer:
             rng: source of the pixel noise and of the dropout. compass: a vehicle's measured heading [rad]; None without a compass.
             tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
             own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W) [m], NaN in its holes; None without one.
+            pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's frame; None without one.
 
         Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
+            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image, pair)
             return state, replace(seen, ids=detection.ids)
         if self._direct:
             xy = self.camera.normalise(detection.uv)
@@ -260,13 +264,15 @@ class Observer:
         uv, T = self._reported(detection, t, rng)
         xy = self.camera.normalise(uv)
         tilt = tilt if self.derotation != "none" else None
-        asked = "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size
+        asked = "ray" in self.required_fields or self.depth.estimator is not None or self.depth.needs_size or pair is not None
         ray = self.camera.ray(uv) if self._solves(T) or asked or tilt is not None else None
         T, solved = self._pose(ray, t, state, T, twist)
         flow, estimator = state.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
             flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
+        if pair is not None and ray is not None:
+            cues = cues._replace(p_by_pair=triangulated(ray, *pair))
         view, trim = self._view(t, uv, ray, T, flow, cues, own), state.trim
         if tilt is not None:
             if self.trim_s and solved and T is not None:

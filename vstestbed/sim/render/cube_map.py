@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -17,18 +17,19 @@ from vstestbed.core.lazy import cv2
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A rendered pinhole image: size, focal length, principal point [px], and the face of the cube that it shows."""
+    """A rendered pinhole image: size, focal length, principal point [px], the face of the cube that it shows, and its camera."""
 
     width: int
     height: int
     f: float
     centre: tuple[float, float]
     face: str = "front"
+    eye: str = "eye"
 
     @property
     def name(self) -> str:
         """The camera's name in the scene: `eye` ahead, `eye_right`, ... elsewhere."""
-        return "eye" if self.face == "front" else f"eye_{self.face}"
+        return self.eye if self.face == "front" else f"{self.eye}_{self.face}"
 
     @property
     def R_camera_face(self) -> Array:
@@ -205,6 +206,7 @@ def _angle_to_next(rays: Array) -> Array:
     return np.where(np.isfinite(out) & (out > 0), out, np.nan)
 
 
-def drawn_for(camera: Camera) -> tuple[Pinhole, ...]:
-    """The pinhole images to be rendered for a lens: its own, or the faces that it can see."""
-    return (pinhole_of(camera),) if isinstance(camera, Perspective) else cube_of(camera).faces
+def drawn_for(camera: Camera, eye: str = "eye") -> tuple[Pinhole, ...]:
+    """The pinhole images to be rendered for a lens, of a camera by its name: its own, or the faces that it can see."""
+    drawn = (pinhole_of(camera),) if isinstance(camera, Perspective) else cube_of(camera).faces
+    return drawn if eye == "eye" else tuple(replace(image, eye=eye) for image in drawn)

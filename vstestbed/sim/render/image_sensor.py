@@ -164,7 +164,7 @@ INSTANT: Contribution = ((1.0, 1.0),)  # the only image of a picture of an insta
 
 
 class ImageSensor:
-    """Takes the servo camera's pictures of a stage.
+    """Takes one camera's pictures of a stage.
 
     A picture of which only regions of interest were drawn keeps the scene's state at each of its images, so that the whole picture can be
     drawn afterwards, of the same exposure and with the same noise.
@@ -172,10 +172,17 @@ class ImageSensor:
     Args:
         stage: the scene, in its state at the time of each call. renderer: renders the images.
         chain: what becomes of them; with lens, exposure, sensor or stream pictures are always whole.
-        depth: the depth camera, whose pictures are always whole; None without one.
+        depth: the depth camera, whose pictures are always whole; None without one. camera: whose pictures; None: the servo camera.
     """
 
-    def __init__(self, stage: Scene, renderer: Renderer, chain: Chain | None = None, depth: DepthCamera | None = None):
+    def __init__(
+        self,
+        stage: Scene,
+        renderer: Renderer,
+        chain: Chain | None = None,
+        depth: DepthCamera | None = None,
+        camera: Camera | None = None,
+    ):
         self._stage, self._model, self._data = stage, stage.model, stage.data
         self._renderer, self._chain, self._depth = renderer, chain or Chain(), depth
         self._reads_depth = depth is not None or self._chain.needs_depth
@@ -183,7 +190,7 @@ class ImageSensor:
         self._true_depth: DepthImage | None = None
         self._imaged_s = 0.0
         self._states: list[mujoco.MjData] = []
-        self._rows = PixelRows(stage.parts.camera, self._chain.noisy)
+        self._rows = PixelRows(camera or stage.parts.camera, self._chain.noisy)
         self._exposed: list[Contribution] = []
         self._blur, self._latest = MotionBlur(), list[Change]()
 

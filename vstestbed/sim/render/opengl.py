@@ -184,27 +184,35 @@ class SceneCamera:
     """One pinhole camera of a stage, kept between images.
 
     stage: the scene. camera: name in the scene (`eye`, `overview`, ...). width, height: size of the image [px]. shadows: draw shadows.
-    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out); `outside` shows everything.
+    style: `own` is what the servo camera sees (the geoms that enclose the lens are left out), `room` what a camera sees that stands in the
+    room; `outside` shows everything, for films.
     culls: OpenGL gets only what may be in the picture; MuJoCo itself gives it all geoms. Raises
     EnvironmentLackError: OpenGL does not work on this machine. ParameterError: the scene has more materials or textures than it draws.
     """
 
     def __init__(
-        self, stage: Scene, camera: str, width: int, height: int, shadows: bool, style: Literal["own", "outside"], culls: bool = True
+        self,
+        stage: Scene,
+        camera: str,
+        width: int,
+        height: int,
+        shadows: bool,
+        style: Literal["own", "room", "outside"],
+        culls: bool = True,
     ):
         gl.require()
         _must_be_drawable(stage)
         # MuJoCo allocates the offscreen buffer from the model's size when it makes a context; it must hold the largest camera.
         vis = stage.model.vis.global_
         vis.offwidth, vis.offheight = max(vis.offwidth, width), max(vis.offheight, height)
-        if style == "own" and not ROUNDED & set(stage.model.geom_type.tolist()):
+        if style != "outside" and not ROUNDED & set(stage.model.geom_type.tolist()):
             stage.model.vis.quality.numslices, stage.model.vis.quality.numstacks = DISC_FACETS
         if not shadows:
             stage.model.vis.quality.shadowsize = 0  # the context would reserve its depth map
         try:
             self._option = wrapper.MjvOption()
             self._option.geomgroup[:] = 1
-            self._option.geomgroup[LENS_GROUP] = style == "outside"
+            self._option.geomgroup[LENS_GROUP] = style != "own"
             self._option.geomgroup[RANGE_GROUP] = 0
             self._option.sitegroup[:] = 0
             self._flags = {"shadow": shadows, "reflection": stage.parts.world.floor.mirror > 0}
@@ -275,10 +283,11 @@ class OpenGLRenderer:
         stage: the scene. camera: the lens.
         noisy: noise will be added to the images. Its level is estimated from whole images, which are then always drawn.
         share: size of the images as a share of the camera's; 1 for wide and distorted lenses, whose images are composed.
+        eye: name of the camera in the scene.
     """
 
-    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0):
-        drawn = drawn_for(camera)
+    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+        drawn = drawn_for(camera, eye)
         self._maps = resampling_maps(camera, drawn[0]) if isinstance(camera, Perspective) else None
         self._cube = None if isinstance(camera, Perspective) else cube_of(camera)
         self._model, self._pinhole_lens = stage.model, drawn[0]
@@ -289,7 +298,8 @@ class OpenGLRenderer:
         self._parts = self._maps is None and not noisy
         share = share if self._maps is None and self._cube is None else 1.0
         sizes = [(p.name, round(share * p.width), round(share * p.height)) for p in drawn]
-        self._views = [SceneCamera(stage, *size, camera.shadows, "own") for size in sizes]
+        style = "room" if stage.parts.stands(eye) else "own"
+        self._views = [SceneCamera(stage, *size, camera.shadows, style) for size in sizes]
         self.name = self._views[0].renderer
         self.spent_s = 0.0
         self.whole = True

@@ -23,14 +23,14 @@ T = TypeVar("T")
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
 
 
-def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0) -> Renderer:
-    """The renderer of the servo camera, as `camera.renderer` asks.
+def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye") -> Renderer:
+    """The renderer of the servo camera, or of a further camera `eye`, as `camera.renderer` asks.
 
     noisy: noise will be added to its images. share: size of the images as a share of the camera's, for films; OpenGL draws those of
     wide and distorted lenses in full. Raises EnvironmentLackError: OpenGL is asked for, or the image needs it, and it does not work here.
     ParameterError: rays are asked for and cannot draw this scene.
     """
-    given = stage, camera, noisy, share
+    given = stage, camera, noisy, share, eye
     return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
 
 

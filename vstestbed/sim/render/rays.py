@@ -221,11 +221,12 @@ class RayRenderer:
     Args:
         stage: the scene. camera: the lens.
         noisy: noise will be added to the images: the rows from which detectors estimate its level are always cast.
-        share: images for films are smaller (see `Raster`), without antialiasing.
+        share: images for films are smaller (see `Raster`), without antialiasing. eye: name of the camera in the scene.
     """
 
-    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0):
-        self._stage, self._camera, self._caster, self._share = stage, camera, Caster(stage), share
+    def __init__(self, stage: Scene, camera: Camera, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+        self._stage, self._camera, self._eye, self._share = stage, camera, eye, share
+        self._caster = Caster(stage, outside=stage.parts.stands(eye))
         refuse(camera, stage.parts.world.floor.mirror)
         self._noisy = noisy
         self._rasters: dict[int, Raster] = {}
@@ -244,7 +245,7 @@ class RayRenderer:
             windows = None if regions is None else regions[i]
             images.append(None if windows == () else self._draw(panel, i, windows, rows))
         if with_depth:
-            self.depth = ray_depth(self._depth_rays, self._stage.camera_pose(), self._caster.hits)
+            self.depth = ray_depth(self._depth_rays, self._stage.camera_pose(self._eye), self._caster.hits)
         self.whole = regions is None and rows is None
         self.spent_s += time.perf_counter() - start
         return tuple(images)
@@ -272,7 +273,7 @@ class RayRenderer:
             windows += tuple((0, v, raster.width, v + 1) for v in noise_rows(raster.height))
         if rows is not None:
             windows = tuple((a, max(b, rows[0]), c, min(d, rows[1])) for a, b, c, d in windows if b < rows[1] and d > rows[0])
-        raster.draw(image, windows, self._caster, self._stage.camera_pose())
+        raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
         return image
 
 

@@ -83,6 +83,7 @@ def add_body(scene: mujoco.MjSpec, body: mujoco.MjsBody, solid: Body) -> None:
 
 
 HOUSING_M = 0.03  # distance of the camera housing's centre behind the lens [m]
+BEHIND_LENS_M = 0.03  # how far the housing of a camera in the room is moved back, so that the lens's picture does not show it [m]
 POST_RADIUS_M, POST_GREY = 0.012, [0.5, 0.51, 0.53, 1.0]  # a tube of 24 mm, anodised
 FREE_HOUSING = 6.0  # The free camera's housing is drawn this many times as large as the arm's: it is seen from farther away
 GEOMS = {"cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER, "sphere": mujoco.mjtGeom.mjGEOM_SPHERE, "box": mujoco.mjtGeom.mjGEOM_BOX}
@@ -115,6 +116,11 @@ def compose(parts: SceneDescription) -> mujoco.MjSpec:
             _add_post(body, scene.geom("robot/deck"), T_body_flange @ parts.camera.mount.T)
         carrier = add_robot(scene, parts.leader, "leader/", parts.world.floor_friction, carried)[0] if parts.leader else None
         _add_target(scene, parts.target, carrier, parts.target.pose.T)
+    for other in parts.others:
+        if other.stands:
+            _add_camera(scene.worldbody, other.camera.mount.T, other.camera, housing, other.name, ROBOT_GROUP)
+        else:
+            _add_camera(body, T_body_flange @ other.camera.mount.T, other.camera, housing, other.name)
     _frame_overview(scene, parts)
     _add_plates(scene, parts)
     light_scene(scene, parts.world, parts.glossy)
@@ -159,14 +165,17 @@ def _frame_overview(scene: mujoco.MjSpec, parts: SceneDescription) -> None:
         frame_drive(scene, np.array([start, *parts.sights]), sights, extent_of(robot))
 
 
-def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float) -> None:
-    """The servo camera `eye` (MuJoCo axes), the site `eye` (computer-vision axes), and a visible housing of 5 cm times `housing`.
+def _add_camera(
+    body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, housing: float, eye: str = "eye", group: int = LENS_GROUP
+) -> None:
+    """The servo camera `eye` (MuJoCo axes), or a further one, the site `eye` (computer-vision axes), and a visible housing of 5 cm times
+    `housing`, which in a group that the camera itself sees lies behind the lens.
 
     A lens that sees beyond a plane has a camera for each face of the cube that it sees: `eye` ahead, `eye_right`, ...
     """
     pos = T_body_camera[:3, 3]
     quat_cv = quaternion_wxyz(T_body_camera[:3, :3])
-    for view in drawn_for(camera):
+    for view in drawn_for(camera, eye):
         T_camera_view = np.eye(4)
         T_camera_view[:3, :3] = view.R_camera_face
         body.add_camera(
@@ -179,14 +188,14 @@ def _add_camera(body: mujoco.MjsBody, T_body_camera: Array, camera: Camera, hous
             # cx = W/2 - 0.5 - principal_pixel_x: MuJoCo counts from the image's middle, and pixel centres are at whole numbers here
             principal_pixel=[view.width / 2 - 0.5 - view.centre[0], view.height / 2 - 0.5 - view.centre[1]],
         )
-    body.add_site(name="eye", pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
-    box, glass = [0.025, 0.02, 0.03], [0.013, 0.012, 0]
+    body.add_site(name=eye, pos=pos, quat=quat_cv, group=SITE_GROUP, size=[0.005] * 3)
+    box, glass, back = [0.025, 0.02, 0.03], [0.013, 0.012, 0], 0.0 if group == LENS_GROUP else BEHIND_LENS_M
     for name, kind, size, grey, along in (
-        ("eye_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
-        ("eye_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
+        (f"{eye}_box", mujoco.mjtGeom.mjGEOM_BOX, box, 0.17, -HOUSING_M),
+        (f"{eye}_lens", mujoco.mjtGeom.mjGEOM_CYLINDER, glass, 0.3, 0.012),
     ):
-        centre = pos + T_body_camera[:3, 2] * (along * housing)
-        _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], LENS_GROUP, centre, quat_cv)
+        centre = pos + T_body_camera[:3, 2] * ((along - back) * housing)
+        _visual(body, name, kind, [x * housing for x in size], [grey, grey, grey, 1], group, centre, quat_cv)
 
 
 def _add_post(body: mujoco.MjsBody, deck: mujoco.MjsGeom | None, T_body_camera: Array) -> None:

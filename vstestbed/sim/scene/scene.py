@@ -77,6 +77,7 @@ class Scene:
         self.hand_plate = self.model.body(HAND_PLATE).mocapid[0] if parts.plate_m else None
         self._free = self.model.body("robot/camera").mocapid[0] if parts.robot.body is None else None
         self.eye = self.model.site("eye").id
+        self._eyes = {name: self.model.site(name).id for name in ("eye", *(other.name for other in parts.others))}
         self.flange_body = self.model.body_parentid[self._target.id] if parts.target.on_gripper else self.model.site_bodyid[self.eye]
         self._rest = parts.robot.body and parts.robot.body.rest_ctrl
         self._actuators = parts.robot.body.actuators if parts.robot.body else ()
@@ -162,31 +163,33 @@ class Scene:
         """Pose (4, 4) of the target in the world."""
         return placed(self.data.xpos[self._target.id], self.data.xmat[self._target.id])
 
-    def camera_pose(self) -> Array:
-        """Pose (4, 4) of the servo camera in the world, computer-vision axes."""
-        return placed(self.data.site_xpos[self.eye], self.data.site_xmat[self.eye])
+    def camera_pose(self, eye: str = "eye") -> Array:
+        """Pose (4, 4) of the servo camera, or of a further one by its name, in the world, computer-vision axes."""
+        site = self._eyes[eye]
+        return placed(self.data.site_xpos[site], self.data.site_xmat[site])
 
     def pose_of(self, camera: str) -> Array:
         """Pose (4, 4) of a camera by its name in the world, computer-vision axes."""
         data = self.data.camera(camera)
         return placed(data.xpos, data.xmat.reshape(3, 3) @ FLIP[:3, :3])
 
-    def hidden(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.bool_]:
+    def hidden(self, T_world_camera: Array, p_camera: Array, eye: str = "eye") -> NDArray[np.bool_]:
         """Which marker centres (N, 3) are occluded: a ray from the lens hits something before them. Not those that do not exist (NaN)."""
-        return self._before(T_world_camera, p_camera) >= 0
+        return self._before(T_world_camera, p_camera, eye) >= 0
 
     def names_before(self, T_world_camera: Array, p_camera: Array) -> tuple[str, ...]:
         """What occludes each of marker centres (N, 3), by the name of its body; "" where nothing does."""
         geoms = self._before(T_world_camera, p_camera).tolist()
         return tuple(self.model.body(int(self.model.geom_bodyid[g])).name if g >= 0 else "" for g in geoms)
 
-    def _before(self, T_world_camera: Array, p_camera: Array) -> NDArray[np.int_]:
+    def _before(self, T_world_camera: Array, p_camera: Array, name: str = "eye") -> NDArray[np.int_]:
         """The geom that a ray from the lens hits before each of marker centres (N, 3); -1 for none."""
         marker = self.parts.target.marker
         slack = marker.height_m + HIDDEN_M  # the ray hits the marker itself before its centre, by its height
         eye = np.ascontiguousarray(T_world_camera[:3, 3])
-        # The lens lies inside the first of these groups; neither is in the picture.
-        return before(self.model, self.data, eye, p_camera @ T_world_camera[:3, :3].T, slack, (LENS_GROUP, RANGE_GROUP))
+        # A lens on the flange lies inside the last of these groups; neither is in its picture.
+        unseen = (RANGE_GROUP,) if self.parts.stands(name) else (RANGE_GROUP, LENS_GROUP)
+        return before(self.model, self.data, eye, p_camera @ T_world_camera[:3, :3].T, slack, unseen)
 
     @property
     def body_names(self) -> list[str]:

@@ -1,0 +1,207 @@
+"""What is seen: detector and observer of each camera with their states, and the views of several cameras together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vstestbed.camera import Regions
+from vstestbed.core.geometry import Array, adjoint, exp, inverse
+from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation
+from vstestbed.laws.base import inputs_of
+from vstestbed.loop.ego_motion import CommandHistory, Exposure
+from vstestbed.robots import Mount, Reading, Robot
+from vstestbed.scenario.cameras import Eye
+from vstestbed.scenario.randomise import NOISE_STREAM
+from vstestbed.scenario.scenario import Scenario
+from vstestbed.vision import Observer
+from vstestbed.vision.base import Detection
+from vstestbed.vision.derotate import level_from_tilt
+from vstestbed.vision.fusion import CameraPixels, fused_pose, with_pose
+
+FRESH_PERIODS = 2.5  # an observation older than so many periods of its camera, and its latency, tells nothing of now
+STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
+STILL.flags.writeable = False
+
+
+def observer_of(scenario: Scenario) -> Observer:
+    """The observer of a scenario's own camera."""
+    perturbed = scenario.perturbed()
+    return Observer(
+        camera=scenario.believed_camera,
+        target=scenario.target,
+        goal=scenario.goal_view,
+        depth=scenario.law.depth,
+        pixel_sigma_px=scenario.noise.pixel_sigma_px,
+        dropout=scenario.noise.dropout,
+        required_fields=inputs_of(scenario.law) + (("T_camera_target",) if scenario.fusion == "pose" else ()),
+        grounded=scenario.robot.base == "planar",
+        derotation=scenario.derotation,
+        trim_s=scenario.level_trim_s,
+        depth_scale=scenario.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
+        rows=scenario.detector.rows,
+    )
+
+
+def _observer_of(eye: Eye) -> Observer:
+    """The observer of a further camera: of the markers and the pose, and of nothing that the robot alone knows."""
+    perturbed = eye.perturbed()
+    return Observer(
+        camera=eye.believed_camera,
+        target=eye.target,
+        goal=eye.goal(eye.scenario.goal_view, eye.T_camera_eye(eye.robot.start_joints(), eye.scenario.believed_camera.mount.T)),
+        depth=eye.depth,
+        pixel_sigma_px=eye.noise.pixel_sigma_px,
+        dropout=eye.noise.dropout,
+        required_fields=eye.required_fields,
+        derotation=eye.scenario.derotation,
+        depth_scale=eye.depth_scale,
+        perturbed=perturbed if perturbed and perturbed.on_pixels else None,
+    )
+
+
+class Perception:
+    """Detector and observer of one camera, with their states between its pictures.
+
+    of: the scenario, or the further camera of one. goal: the first goal view, with its picture where the detector needs one.
+
+    Attributes:
+        found: whether it has found a marker so far. why: why the detector found none in the last picture. goal: the goal by a detector's
+            own points, which are others in every picture; None else. before: the last exposure.
+    """
+
+    def __init__(self, of: Scenario | Eye, observer: Observer, goal: Goal):
+        self.observer, self._target, self._detector, self._rng = observer, of.target, of.detector, of.rng(NOISE_STREAM)
+        # an oracle looks with the true lens; a real detector knows only the calibrated one
+        self._camera = of.camera if of.detector.needs_truth else of.believed_camera
+        self._state, self._observed = of.detector.begin(goal, self._camera, of.target), observer.init()
+        self.found, self.why = False, ""
+        self.goal: Goal | None = None
+        self.before: Exposure | None = None
+
+    def regions_of_interest(self) -> Regions | None:
+        """The detector's regions of interest in the next picture; None for all of it."""
+        return self._detector.regions_of_interest(self._state, self._camera, self._target)
+
+    def detect(self, shot: Exposure) -> Detection:
+        """What the detector finds in a picture."""
+        given = shot.picture if self._detector.needs_image else None
+        self._state, detection = self._detector.detect(self._state, given, shot.view, self._camera, self._target, self._rng)
+        self.found, self.goal, self.why = self.found or bool(detection.seen.any()), detection.goal, detection.why
+        return detection
+
+    def observe(
+        self, shot: Exposure, detection: Detection, twist: Array, own: EgoMotion | None = None, partner: CameraView | None = None
+    ) -> Observation:
+        """What a law may know of a picture. twist: of the camera (6,) since the last one. partner: the second camera of a pair."""
+        picture, reading = shot.picture, shot.reading
+        depth = picture.depth if picture else None
+        pair = None if partner is None or partner.seen.ray is None else (partner.seen.ray, partner.T_camera_this)
+        self._observed, seen = self.observer.observe(
+            self._observed, shot.t, detection, twist, self._rng, reading.heading, reading.tilt, own, depth, pair
+        )
+        self.before = shot
+        return seen
+
+
+def moved_between(robot: Robot, ordered: CommandHistory, before: Exposure, now: Exposure, mount: Mount) -> Array:
+    """Displacement (6,) of the law's camera from one exposure to another [m, rad], which may be the earlier one, by the robot's own
+    sensors, or by the commands where it has none.
+    """
+    since = now.t - before.t
+    if since == 0:
+        return STILL
+    if since < 0:
+        return -moved_between(robot, ordered, now, before, mount)
+    commanded = (ordered.displacement(now.t) - ordered.displacement(before.t)) / since
+    return robot.measured_twist(before.reading, now.reading, since, commanded, mount) * since
+
+
+@dataclass
+class _Latest:
+    """The last exposure of a further camera, and what was observed in it."""
+
+    shot: Exposure
+    seen: Observation
+
+
+class OtherCameras:
+    """The further cameras of a controller: their last observations, and what these tell together with the law's camera.
+
+    scenario: of the controller. mount: of the law's camera as calibrated.
+    """
+
+    def __init__(self, scenario: Scenario, mount: Array, goal: Goal):
+        self._scenario, self._mount, self.eyes = scenario, mount, scenario.eyes
+        start = scenario.robot.start_joints()
+        self.perception = {
+            name: Perception(eye, _observer_of(eye), eye.goal(goal, eye.T_camera_eye(start, mount))) for name, eye in self.eyes.items()
+        }
+        self._latest: dict[str, _Latest] = {}
+        self._goals: dict[str, tuple[Goal, Goal]] = {}
+        for perception in self.perception.values():
+            perception.observer.prepare(True)
+
+    def see(self, name: str, shot: Exposure, ordered: CommandHistory, mount: Mount) -> None:
+        """A picture of a further camera has arrived. ordered: the twists ordered of the law's camera, whose mount is `mount`."""
+        perception, eye = self.perception[name], self.eyes[name]
+        before, twist = perception.before, STILL
+        detection = perception.detect(shot)
+        if before is not None and shot.t > before.t and eye.rigid and perception.observer.uses_motion(detection):
+            moved = moved_between(eye.robot, ordered, before, shot, mount)
+            twist = adjoint(inverse(eye.T_camera_eye(shot.reading.q, self._mount))) @ moved / (shot.t - before.t)
+        self._latest[name] = _Latest(shot, perception.observe(shot, detection, twist))
+
+    def seen(self) -> dict[str, Observation]:
+        """The last observation of each camera."""
+        return {name: latest.seen for name, latest in self._latest.items()}
+
+    def views(self, shot: Exposure, t: float, ordered: CommandHistory, mount: Mount, goal: Goal | None) -> dict[str, CameraView]:
+        """The views of the further cameras beside a picture `shot` of the law's camera that has arrived at t [s], without those that are
+        too old to tell of it. goal: in force; None before it is known.
+        """
+        views: dict[str, CameraView] = {}
+        for name, latest in self._latest.items():
+            eye = self.eyes[name]
+            if t - latest.shot.t > FRESH_PERIODS * eye.camera.period + eye.camera.latency_s:
+                continue
+            T = self._pose(eye, shot.reading)
+            moved = moved_between(eye.robot, ordered, latest.shot, shot, mount) if eye.rigid else STILL
+            at = self._goal(name, goal) if goal is not None and eye.rigid else None
+            seen = latest.seen if goal is None else latest.seen.only(goal.counted)
+            views[name] = CameraView(seen, at, T, eye.rigid, moved, eye.block.weight)
+        return views
+
+    def fused(self, seen: Observation, views: Mapping[str, CameraView]) -> Observation:
+        """An observation with the pose that fits the markers in all pictures best; the same where the others tell nothing more."""
+        others = {name: view for name, view in views.items() if view.seen.seen.any()}
+        if not others:
+            return seen
+        s, pixels, first = self._scenario, [CameraPixels(self._scenario.believed_camera, seen.uv, np.eye(4))], seen.T_camera_target
+        for name, view in others.items():
+            T_this_reference = inverse(view.T_camera_this) @ exp(view.moved)
+            pixels.append(CameraPixels(self.eyes[name].believed_camera, view.seen.uv, T_this_reference, view.weight))
+            if view.seen.T_camera_target is not None and np.count_nonzero(seen.seen) < np.count_nonzero(view.seen.seen):
+                first = inverse(T_this_reference) @ view.seen.T_camera_target
+        found = None if first is None else fused_pose(first, s.target.points, pixels)
+        return seen if found is None else with_pose(seen, s.believed_camera, s.target.points, found[0], s.law.depth.needs_pose)
+
+    def _pose(self, eye: Eye, reading: Reading) -> Array:
+        """T_camera_eye (4, 4) as the robot knows it; of a derotated pair between their level frames."""
+        T = eye.T_camera_eye(reading.q, self._mount)
+        if self._scenario.derotation != "none" and reading.tilt is not None:
+            T = T.copy()
+            T[:3, 3] = level_from_tilt(reading.tilt, self._mount[:3, :3]) @ T[:3, 3]
+        return T
+
+    def _goal(self, name: str, goal: Goal) -> Goal:
+        """The goal as a camera that moves with the law's sees it, computed anew only where the goal is another one."""
+        known = self._goals.get(name)
+        if known is None or known[0] is not goal:
+            eye = self.eyes[name]
+            made = eye.goal(goal, eye.T_camera_eye(self._scenario.robot.start_joints(), self._mount))
+            known = self._goals[name] = goal, replace(made, twist=None)
+        return known[1]

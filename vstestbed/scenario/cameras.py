@@ -1,0 +1,276 @@
+"""Cameras besides the one of the law: their blocks in a scenario, and what a run needs of each."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+
+from vstestbed.camera import CAMERAS, Calibration, Camera, Perspective
+from vstestbed.camera.intrinsics import read_calibration
+from vstestbed.core.errors import ParameterError
+from vstestbed.core.geometry import Array, inverse
+from vstestbed.core.quantity import PositiveGain
+from vstestbed.core.spec import FromFile, spec
+from vstestbed.features.depth import DepthSource, PnP
+from vstestbed.features.observation import Goal
+from vstestbed.laws.base import inputs_of
+from vstestbed.robots.arm import Arm
+from vstestbed.scenario.checks import MOST_MOUNT_M, MOST_PLACE_M, check_detected, check_length
+from vstestbed.scenario.noise import Noise
+from vstestbed.scenario.randomise import DEPTH_STREAM, PERTURB_STREAM
+from vstestbed.sim.base import Viewpoint
+from vstestbed.timing.plan import Timing
+from vstestbed.vision import DETECTORS, Detector
+from vstestbed.vision.observe import shown_goal
+from vstestbed.vision.perturb import Perturbed
+
+if TYPE_CHECKING:
+    from vstestbed.robots import Robot
+    from vstestbed.scenario.scenario import Scenario
+    from vstestbed.sim.scene.world import World
+    from vstestbed.targets import Target
+
+OWN = "camera"  # name of the law's own camera where several are listed
+RESERVED = (OWN, "eye", "overview", "robot", "target", "leader", "scenery", "floor", "truth")
+_NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
+
+
+@spec
+class FurtherCamera:
+    """A camera besides the one of the law (`camera`), with a rate, a latency and a detector of its own.
+
+    Its pictures arrive when they arrive; at each picture of `camera` the law has the last observation of every other one.
+
+    Args:
+        camera: lens, size, rate and latency of its pictures, and where it is mounted.
+        on: what carries it: the robot's `flange` (of a vehicle its body), or the `world`, in whose frame `camera.mount` is then its pose.
+        detector: how markers are found in its pictures; None: as in those of `camera`; e.g. `blobs`.
+        noise: of its pictures and measured coordinates; None: that of the scenario; e.g. `{pixel_sigma_px: 0.5}`.
+        calibration: the calibration that robot, detector, observer and law work with: its errors, or the name of its file.
+        weight: of its squared errors in pixels in the fused pose (`fusion`), beside those of `camera` [1].
+    """
+
+    camera: Annotated[Camera, CAMERAS] = Perspective()
+    on: Literal["flange", "world"] = "flange"
+    detector: Annotated[Detector[Any], DETECTORS] | None = None
+    noise: Noise | None = None
+    calibration: Annotated[Calibration, FromFile(read_calibration)] = Calibration()
+    weight: PositiveGain = 1.0
+
+
+@dataclass(frozen=True)
+class Eye:
+    """A further camera in its scenario. It has the names that a Scenario has for its own camera, so that both are used alike.
+
+    scenario: to which it belongs. name: of the camera; number: its place among them, from 1 on.
+    """
+
+    scenario: Scenario
+    name: str
+    number: int
+
+    @property
+    def block(self) -> FurtherCamera:
+        """As the scenario has it."""
+        return self.scenario.cameras[self.name]
+
+    @property
+    def camera(self) -> Camera:
+        """The true lens."""
+        return self.block.camera
+
+    @cached_property
+    def believed_camera(self) -> Camera:
+        """The camera as calibrated."""
+        return self.block.calibration.believed(self.camera)
+
+    @property
+    def detector(self) -> Detector[Any]:
+        """Finds markers in its pictures."""
+        return self.block.detector or self.scenario.detector
+
+    @property
+    def noise(self) -> Noise:
+        """Of its pictures and measured coordinates."""
+        return self.block.noise or self.scenario.noise
+
+    @property
+    def stands(self) -> bool:
+        """Whether it stands in the room."""
+        return self.block.on == "world"
+
+    @property
+    def rigid(self) -> bool:
+        """Whether it and the law's camera move as one, so that their twists are one motion: both on the flange, or both in the room."""
+        return self.stands == self.scenario.target.on_gripper
+
+    @property
+    def needs_image(self) -> bool:
+        """Whether pictures are taken."""
+        return self.detector.needs_image
+
+    @property
+    def draws(self) -> bool:
+        """Whether the seed makes a difference to what it tells."""
+        sensed = self.needs_image and self.camera.sensor is not None
+        return sensed or self.block.calibration.draws or self.detector.draws or self.noise.draws(self.needs_image, True)
+
+    @cached_property
+    def depth_scale(self) -> Array | None:
+        """Ratio of each marker's assumed depth to the true one in this run, shape (N,); None for exact depths."""
+        return self.block.calibration.depth_scale(len(self.target.points), self.rng(DEPTH_STREAM))
+
+    @property
+    def reads_depth(self) -> bool:
+        """Whether depth pictures are read."""
+        return self.depth.measured
+
+    @property
+    def robot(self) -> Robot:
+        """The scenario's."""
+        return self.scenario.robot
+
+    @property
+    def target(self) -> Target:
+        """The scenario's."""
+        return self.scenario.target
+
+    @property
+    def timing(self) -> Timing:
+        """The scenario's."""
+        return self.scenario.timing
+
+    @property
+    def world(self) -> World:
+        """The scenario's."""
+        return self.scenario.world
+
+    @property
+    def viewpoint(self) -> Viewpoint:
+        """Where it is in the scene."""
+        return Viewpoint(self.name, self.camera, self.stands)
+
+    @property
+    def depth(self) -> DepthSource:
+        """The law's source of depth, where this camera has it; else the pose."""
+        own: DepthSource = self.scenario.law.depth
+        lacks = own.measured and self.camera.depth_sensor is None
+        return PnP() if lacks or own.camera or own.on_floor or (own.true and not self.detector.needs_truth) else own
+
+    @property
+    def required_fields(self) -> tuple[str, ...]:
+        """The fields of an Observation of it that are used: those of the law, the pose where poses are fused, rays where depths are."""
+        of_law = tuple(name for name in inputs_of(self.scenario.law) if name in ("xy", "depth", "ray", "range", "T_camera_target"))
+        pose = ("T_camera_target",) if self.scenario.fusion == "pose" else ()
+        rays = ("ray",) if self.scenario.law.depth.camera == self.name else ()
+        return (*of_law, *pose, *rays)
+
+    def rng(self, stream: int) -> np.random.Generator:
+        """The generator of one of the independent streams, another one than that of the law's camera."""
+        return np.random.default_rng([self.scenario.seed, stream, self.number])
+
+    def perturbed(self) -> Perturbed | None:
+        """The perturbations of a run, with what is drawn for it; None where there are none."""
+        return Perturbed(self.noise.perturb, self.rng(PERTURB_STREAM)) if self.noise.perturb else None
+
+    def T_camera_eye(self, q: Array, mount: Array) -> Array:
+        """Pose (4, 4) of this camera in the frame of the law's camera by what the robot knows: its joints q (n,), the calibrations.
+
+        mount: of the law's camera as calibrated (4, 4); eye to hand its pose in the world. Of a camera in the room the robot must be an
+        arm.
+        """
+        own = self.believed_camera.mount.T
+        return inverse(mount) @ own if self.rigid else inverse(self.robot.flange_pose(q) @ mount) @ own
+
+    def goal(self, goal: Goal, T_camera_eye: Array) -> Goal:
+        """What it sees at a goal view of the law's camera, for T_camera_eye (4, 4) there, with the markers that count there.
+
+        Of a calibration whose goal is `shown`, that is what the true camera records there.
+        """
+        T, believed, target = inverse(T_camera_eye) @ goal.T_camera_target, self.believed_camera, self.target
+        shown = self.block.calibration.goal == "shown" and not self.block.calibration.camera_exact and self.rigid
+        if shown:
+            rig = inverse(self.scenario.camera.mount.T) @ self.camera.mount.T
+            made = shown_goal(self.camera, believed, target, inverse(rig) @ self.scenario.goal_poses[goal.view])
+        else:
+            made = Goal.of_points(believed, target.points_at(T), T)
+        return replace(made, counted=goal.counted, view=goal.view, moves=goal.moves)
+
+
+def eyes_of(scenario: Scenario) -> dict[str, Eye]:
+    """The further cameras of a scenario by name."""
+    return {name: Eye(scenario, name, number) for number, name in enumerate(scenario.cameras, start=1)}
+
+
+def check_cameras(scenario: Scenario) -> None:
+    """Refuse further cameras with names or rates that do not fit, and uses of cameras that there are not. Raises ParameterError."""
+    eyes, law = scenario.eyes, scenario.law
+    for name, eye in eyes.items():
+        try:
+            _check_camera(scenario, eye)
+        except ParameterError as error:
+            raise ParameterError(f"cameras.{name}.{error.field}".removesuffix("."), error.problem, error.found) from None
+    for field, name in _uses(law):
+        if name not in eyes:
+            raise ParameterError.choice(field, list(eyes) or ["none: there are no further cameras"], name)
+        if not eyes[name].rigid:
+            words = f"must name a camera that moves as the law's own does, and {name} does not; works: fusion: pose"
+            raise ParameterError(field, words, name)
+    if law.cameras and not getattr(law, "law", law).stacks:
+        raise ParameterError.only_for("law.cameras", "laws of an error and its Jacobian, such as ibvs and pbvs", law.kind)
+    if law.depth.camera:
+        _check_pair(scenario, eyes[law.depth.camera])
+    if scenario.fusion == "pose" and not eyes:
+        raise ParameterError.needs("fusion", "further cameras (`cameras`)")
+    if scenario.fusion == "pose" and scenario.detector.rows is not None:
+        words = "fuses poses of the target by its markers"
+        raise ParameterError.excluded("fusion", f"pose with detector {scenario.detector.kind}", why=words)
+
+
+def _uses(law: Any) -> Iterator[tuple[str, str]]:
+    """Where a law, or one within it, names a camera, and which."""
+    if law.depth.camera:
+        yield "law.depth.camera", law.depth.camera
+    yield from ((f"law.cameras.{name}", name) for name in law.cameras)
+    for part in getattr(law, "laws", ()):
+        yield from _uses(part.law)
+
+
+def _check_camera(scenario: Scenario, eye: Eye) -> None:
+    name, camera, detector, step = eye.name, eye.camera, eye.detector, scenario.clock[0]
+    if not _NAME.fullmatch(name) or name in RESERVED:
+        words = f"must have a name of small letters, digits and _ other than {', '.join(RESERVED)}"
+        raise ParameterError("", words, name)
+    frames = camera.period / step
+    if abs(round(frames) - frames) > 1e-6 * frames:
+        words = f"must be that of pictures a whole number of physics steps of {step:g} s apart; {1 / (round(frames) * step):.6g} Hz is"
+        raise ParameterError("camera.rate_hz", words, camera.rate_hz)
+    eye.timing.check(camera, step)
+    if detector.rows is not None:
+        raise ParameterError.excluded("detector", detector.kind, why="further cameras see the target's markers; works: blobs, tags or raw")
+    check_detected(eye.target, detector, scenario.law)
+    check_length("camera.mount", camera.mount.T, MOST_MOUNT_M if eye.rigid else MOST_PLACE_M)
+    if not eye.stands and eye.target.on_gripper:
+        raise ParameterError.fixed("on", "world", "flange", why="on the flange it sees a target in the gripper always alike")
+    if not eye.rigid and not isinstance(eye.robot, Arm):
+        words = f"must be flange for robot {eye.robot.kind}, which does not know its place in the room; an arm does"
+        raise ParameterError("on", words, "world")
+
+
+def _check_pair(scenario: Scenario, eye: Eye) -> None:
+    """Refuse a pair whose pictures are not taken at the same times, or whose lenses lie in one place, for depths by triangulation."""
+    own, other = scenario.camera, eye.camera
+    for name in ("rate_hz", "latency_s"):
+        if getattr(own, name) != getattr(other, name):
+            words = f"{getattr(own, name):g}, as camera.{name} is: depths are triangulated from pictures of the same time"
+            raise ParameterError.bound(f"cameras.{eye.name}.camera.{name}", "equal to", words, getattr(other, name))
+    if float(np.linalg.norm(own.mount.T[:3, 3] - other.mount.T[:3, 3])) < LEAST_BASELINE_M:
+        raise ParameterError("law.depth.camera", "must name a camera at another place", eye.name)
+
+
+LEAST_BASELINE_M = 1e-3  # least distance between the lenses of a pair [m]
