@@ -84,6 +84,8 @@ def right(hint: Any, meta: list[Any], depth: int) -> st.SearchStrategy[Any]:
         return st.sampled_from(args)
     if origin is tuple:
         return listed(args[0], meta, depth)
+    if origin is dict:
+        return st.dictionaries(WORDS, values(args[1], depth + 1), max_size=2)
     if dataclasses.is_dataclass(hint):
         return blocks(typing.cast(type, hint), depth)
     simple = {bool: st.booleans(), str: WORDS, type(None): st.none(), float: numbers(meta, False), int: numbers(meta, True)}

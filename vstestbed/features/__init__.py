@@ -7,15 +7,16 @@ from vstestbed.features.base import Feature
 from vstestbed.features.line import LineFeature, Segment
 from vstestbed.features.moments import Ellipse, Moments
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.features.points import Point, Polar, Spherical
+from vstestbed.features.points import Point, Polar, Spherical, Stereo
 from vstestbed.features.polygon import Polygon
 from vstestbed.features.pose import ThetaU
 
 # A feature is computed for the current view and for the goal view: its inputs must be fields of both.
-_VIEW_FIELDS = sorted(f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__)
+_IN_BOTH = {f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.name in Goal.__dataclass_fields__}
+_VIEW_FIELDS = sorted({*_IN_BOTH, "xyw"})
 FEATURES = Registry(
     "feature",
-    *(Point, Polar, Spherical, Polygon, LineFeature, Segment, Moments, Ellipse),
+    *(Point, Polar, Spherical, Stereo, Polygon, LineFeature, Segment, Moments, Ellipse),
     default="point",
     contract=Contract(Feature, words={"inputs": _VIEW_FIELDS}),
 )
@@ -32,5 +33,6 @@ __all__ = [
     "Polygon",
     "Segment",
     "Spherical",
+    "Stereo",
     "ThetaU",
 ]

@@ -259,7 +259,7 @@ class Triangulated(DepthSource):
     not see has no depth, and the law does without it.
 
     Args:
-        camera: name of the second camera (`cameras`), which takes its pictures at the same times.
+        camera: name of the second camera (`cameras`), which takes its pictures at the same times; e.g. `right`.
 
     Reference: Beardsley, Zisserman & Murray 1997, doi:10.1023/A:1007923216416 (midpoint method); against others: Hartley & Sturm 1997,
     doi:10.1006/cviu.1997.0547.

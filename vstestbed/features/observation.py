@@ -94,6 +94,11 @@ class Observation:
         """Which markers are seen, shape (N,)."""
         return np.isfinite(self.uv[:, 0])
 
+    @property
+    def xyw(self) -> Array:
+        """Normalised coordinates and the inverse depth w = 1/Z [1/m] of each marker, shape (N, 3)."""
+        return np.column_stack([self.xy, 1 / self.depth])
+
     def same(self, before: Observation) -> NDArray[np.bool_]:
         """Which rows show the point that they showed in another observation, shape (N,)."""
         if self.ids is None or before.ids is None:
@@ -122,16 +127,12 @@ class CameraView:
         seen: the observation, in its own frame. goal: the goal as it sees it; None of one that does not move with the law's camera.
         T_camera_this: its pose (4, 4) in the frame of the law's camera, as the robot knows it at this frame.
         rigid: both move as one: its twist is Ad(inverse(T_camera_this)) v, with v the twist of the law's camera.
-        moved: displacement (6,) of the law's camera from this exposure to that of the law's picture [m, rad], as the robot measures it.
-        weight: of its squared errors in pixels.
     """
 
     seen: Observation
     goal: Goal | None
     T_camera_this: Array
     rigid: bool
-    moved: Array
-    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -172,6 +173,11 @@ class Goal:
         xy = self.camera.normalise(self.uv)
         xy.setflags(write=False)  # kept
         return xy
+
+    @cached_property
+    def xyw(self) -> Array:
+        """Normalised coordinates and the inverse depth w = 1/Z [1/m] of the markers, shape (N, 3)."""
+        return np.column_stack([self.xy, 1 / self.depth])
 
     def protected(self) -> Goal:
         """The same goal with its arrays read-only: a scenario keeps its goals, and who wrote to one would change every later run."""

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from vstestbed.core.geometry import Array, joined
+from vstestbed.core.quantity import PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.features.base import Feature, bearing_weight, checked, wrap, wrap_together
 
@@ -41,6 +42,49 @@ class Point(Feature):
         L[..., 0, 4], L[..., 1, 4] = -ones[..., 0], -across
         L[..., 0, 5], L[..., 1, 5] = y, -x
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
+
+
+@spec
+class Stereo(Feature):
+    """What a pair of parallel cameras shows of each point: (x, y, d) or (x_l, x_r, y), with the disparity d = x_l - x_r = b / Z.
+
+    The camera of the law is the left one, and the right one b beside it along x. The depth Z by which d is known is that of `law.depth`:
+    with `stereo` the pair measures d itself, also one that is not parallel.
+
+    x_dot, y_dot as of `point`; with w = 1/Z: d_dot = b w_dot,  w_dot = w^2 vz + w y wx - w x wy,  and x_r = x - d.
+
+    Args:
+        form: `disparity`, rows x1, y1, d1, x2, ...; or `pair`, rows x_l1, x_r1, y1, x_l2, ...
+        baseline_m: b [m], by which the depth counts against the image coordinates.
+
+    References: Hager, Chang & Morse 1995, doi:10.1109/37.341862 (both pictures of a pair); Cervera, del Pobil, Berry & Martinet 2003,
+    doi:10.1177/027836490302210003 (the triple (x_l, x_r, y) and the point in space).
+    """
+
+    kind: Literal["stereo"] = "stereo"
+    form: Literal["disparity", "pair"] = "disparity"
+    baseline_m: PositiveLength = 0.1
+    inputs: ClassVar[tuple[str, ...]] = ("xyw", "depth")
+    rows_per_marker: ClassVar[int] = 3
+
+    def measure(self, xyw: Array) -> Array:
+        """The vector s (..., 3N) of xyw (..., N, 3)."""
+        xyw = np.asarray(xyw, dtype=float)
+        x, y, d = xyw[..., 0], xyw[..., 1], self.baseline_m * xyw[..., 2]
+        rows = (x, y, d) if self.form == "disparity" else (x, x - d, y)
+        return np.stack(rows, axis=-1).reshape(*xyw.shape[:-2], 3 * xyw.shape[-2])
+
+    def interaction(self, xyw: Array, depth: Array) -> Array:
+        """L (..., 3N, 6) of xyw (..., N, 3) and depth (..., N) [m]."""
+        xyw = np.asarray(xyw, dtype=float)
+        xy = xyw[..., :2]
+        of_xy = Point().interaction(xy, depth).reshape(*xy.shape, 6)
+        x, y, w = xy[..., 0], xy[..., 1], 1 / np.asarray(depth, dtype=float)
+        of_d = np.zeros((*x.shape, 6))
+        of_d[..., 2], of_d[..., 3], of_d[..., 4] = w * w, w * y, -w * x
+        of_x, of_y, of_d = of_xy[..., 0, :], of_xy[..., 1, :], self.baseline_m * of_d
+        rows = (of_x, of_y, of_d) if self.form == "disparity" else (of_x, of_x - of_d, of_y)
+        return np.stack(rows, axis=-2).reshape(*xyw.shape[:-2], 3 * xyw.shape[-2], 6)
 
 
 @spec

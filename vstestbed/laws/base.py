@@ -251,5 +251,5 @@ def inputs_of(law: Law[Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*law.inputs, *motion, *cameras, *law.visibility.inputs)))
 
 
-OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
+OBSERVATION_FIELDS = (*(f.name for f in fields(Observation)), "xyw")
 LAW_CONTRACT = Contract(Law, base=Law, words={"inputs": OBSERVATION_FIELDS})

@@ -235,7 +235,7 @@ class ErrorLaw(Law[ErrorState], ABC):
     @cached_property
     def _reads(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Of `inputs` the fields that each marker has, and those that the view has as a whole."""
-        of_markers = tuple(n for n in self.inputs if n in ("xy", "depth", "ray", "range"))
+        of_markers = tuple(n for n in self.inputs if n in ("xy", "xyw", "depth", "ray", "range"))
         return of_markers, tuple(n for n in self.inputs if n in ("T_camera_target", "relative"))
 
     def _shaped(self, before: ErrorState, t: float, u: Array) -> tuple[ErrorState, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -13,7 +13,7 @@ from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.camera.base import pixel_interaction
-from vstestbed.core.geometry import Array, adjoint, exp, skew, transform
+from vstestbed.core.geometry import Array, adjoint, exp, inverse, skew, transform
 from vstestbed.core.quantity import Pixels, PositiveGain, PositiveTime
 from vstestbed.core.spec import spec
 from vstestbed.features import FEATURES, Point
@@ -22,7 +22,7 @@ from vstestbed.features.depth import Depth, PnP
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.laws.base import Command, Law, TwistLimits
 from vstestbed.laws.constraints import Group, Solution, load_solver, minimise, program_modes, shared_limits, twist_limits, velocity_bounds
-from vstestbed.laws.error_law import ErrorState
+from vstestbed.laws.error_law import ErrorState, StackWeight
 from vstestbed.laws.feedforward import Estimator, Feedforward, NoFeedforward
 from vstestbed.laws.ibvs import IBVS
 from vstestbed.laws.points import Rows, check_margin, points, usable_rows
@@ -165,6 +165,7 @@ class Predictive(Law[PlanState]):
         depth: source of Z (for `spherical`, of the range).
         limits: largest speed and rate of the camera's twist, here as a constraint.
         feedforward: estimates the motion of the target, as that of `ibvs` does; it goes on over the horizon.
+        cameras: further cameras by name, whose errors are predicted and count, too, with the weights of their squares; e.g. `{right: 1}`.
 
     References: Allibert, Courtial & Chaumette 2010, doi:10.1109/TRO.2010.2056590; Sauvée, Poignet, Dombre & Courtial 2006,
     doi:10.1109/CDC.2006.377808; one step of sequential quadratic programming a frame: Diehl, Bock & Schlöder 2005,
@@ -185,7 +186,9 @@ class Predictive(Law[PlanState]):
     depth: Depth = PnP()
     limits: TwistLimits = TwistLimits()
     feedforward: Feedforward = NoFeedforward()
+    cameras: dict[str, StackWeight] = field(default_factory=dict)
     modes = program_modes(GIVE_WAY)
+    stacks = True
 
     @property
     def inputs(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride] - a property in place of a constant
@@ -255,7 +258,7 @@ class Predictive(Law[PlanState]):
             if not _in_front(ahead.p, self.feature):
                 return Solution(None, failure="a marker is predicted behind the camera")
         u = plan.ravel()
-        A, b = self._objective(ahead, goal, rows, robot, u)
+        A, b = self._objective(ahead, seen, goal, rows, robot, u)
         low, high, too_quick = velocity_bounds(robot, self.joint_margin, self.damper_s, self.accelerations)
         later = np.tile(robot.speed, len(plan) - 1)  # only speeds are bounded after the next command
         low, high = np.concatenate([low, -later]), np.concatenate([high, later])
@@ -277,8 +280,24 @@ class Predictive(Law[PlanState]):
         given = self.limits
         return min(speed, given.speed_mps or speed), min(rate, given.rate_radps or rate)
 
-    def _objective(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
-        """A and b of the wanted A u = b."""
+    def _objective(self, ahead: Predicted, seen: Observation, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
+        """A and b of the wanted A u = b, of the law's camera and of the further ones, in whose frames the prediction is the same motion."""
+        parts = [self._wanted(ahead, goal, rows, robot, u)]
+        for name, weight in self.cameras.items():
+            view = (seen.cameras or {}).get(name)
+            if view is None or view.goal is None:
+                continue
+            back = inverse(view.T_camera_this)
+            moved = replace(ahead, p_begin=transform(back, ahead.p_begin), p=transform(back, ahead.p), D=adjoint(back) @ ahead.D)
+            if _in_front(moved.p, self.feature):
+                A, b = self._wanted(moved, view.goal, rows, robot, u)
+                parts.append((math.sqrt(weight) * A, math.sqrt(weight) * b))
+        A, b = np.vstack([A for A, _ in parts]), np.concatenate([b for _, b in parts])
+        weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", A, A)) / len(u))
+        return np.vstack([A, weight * np.eye(len(u))]), np.concatenate([b, np.zeros(len(u))])
+
+    def _wanted(self, ahead: Predicted, goal: Goal, rows: Rows, robot: OwnModel, u: Array) -> tuple[Array, Array]:
+        """A and b of the wanted A u = b of one camera."""
         feature, K = self.feature, len(ahead.p)
         s_star = feature.measure(getattr(goal, feature.inputs[0])[rows])
         x, distance = _inputs(ahead.p, feature.inputs)
@@ -288,9 +307,7 @@ class Predictive(Law[PlanState]):
         change = L @ ahead.D  # (K, rows, B n)
         start = feature.error(feature.measure(_inputs(ahead.p_begin, feature.inputs)[0]), s_star)
         wanted = start * np.exp(-self.gain * robot.period_s * np.arange(1, K + 1))[:, None]
-        A, b = change.reshape(-1, len(u)), (wanted - e + change @ u).ravel()
-        weight = np.sqrt(self.effort * float(np.einsum("ij,ij->", A, A)) / len(u))
-        return np.vstack([A, weight * np.eye(len(u))]), np.concatenate([b, np.zeros(len(u))])
+        return change.reshape(-1, len(u)), (wanted - e + change @ u).ravel()
 
     def _positions(self, ahead: Predicted, robot: OwnModel, u: Array) -> Group:
         """Joint positions within their limits, less the margin, at the end of each period."""
@@ -329,12 +346,14 @@ class Predictive(Law[PlanState]):
 
 def _in_front(p: Array, feature: Feature) -> bool:
     """Whether the feature is defined for points p (K, N, 3) [m]."""
-    return bool((p[..., 2] > LEAST_DEPTH_M).all()) if feature.inputs[0] == "xy" else bool(np.linalg.norm(p, axis=-1).min() > LEAST_DEPTH_M)
+    return bool((p[..., 2] > LEAST_DEPTH_M).all()) if feature.inputs[0] != "ray" else bool(np.linalg.norm(p, axis=-1).min() > LEAST_DEPTH_M)
 
 
 def _inputs(p: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
-    """The inputs of a feature, xy and depth or ray and range, of points (K, N, 3) [m]."""
+    """The inputs of a feature, xy or xyw and depth, or ray and range, of points (K, N, 3) [m]."""
     if names[0] == "xy":
         return p[..., :2] / p[..., 2:], p[..., 2]
+    if names[0] == "xyw":
+        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[..., 2]
     reach = np.linalg.norm(p, axis=-1)
     return p / reach[..., None], reach

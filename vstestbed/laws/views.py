@@ -42,6 +42,11 @@ class Views:
         """Depth z of each marker as known to the law (M, N) [m]."""
         return self._known(self.p[..., 2], self.goal.depth)
 
+    @property
+    def xyw(self) -> Array:
+        """Normalised coordinates and inverse depths as known to the law (M, N, 3)."""
+        return np.concatenate([self.xy, 1 / self.depth[..., None]], axis=-1)
+
     @cached_property
     def ray(self) -> Array:
         """Unit rays (M, N, 3)."""

@@ -14,7 +14,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, angles, inverse, quaternion_wxyz, rotation_angle
 from vstestbed.core.planar import place_of, relative
-from vstestbed.scenario.cameras import Eye
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.metrics import TWIST
@@ -114,7 +114,7 @@ class Layout:
             *(self._of_camera(eye) for eye in scenario.eyes.values()),
         )
 
-    def _of_camera(self, eye: Eye) -> Block:
+    def _of_camera(self, eye: OtherCamera) -> Block:
         """The columns of a further camera."""
         columns = tuple(f"{eye.name}_{name}_{i}" for i in range(len(eye.target.points)) for name in PER_MARKER)
 

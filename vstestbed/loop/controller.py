@@ -19,7 +19,7 @@ from vstestbed.camera import DepthImage, Image, Picture, Regions
 from vstestbed.core.errors import ParameterError, SessionError, short
 from vstestbed.core.geometry import Array, all_finite
 from vstestbed.core.outcome import Outcome
-from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observation, Sight
+from vstestbed.features.observation import EgoMotion, Goal, Observation, Sight
 from vstestbed.laws import Command, Law
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure, OwnRates, mount_at
@@ -32,6 +32,7 @@ from vstestbed.robots.arm import Arm
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.scenario import Scenario, check_scenario
 from vstestbed.tasks.frame import Cycle, FrameTiming, ImageError
+from vstestbed.vision.fusion import CameraPixels
 
 
 class GuardedLaw:
@@ -329,20 +330,19 @@ class Controller:
         s = self.scenario
         began = time.perf_counter()
         mount = self._mount_at(reading.q)
-        views = {} if self.others is None else self.others.views(shot, t, self.ordered, mount, None)
-        own = self._observe(shot, t, t_cmd, reading, mount, views)
-        seen = own if s.fusion == "none" or self.others is None else self.others.fused(own, views)
+        seen = self._observe(shot, t, t_cmd, reading, mount)
         self.reference_state, goal = s.goal.reference(self.reference_state, seen)
         if self._perception.goal is not None:
             goal = goal.of(self._perception.goal)
-        own, seen = own.only(goal.counted), seen.only(goal.counted)
+        seen = seen.only(goal.counted)
         if self.others is not None:
-            own, seen = (replace(one, cameras=self.others.views(shot, t, self.ordered, mount, goal)) for one in (own, seen))
+            seen = replace(seen, cameras=self.others.views(shot, t, goal))
         detected = time.perf_counter()
         basis = s.robot.motion_basis(mount, reading.q)
         self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
         late = t - shot.t > self._latest_s
-        error = ImageError.of(seen, goal, command.rest_reason)
+        own = self._perception.own(seen)
+        error = ImageError.of(own, goal, command.rest_reason, own is not seen)
         why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
         blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
         blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
@@ -386,9 +386,7 @@ class Controller:
     def _mount_at(self, q: Array) -> Mount:
         return mount_at(self.scenario, self.mount, q)
 
-    def _observe(
-        self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount, views: Mapping[str, CameraView]
-    ) -> Observation:
+    def _observe(self, shot: Exposure, t: float, t_cmd: float, reading: Reading, mount: Mount) -> Observation:
         s, last, observer = self.scenario, self.before or shot, self.observer
         picture, period = shot.picture, shot.t - last.t
         detection = self._perception.detect(shot)
@@ -404,7 +402,11 @@ class Controller:
             if age > 0:
                 moved = s.robot.measured_twist(shot.reading, reading, age, moved / age, mount) * age
             own = EgoMotion(twist, period, moved, age, self.last_twist)
-        seen = self._perception.observe(shot, detection, twist, own, views.get(s.law.depth.camera))
+        partner, others = None, list[CameraPixels]()
+        if self.others is not None:
+            partner = self.others.views(shot, t, None).get(s.law.depth.camera)
+            others = self.others.pixels(shot, t, self.ordered, mount) if s.fusion == "pose" else others
+        seen = self._perception.observe(shot, detection, twist, own, partner, others)
         if self._own_rates is not None:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:

@@ -15,7 +15,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Reading
 from vstestbed.robots.flight import FlightReading
-from vstestbed.scenario.cameras import Eye
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 
 Readings = tuple[Reading, Reading]
@@ -27,7 +27,7 @@ OUTSIDE = 0.2
 class Inputs:
     """Checks what a controller is given, and counts the pictures (`taken`)."""
 
-    def __init__(self, scenario: Scenario | Eye):
+    def __init__(self, scenario: Scenario | OtherCamera):
         self._camera, self._robot, self._detector = scenario.camera, scenario.robot, scenario.detector
         self._latest_s, self._refuses = scenario.timing.latest_s(scenario.camera), scenario.timing.refuses
         self._reading = scenario.robot.onboard.reading if scenario.robot.onboard else Reading

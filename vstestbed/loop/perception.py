@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,13 +13,13 @@ from vstestbed.features.observation import CameraView, EgoMotion, Goal, Observat
 from vstestbed.laws.base import inputs_of
 from vstestbed.loop.ego_motion import CommandHistory, Exposure
 from vstestbed.robots import Mount, Reading, Robot
-from vstestbed.scenario.cameras import Eye
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.randomise import NOISE_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.vision import Observer
 from vstestbed.vision.base import Detection
 from vstestbed.vision.derotate import level_from_tilt
-from vstestbed.vision.fusion import CameraPixels, fused_pose, with_pose
+from vstestbed.vision.fusion import CameraPixels
 
 FRESH_PERIODS = 2.5  # an observation older than so many periods of its camera, and its latency, tells nothing of now
 STILL = np.zeros(6)  # the twist of a camera whose motion nothing reads; read-only, since all frames share it
@@ -46,7 +46,7 @@ def observer_of(scenario: Scenario) -> Observer:
     )
 
 
-def _observer_of(eye: Eye) -> Observer:
+def _observer_of(eye: OtherCamera) -> Observer:
     """The observer of a further camera: of the markers and the pose, and of nothing that the robot alone knows."""
     perturbed = eye.perturbed()
     return Observer(
@@ -73,7 +73,7 @@ class Perception:
             own points, which are others in every picture; None else. before: the last exposure.
     """
 
-    def __init__(self, of: Scenario | Eye, observer: Observer, goal: Goal):
+    def __init__(self, of: Scenario | OtherCamera, observer: Observer, goal: Goal):
         self.observer, self._target, self._detector, self._rng = observer, of.target, of.detector, of.rng(NOISE_STREAM)
         # an oracle looks with the true lens; a real detector knows only the calibrated one
         self._camera = of.camera if of.detector.needs_truth else of.believed_camera
@@ -94,17 +94,29 @@ class Perception:
         return detection
 
     def observe(
-        self, shot: Exposure, detection: Detection, twist: Array, own: EgoMotion | None = None, partner: CameraView | None = None
+        self,
+        shot: Exposure,
+        detection: Detection,
+        twist: Array,
+        own: EgoMotion | None = None,
+        partner: CameraView | None = None,
+        others: Sequence[CameraPixels] = (),
     ) -> Observation:
-        """What a law may know of a picture. twist: of the camera (6,) since the last one. partner: the second camera of a pair."""
+        """What a law may know of a picture. twist: of the camera (6,) since the last one. partner: the second camera of a pair. others:
+        what further cameras see, for a fused pose.
+        """
         picture, reading = shot.picture, shot.reading
         depth = picture.depth if picture else None
         pair = None if partner is None or partner.seen.ray is None else (partner.seen.ray, partner.T_camera_this)
         self._observed, seen = self.observer.observe(
-            self._observed, shot.t, detection, twist, self._rng, reading.heading, reading.tilt, own, depth, pair
+            self._observed, shot.t, detection, twist, self._rng, reading.heading, reading.tilt, own, depth, pair, others
         )
         self.before = shot
         return seen
+
+    def own(self, seen: Observation) -> Observation:
+        """An observation with the markers that the picture itself shows, and none that a fused pose has put beside them."""
+        return seen if self._observed.uv is None else replace(seen, uv=self._observed.uv)
 
 
 def moved_between(robot: Robot, ordered: CommandHistory, before: Exposure, now: Exposure, mount: Mount) -> Array:
@@ -159,37 +171,41 @@ class OtherCameras:
         """The last observation of each camera."""
         return {name: latest.seen for name, latest in self._latest.items()}
 
-    def views(self, shot: Exposure, t: float, ordered: CommandHistory, mount: Mount, goal: Goal | None) -> dict[str, CameraView]:
-        """The views of the further cameras beside a picture `shot` of the law's camera that has arrived at t [s], without those that are
-        too old to tell of it. goal: in force; None before it is known.
-        """
-        views: dict[str, CameraView] = {}
+    def _fresh(self, t: float) -> Iterator[tuple[str, OtherCamera, _Latest]]:
+        """The cameras whose last picture is not too old to tell of a time [s]."""
         for name, latest in self._latest.items():
             eye = self.eyes[name]
-            if t - latest.shot.t > FRESH_PERIODS * eye.camera.period + eye.camera.latency_s:
-                continue
-            T = self._pose(eye, shot.reading)
-            moved = moved_between(eye.robot, ordered, latest.shot, shot, mount) if eye.rigid else STILL
+            if t - latest.shot.t <= FRESH_PERIODS * eye.camera.period + eye.camera.latency_s:
+                yield name, eye, latest
+
+    def views(self, shot: Exposure, t: float, goal: Goal | None) -> dict[str, CameraView]:
+        """The views of the further cameras beside a picture `shot` of the law's camera that has arrived at t [s]. goal: in force; None
+        before it is known.
+        """
+        views: dict[str, CameraView] = {}
+        for name, eye, latest in self._fresh(t):
             at = self._goal(name, goal) if goal is not None and eye.rigid else None
             seen = latest.seen if goal is None else latest.seen.only(goal.counted)
-            views[name] = CameraView(seen, at, T, eye.rigid, moved, eye.block.weight)
+            views[name] = CameraView(seen, at, self._pose(eye, shot.reading), eye.rigid)
         return views
 
-    def fused(self, seen: Observation, views: Mapping[str, CameraView]) -> Observation:
-        """An observation with the pose that fits the markers in all pictures best; the same where the others tell nothing more."""
-        others = {name: view for name, view in views.items() if view.seen.seen.any()}
-        if not others:
-            return seen
-        s, pixels, first = self._scenario, [CameraPixels(self._scenario.believed_camera, seen.uv, np.eye(4))], seen.T_camera_target
-        for name, view in others.items():
-            T_this_reference = inverse(view.T_camera_this) @ exp(view.moved)
-            pixels.append(CameraPixels(self.eyes[name].believed_camera, view.seen.uv, T_this_reference, view.weight))
-            if view.seen.T_camera_target is not None and np.count_nonzero(seen.seen) < np.count_nonzero(view.seen.seen):
-                first = inverse(T_this_reference) @ view.seen.T_camera_target
-        found = None if first is None else fused_pose(first, s.target.points, pixels)
-        return seen if found is None else with_pose(seen, s.believed_camera, s.target.points, found[0], s.law.depth.needs_pose)
+    def pixels(self, shot: Exposure, t: float, ordered: CommandHistory, mount: Mount) -> list[CameraPixels]:
+        """What the further cameras see beside a picture `shot` of the law's camera that has arrived at t [s], for a fused pose.
 
-    def _pose(self, eye: Eye, reading: Reading) -> Array:
+        A camera that moves with the law's own is where it was at its own exposure: the way between both is the robot's own measurement.
+        """
+        found: list[CameraPixels] = []
+        for _, eye, latest in self._fresh(t):
+            if not latest.seen.seen.any():
+                continue
+            T_this_reference = inverse(eye.T_camera_eye(shot.reading.q, self._mount))
+            if eye.rigid:
+                T_this_reference = T_this_reference @ exp(moved_between(eye.robot, ordered, latest.shot, shot, mount))
+            alone = latest.seen.T_camera_target
+            found.append(CameraPixels(eye.believed_camera, latest.seen.uv, T_this_reference, eye.block.weight, alone))
+        return found
+
+    def _pose(self, eye: OtherCamera, reading: Reading) -> Array:
         """T_camera_eye (4, 4) as the robot knows it; of a derotated pair between their level frames."""
         T = eye.T_camera_eye(reading.q, self._mount)
         if self._scenario.derotation != "none" and reading.tilt is not None:

@@ -15,7 +15,7 @@ from vstestbed.scenario.noise import Noise, TargetNoise
 from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, flange_for, posture_at
-from vstestbed.sim.build import OtherCamera, build_plant
+from vstestbed.sim.build import OtherSensor, build_plant
 from vstestbed.tasks.base import GoalPicture
 
 # Inactive effects, on pictures or measured points in a run that has none, are warned of: a comparison would take them for harmless.
@@ -150,7 +150,7 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
         interpolator=scenario.timing.interpolator(*scenario.clock),
         plate_m=plate_m,
         others=[
-            OtherCamera(
+            OtherSensor(
                 eye.viewpoint,
                 needs_image=eye.needs_image or pictures,
                 needs_truth=eye.detector.needs_truth,

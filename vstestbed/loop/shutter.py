@@ -16,11 +16,10 @@ from vstestbed.core.geometry import Array
 from vstestbed.imaging.flicker import STEADY
 from vstestbed.loop.ego_motion import Exposure
 from vstestbed.robots import Reading
-from vstestbed.scenario.cameras import Eye
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.randomise import STAMP_STREAM, TIMING_STREAM
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.base import Eye as Eyes
-from vstestbed.sim.base import Truth
+from vstestbed.sim.base import PlantCamera, Truth
 from vstestbed.timing.clock import CameraStamps, DelayLine, Loses, RobotStamps
 from vstestbed.timing.plan import Planned, Shutter
 from vstestbed.vision.base import TruthView
@@ -77,7 +76,7 @@ KEPT_S = 10.0  # how long readings are kept [s]
 class Stamps:
     """Stamps the pictures that arrive, and finds the robot's reading of the same stamp (`timing.clock`)."""
 
-    def __init__(self, scenario: Scenario | Eye, plant: Eyes):
+    def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera):
         timing = scenario.timing
         self._timing, self._plant, self._rng = timing, plant, scenario.rng(STAMP_STREAM)
         self._camera, self._robot = timing.camera_clock or CameraStamps(), timing.robot_clock or RobotStamps()
@@ -121,7 +120,7 @@ class CameraClock:
     whole: take whole pictures, whatever the detector's regions of interest are; may be changed at any time. link: may lose pictures.
     """
 
-    def __init__(self, scenario: Scenario | Eye, plant: Eyes, whole: bool = False, link: Loses | None = None):
+    def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera, whole: bool = False, link: Loses | None = None):
         self.plant, self.whole, self._view = plant, whole, scenario.detector.needs_truth
         # A perturbation, metering or a stream may work on the picture as a whole: a part of it would not be changed as the whole is.
         self._in_parts = not (scenario.noise.on_pictures or scenario.camera.imaged)

@@ -64,7 +64,7 @@ class FurtherCamera:
 
 
 @dataclass(frozen=True)
-class Eye:
+class OtherCamera:
     """A further camera in its scenario. It has the names that a Scenario has for its own camera, so that both are used alike.
 
     scenario: to which it belongs. name: of the camera; number: its place among them, from 1 on.
@@ -165,7 +165,7 @@ class Eye:
     @property
     def required_fields(self) -> tuple[str, ...]:
         """The fields of an Observation of it that are used: those of the law, the pose where poses are fused, rays where depths are."""
-        of_law = tuple(name for name in inputs_of(self.scenario.law) if name in ("xy", "depth", "ray", "range", "T_camera_target"))
+        of_law = tuple(name for name in inputs_of(self.scenario.law) if name in ("xy", "xyw", "depth", "ray", "range", "T_camera_target"))
         pose = ("T_camera_target",) if self.scenario.fusion == "pose" else ()
         rays = ("ray",) if self.scenario.law.depth.camera == self.name else ()
         return (*of_law, *pose, *rays)
@@ -202,9 +202,9 @@ class Eye:
         return replace(made, counted=goal.counted, view=goal.view, moves=goal.moves)
 
 
-def eyes_of(scenario: Scenario) -> dict[str, Eye]:
+def eyes_of(scenario: Scenario) -> dict[str, OtherCamera]:
     """The further cameras of a scenario by name."""
-    return {name: Eye(scenario, name, number) for number, name in enumerate(scenario.cameras, start=1)}
+    return {name: OtherCamera(scenario, name, number) for number, name in enumerate(scenario.cameras, start=1)}
 
 
 def check_cameras(scenario: Scenario) -> None:
@@ -241,7 +241,7 @@ def _uses(law: Any) -> Iterator[tuple[str, str]]:
         yield from _uses(part.law)
 
 
-def _check_camera(scenario: Scenario, eye: Eye) -> None:
+def _check_camera(scenario: Scenario, eye: OtherCamera) -> None:
     name, camera, detector, step = eye.name, eye.camera, eye.detector, scenario.clock[0]
     if not _NAME.fullmatch(name) or name in RESERVED:
         words = f"must have a name of small letters, digits and _ other than {', '.join(RESERVED)}"
@@ -262,7 +262,7 @@ def _check_camera(scenario: Scenario, eye: Eye) -> None:
         raise ParameterError("on", words, "world")
 
 
-def _check_pair(scenario: Scenario, eye: Eye) -> None:
+def _check_pair(scenario: Scenario, eye: OtherCamera) -> None:
     """Refuse a pair whose pictures are not taken at the same times, or whose lenses lie in one place, for depths by triangulation."""
     own, other = scenario.camera, eye.camera
     for name in ("rate_hz", "latency_s"):

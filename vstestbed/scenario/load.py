@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from vstestbed.core.errors import Mistake, ParameterError, ScenarioError, nearest, short
+from vstestbed.core.fields import needed
 from vstestbed.core.messages import UNKNOWN
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.scenario.plugins import absolute, absolute_files, load_named
@@ -73,8 +74,8 @@ def parse(
     plugins: Sequence[str] = (),
 ) -> Scenario:
     """Build a scenario from YAML text; `file` is its name in messages. See `load`."""
-    *needed, last = [f.name for f in dataclasses.fields(Scenario) if f.default is dataclasses.MISSING]
-    plain, marks = plain_mapping(text, file, f"a scenario needs {', '.join(needed)} and {last}")
+    *others, last = needed(Scenario)
+    plain, marks = plain_mapping(text, file, f"a scenario needs {', '.join(others)} and {last}")
     plain = absolute_files(plain, Path(file).absolute().parent)
     overrides, places = dict[str, object](absolute_files(overrides or {}, Path.cwd())), places or {}
     put_over(plain, _part(overrides, of_plugins=True), marks, places)

@@ -20,7 +20,7 @@ from vstestbed.laws import LAWS, Law
 from vstestbed.robots import ROBOTS, Robot, Vehicle
 from vstestbed.robots.base import longest_step
 from vstestbed.scenario import checks
-from vstestbed.scenario.cameras import Eye, FurtherCamera, check_cameras, eyes_of
+from vstestbed.scenario.cameras import FurtherCamera, OtherCamera, check_cameras, eyes_of
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
@@ -181,7 +181,7 @@ class Scenario:
         return started or seen or others or any(part is not None and part.draws for part in parts)
 
     @cached_property
-    def eyes(self) -> dict[str, Eye]:
+    def eyes(self) -> dict[str, OtherCamera]:
         """The further cameras by name, each with what a run needs of it."""
         return eyes_of(self)
 

@@ -142,7 +142,7 @@ class Renderer(Protocol):
         ...
 
 
-class Eye(ABC):
+class PlantCamera(ABC):
     """Takes the pictures of one camera of a plant, each with the truth then.
 
     step_s: the physics step [s]. steps_per_frame: how many of them lie between two pictures. sensor: takes the pictures; None where no
@@ -206,7 +206,7 @@ class Eye(ABC):
         return self._eye.developed(t) if self._eye else None
 
 
-class Plant(Eye):
+class Plant(PlantCamera):
     """The simulated robot, camera and target. The clock counts whole physics steps.
 
     parts: of the scene. steps_per_frame: physics steps between pictures. stage: the compiled scene; None for an ideal camera without
@@ -311,7 +311,7 @@ class Plant(Eye):
             self._stage.close()
 
 
-class OtherEye(Eye):
+class OtherEye(PlantCamera):
     """A further camera of a plant. see_hidden: whether its detector needs the occlusion of markers."""
 
     def __init__(self, plant: Plant, viewpoint: Viewpoint, target: Target, sensor: ImageSensor | None, see_hidden: bool):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.scene import Scene
 
 
-class OtherCamera(NamedTuple):
+class OtherSensor(NamedTuple):
     """A further camera of a plant, and what becomes of its pictures; see `build_plant` for what is not said here."""
 
     viewpoint: Viewpoint
@@ -58,7 +58,7 @@ def build_plant(
     order_s: float = math.inf,
     interpolator: Interpolator | None = None,
     plate_m: float = 0.0,
-    others: Sequence[OtherCamera] = (),
+    others: Sequence[OtherSensor] = (),
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -106,7 +106,7 @@ def build_plant(
     return plant, renderer
 
 
-def _other_eye(plant: Plant, other: OtherCamera, stage: Scene | None) -> OtherEye:
+def _other_eye(plant: Plant, other: OtherSensor, stage: Scene | None) -> OtherEye:
     sensor, viewpoint = None, other.viewpoint
     if stage is not None and other.needs_image:
         sensor, _ = _sensor(stage, viewpoint.camera, viewpoint.name, *other[3:])

@@ -36,7 +36,7 @@ from vstestbed.tasks.monitor import Setup, TaskMonitor
 from vstestbed.tasks.stop import Stop
 from vstestbed.vision.observe import pose_by_depth, shown_goal
 
-PLANE_INPUTS = {"xy", "depth", "relative"}  # fields of an observation that exist only for points in front of the camera
+PLANE_INPUTS = {"xy", "xyw", "depth", "relative"}  # fields of an observation that exist only for points in front of the camera
 LEVEL_DEG = 1.0  # largest tilt of the craft at a goal view [deg]
 
 

@@ -47,8 +47,10 @@ class ImageError(NamedTuple):
     rms_px: float
 
     @classmethod
-    def of(cls, seen: Observation, goal: Goal, rest_reason: str) -> ImageError:
-        """The error of an observation against the goal; rest_reason: why the law commands rest ("" while it works)."""
+    def of(cls, seen: Observation, goal: Goal, rest_reason: str, by_others: bool = False) -> ImageError:
+        """The error of what a picture itself shows against the goal; rest_reason: why the law commands rest ("" while it works).
+        by_others: further cameras tell where markers are that the picture lacks, so that the law has a measurement.
+        """
         error = seen.uv - goal.uv
         squares = float(np.vdot(error, error))
         all_seen = math.isfinite(squares)
@@ -57,7 +59,7 @@ class ImageError(NamedTuple):
             squares = float(np.vdot(error, error))
             all_seen = goal.counted is not None and bool(seen.seen[goal.counted].all())
         # A law may command motion although it sees nothing (coasting), and one that works on whole pictures needs no marker.
-        lost = bool(rest_reason) or not (error.size or seen.image is not None)
+        lost = bool(rest_reason) or not (error.size or seen.image is not None or by_others)
         return cls(lost, all_seen, math.nan if lost or not error.size else math.sqrt(squares / error.size))
 
 

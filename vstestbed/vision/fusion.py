@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.camera.base import pixel_interaction
-from vstestbed.core.geometry import Array, adjoint, exp, lengths, transform
-from vstestbed.features.observation import Observation
+from vstestbed.core.geometry import Array, adjoint, exp, inverse, transform
 
 ROUNDS, SETTLED = 10, 1e-9
 """Most steps of Gauss and Newton, and the step [m, rad] at which they end: from a pose of one picture it takes three or four."""
@@ -24,13 +22,14 @@ class CameraPixels(NamedTuple):
     """What one camera sees of a target.
 
     camera: the lens as calibrated. uv: its markers (N, 2) [px], NaN where one is not seen. T_this_reference: pose (4, 4) of the reference
-    camera in this one's frame. weight: of its squared errors.
+    camera in this one's frame. weight: of its squared errors. T_this_target: the target's pose (4, 4) by this camera alone, if any.
     """
 
     camera: Camera
     uv: Array
     T_this_reference: Array
     weight: float = 1.0
+    T_this_target: Array | None = None
 
 
 def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[Array, Array] | None:
@@ -67,15 +66,15 @@ def fused_pose(T: Array, points: Array, seen: Sequence[CameraPixels]) -> tuple[A
     return None
 
 
-def with_pose(seen: Observation, camera: Camera, points: Array, T: Array, depths: bool) -> Observation:
-    """An observation with a fused pose (4, 4). Markers that its own picture lacks are where the pose puts them, so that a law of markers
-    goes on through an occlusion; depths and ranges of all of them are the pose's, where `depths` says so.
+def pose_of_all(T: Array | None, points: Array, own: CameraPixels, others: Sequence[CameraPixels]) -> Array | None:
+    """The pose (4, 4) by the pictures of a reference camera and others, from that of the camera that sees most; None where they tell none.
+
+    T: the pose (4, 4) in the reference camera's frame by its own picture, or as it was; None where it has never been known.
     """
-    p = transform(T, points)
-    uv, reach = camera.project(p), lengths(p)
-    lacks = ~seen.seen
-    filled = {"uv": uv, "xy": camera.normalise(uv), "ray": p / reach}
-    of_depth = {"depth": p[:, 2], "range": reach[:, 0]}
-    new = {name: np.where(lacks[:, None], a, getattr(seen, name)) for name, a in filled.items() if getattr(seen, name) is not None}
-    new |= {name: np.where(lacks | depths, a, getattr(seen, name)) for name, a in of_depth.items() if getattr(seen, name) is not None}
-    return replace(seen, T_camera_target=T, **new)
+    most = np.count_nonzero(np.isfinite(own.uv[:, 0]))
+    for other in others:
+        n = np.count_nonzero(np.isfinite(other.uv[:, 0]))
+        if other.T_this_target is not None and (T is None or n > most):
+            most, T = n, inverse(other.T_this_reference) @ other.T_this_target
+    found = None if T is None else fused_pose(T, points, [own, *others])
+    return None if found is None else found[0]

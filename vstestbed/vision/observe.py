@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -21,6 +22,7 @@ from vstestbed.targets.base import Target
 from vstestbed.vision.base import Detection, points_of
 from vstestbed.vision.derotate import NO_TRIM, Derotation, Trim, level_from_tilt, level_rays, level_twist, trimmed
 from vstestbed.vision.floor_pose import corrections, fused_place, pose_on_floor
+from vstestbed.vision.fusion import CameraPixels, pose_of_all
 from vstestbed.vision.homography import relative_view
 from vstestbed.vision.perturb import Perturbed
 from vstestbed.vision.pnp import solve_pose_from_rays
@@ -154,6 +156,7 @@ class ObserverState(NamedTuple):
         flow: state of the depth estimator; None without one. trim: correction of a craft's measured tilt.
         place: a vehicle's planar pose (x, y, heading) in the world [m, rad]; None where it is not known.
         odometry: a vehicle's planar pose by odometry alone, from where it started; None for other robots.
+        uv: the last picture's own markers (N, 2) [px], where a fused pose has put others beside them; None else.
     """
 
     t: float = np.nan
@@ -162,6 +165,7 @@ class ObserverState(NamedTuple):
     place: Array | None = None
     odometry: Array | None = None
     trim: Trim = NO_TRIM
+    uv: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +220,10 @@ class Observer:
         changed = self.dropout > 0 or self.pixel_sigma_px > 0 or self.perturbed is not None or self.depth_scale is not None
         kept = self.needs_pose or self.depth.estimator is not None or self.grounded or self.derotation != "none"
         read = (
-            self.depth.measured or self.depth.needs_size or bool(self.depth.camera) or not {"xy", "depth"}.issuperset(self.required_fields)
+            self.depth.measured
+            or self.depth.needs_size
+            or bool(self.depth.camera)
+            or not {"xy", "xyw", "depth"}.issuperset(self.required_fields)
         )
         return not (changed or kept or read)
 
@@ -238,6 +245,7 @@ class Observer:
         own: EgoMotion | None = None,
         depth_image: NDArray[np.float32] | None = None,
         pair: tuple[Array, Array] | None = None,
+        others: Sequence[CameraPixels] = (),
     ) -> tuple[ObserverState, Observation]:
         """What a law may know of one frame.
 
@@ -250,12 +258,13 @@ class Observer:
             tilt: a craft's estimated roll and pitch (2,) at the exposure [rad]; None for robots that do not tilt.
             own: the camera's own motion, passed on to a law that requires it. depth_image: (H, W) [m], NaN in its holes; None without one.
             pair: rays (N, 3) of the second camera of a pair, and its pose (4, 4) in this one's frame; None without one.
+            others: what further cameras see. The pose is then that of all pictures, and markers that this one lacks are where it puts them.
 
         Raises ParameterError: the oracle's depth is asked for and the detector is not the oracle.
         """
         if detection.goal is not None:  # other points in every picture
             own_points = replace(self, goal=detection.goal, points=points_of(detection.goal))
-            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image, pair)
+            state, seen = own_points.observe(state, t, replace(detection, goal=None), twist, rng, compass, tilt, own, depth_image)
             return state, replace(seen, ids=detection.ids)
         if self._direct:
             xy = self.camera.normalise(detection.uv)
@@ -270,6 +279,11 @@ class Observer:
         flow, estimator = state.flow, self.depth.estimator
         if estimator is not None and flow is not None and ray is not None:
             flow = update_flow(estimator, flow.of(detection.ids), t, ray, twist)
+        measured_uv, fused = None, pose_of_all(T, self._points, CameraPixels(self.camera, uv, np.eye(4)), others) if others else None
+        if fused is not None:
+            T, solved, measured_uv = fused, True, uv
+            uv = np.where(np.isfinite(uv), uv, self.camera.project(transform(T, self._points)))
+            xy, ray = self.camera.normalise(uv), None if ray is None else self.camera.ray(uv)
         cues = DepthCues(self.goal, xy, p_true=detection.p_camera, measured=self.depth.read(depth_image, uv))
         if pair is not None and ray is not None:
             cues = cues._replace(p_by_pair=triangulated(ray, *pair))
@@ -281,7 +295,7 @@ class Observer:
             view = self._leveled(view, tilt + trim[0])
         odometry, place = self._driven(state, t, twist, view.T_camera_target if solved else None, compass)
         # The pose is kept as it is in the camera's own frame: the next frame's tilt is another.
-        return ObserverState(t, T, flow, place, odometry, trim), self._observation(view, solved, odometry, place)
+        return ObserverState(t, T, flow, place, odometry, trim, measured_uv), self._observation(view, solved, odometry, place)
 
     def _view(
         self, t: float, uv: Array, ray: Array | None, T: Array | None, flow: FlowState | None, cues: DepthCues, own: EgoMotion | None
