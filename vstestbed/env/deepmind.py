@@ -10,7 +10,7 @@ from dm_env import specs
 from numpy.typing import NDArray
 
 from vstestbed.camera import Image
-from vstestbed.env.rollout import MOST_SEED, Rollout
+from vstestbed.env.rollout import MOST_SEED, Bounds, Rollout
 
 
 class DmServo(dm_env.Environment):
@@ -52,9 +52,15 @@ class DmServo(dm_env.Environment):
             return dm_env.transition(step.reward, step.observation)
         return (dm_env.termination if step.terminated else dm_env.truncation)(step.reward, step.observation)
 
-    def observation_spec(self) -> dict[str, specs.BoundedArray]:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env says Any nested
+    def observation_spec(self) -> dict[str, Any]:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env says Any nested
         """The entries of an observation."""
-        return {name: specs.BoundedArray(b.shape, b.dtype, b.low, b.high, name) for name, b in self.rollout.bounds().items()}
+
+        def spec_of(name: str, b: Bounds | dict[str, Bounds]) -> Any:
+            if isinstance(b, dict):
+                return {inner: spec_of(inner, one) for inner, one in b.items()}
+            return specs.BoundedArray(b.shape, b.dtype, b.low, b.high, name)
+
+        return {name: spec_of(name, b) for name, b in self.rollout.bounds().items()}
 
     def action_spec(self) -> specs.BoundedArray:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env's own has no type
         """Shares of the largest velocities along the robot's motions, (n,) in [-1, 1]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
-from vstestbed.env.rollout import MOST_SEED, Rollout, Step
+from vstestbed.env.rollout import MOST_SEED, Bounds, Rollout, Step
 from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
@@ -41,10 +42,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         self.task, self.task_description = self.scenario.name, self.scenario.description
         self._max_episode_steps = self._rollout.most_steps
         self.metadata = self.metadata | {"render_fps": self.scenario.camera.rate_hz}
-        boxes: dict[str, gymnasium.Space[Any]] = {
-            name: gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype) for name, b in self._rollout.bounds().items()
-        }
-        self.observation_space = gymnasium.spaces.Dict(boxes)
+        self.observation_space = _space(self._rollout.bounds())
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.action_unit.shape, np.float64)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -72,3 +70,11 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     def close(self) -> None:
         """Free the simulation."""
         self._rollout.close()
+
+
+def _space(bounds: Mapping[str, Bounds | dict[str, Bounds]]) -> gymnasium.spaces.Dict:
+    """The space of an observation, or of the pictures of several cameras in it."""
+    spaces: dict[str, gymnasium.Space[Any]] = {
+        name: _space(b) if isinstance(b, dict) else gymnasium.spaces.Box(b.low, b.high, b.shape, b.dtype) for name, b in bounds.items()
+    }
+    return gymnasium.spaces.Dict(spaces)

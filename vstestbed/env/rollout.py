@@ -19,6 +19,7 @@ from vstestbed.loop.session import Session
 from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.robots import Mount
+from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
@@ -115,8 +116,9 @@ class Rollout:
 
     Observation: `markers` (N, 2) [px], 0 for one not seen, and `seen` (N,); `goal` (N, 2), where the markers are to be now [px] (it
     changes with via points, descents and paths); `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`), where
-    it has any; `pixels` (H, W, 3) uint8. It is what a law of the scenario gets, and no truth. Mode `markers` has no pixels, `pixels`
-    no markers, `both` has all.
+    it has any; `pixels` (H, W, 3) uint8. Of further cameras, those of their last pictures, all 0 before the first: `markers_NAME`,
+    `seen_NAME`; and `pixels` is then a picture of each by its name, the law's own under `camera`. It is what a law of the scenario gets,
+    and no truth. Mode `markers` has no pixels, `pixels` no markers, `both` has all.
 
     Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
     none (`laws.policy.action_unit`); clipped. It has the scenario's latency and the robot's limits.
@@ -172,14 +174,17 @@ class Rollout:
         """Steps of an episode that ends by the clock, where no picture is missing."""
         return math.ceil(self.scenario.stop.duration_s * self.scenario.camera.rate_hz - 1e-9)
 
-    def bounds(self) -> dict[str, Bounds]:
+    def bounds(self) -> dict[str, Bounds | dict[str, Bounds]]:
         """The entries of an observation."""
-        camera, n = self.scenario.camera, self.scenario.rows
-        found = {"goal": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX)}
+        n, eyes = self.scenario.rows, self.scenario.eyes
+        found: dict[str, Bounds | dict[str, Bounds]] = {"goal": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX)}
         if self._mode != "pixels":
-            found |= {"markers": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX), "seen": Bounds((n,), np.float64, 0.0, 1.0)}
+            for end in ("", *(f"_{name}" for name in eyes)):
+                found |= {f"markers{end}": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX), f"seen{end}": Bounds((n,), np.float64, 0.0, 1.0)}
         if self._mode != "markers":
-            found["pixels"] = Bounds((camera.height, camera.width, 3), np.uint8, 0, 255)
+            cameras = {OWN: self.scenario.camera} | {name: eye.camera for name, eye in eyes.items()}
+            each = {name: Bounds((camera.height, camera.width, 3), np.uint8, 0, 255) for name, camera in cameras.items()}
+            found["pixels"] = each if eyes else each[OWN]
         if k := len(self.scenario.robot.proprioception_names):
             found["agent_pos"] = Bounds((k,), np.float64, -MOST, MOST)
         return found
@@ -268,13 +273,21 @@ class Rollout:
     def _observation(self, frame: Frame) -> dict[str, Any]:
         seen, exposure = frame.observation, self._episode.controller.before
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
-        found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal)
+        found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal, tuple(self.scenario.cameras))
         if "agent_pos" in found:
             found["agent_pos"] = np.clip(found["agent_pos"], -MOST, MOST)
         if self._mode == "pixels":
-            del found["markers"], found["seen"]
+            found = {name: value for name, value in found.items() if not name.startswith(("markers", "seen"))}
         if self._mode != "markers":
-            found["pixels"] = np.array(frame.image)
+            found["pixels"] = np.array(frame.image) if not self.scenario.cameras else self._pictures(frame)
+        return found
+
+    def _pictures(self, frame: Frame) -> dict[str, Image]:
+        """The last picture of each camera by name, black before its first."""
+        found = {OWN: np.array(frame.image)}
+        for name, eye in self.scenario.eyes.items():
+            image = frame.cameras[name].image if name in frame.cameras else None
+            found[name] = np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8) if image is None else np.array(image)
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:

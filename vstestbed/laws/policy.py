@@ -23,14 +23,19 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 MOST_PX = 1e6  # bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited
 
 
-def observed(seen: Observation, goal: Goal) -> dict[str, Array]:
+def observed(seen: Observation, goal: Goal, cameras: tuple[str, ...] = ()) -> dict[str, Array]:
     """What a policy sees of one frame, in new arrays of float64.
 
     `markers` (N, 2) [px], 0 for a marker that is not seen; `seen` (N,), 1 or 0; `goal` (N, 2), the markers at the goal [px], 0 where
     none would be seen; and where the observation has it, `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`).
-    Pixels are within +-MOST_PX.
+    Pixels are within +-MOST_PX. Of further `cameras`, `markers_NAME` and `seen_NAME` likewise, 0 for one whose last picture is missing or
+    old.
     """
+    views = seen.cameras or {}
+    others = {name: views[name].seen.uv if name in views else np.full_like(seen.uv, np.nan) for name in cameras or views}
     found = {"markers": _pixels(seen.uv), "seen": seen.seen.astype(float), "goal": _pixels(goal.uv)}
+    for name, uv in others.items():
+        found |= {f"markers_{name}": _pixels(uv), f"seen_{name}": np.isfinite(uv[:, 0]).astype(float)}
     return found if seen.proprioception is None else found | {"agent_pos": np.array(seen.proprioception, dtype=float)}
 
 

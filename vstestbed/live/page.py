@@ -177,16 +177,19 @@ class Eye:
     def __init__(self, gui: viser.GuiApi, scenario: Scenario, replay: Replay):
         camera = scenario.camera
         share = min(WIDTH / camera.width, EYE_HEIGHT / camera.height, 1.0)
-        self._size = max(16, round(share * camera.width)), max(16, round(share * camera.height))
+        width, height = max(16, round(share * camera.width)), max(16, round(share * camera.height))
+        below = [round(width * eye.camera.height / eye.camera.width) for eye in scenario.eyes.values()]
+        self._size, self._own_height = (width, height + sum(below)), height
         self._scenario, self._replay = scenario, replay
         self._pictures = Pictures(scenario, "eye", replay, self._size)
         blank = np.full((self._size[1], self._size[0], 3), 60, np.uint8)
-        self._shown = gui.add_image(blank, label="servo camera", format="jpeg", jpeg_quality=70)
+        self._shown = gui.add_image(blank, label=" \u00b7 ".join(("servo camera", *scenario.cameras)), format="jpeg", jpeg_quality=70)
 
     def draw(self, sample: Sample) -> Image:
         """Send the picture of a sample; returns a small one, at most 160 px wide, for the frustum."""
         image = self._pictures.picture(sample.film)
         self._shown.image = image
+        image = image[: self._own_height]  # without further cameras
         share = min(1.0, 160 / image.shape[1])
         return scaled(image, (round(share * image.shape[1]), round(share * image.shape[0])))
 
@@ -302,7 +305,8 @@ class LiveView:
         scenario, self._unit = self._scenario, first.unit
         parts = scenario.robot, scenario.camera, scenario.target_in_run, scenario.world
         share = min(1.0, WIDTH / scenario.camera.width)  # the servo camera makes pictures as large as they are shown
-        self._replay = Replay(*parts, shadows=False, sights=scenario.sights, share=share)
+        others = tuple(eye.viewpoint for eye in scenario.eyes.values())
+        self._replay = Replay(*parts, shadows=False, sights=scenario.sights, share=share, others=others)
         self.scene = SceneView(self._server, scenario, self._replay, first)
         with self._tab:
             self.eye = Eye(self._server.gui, scenario, self._replay)

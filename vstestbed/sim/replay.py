@@ -14,7 +14,7 @@ from vstestbed.core.geometry import Array
 from vstestbed.imaging.chain import Chain
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, ImageNoise
 from vstestbed.robots import Robot
-from vstestbed.sim.base import SceneDescription
+from vstestbed.sim.base import SceneDescription, Viewpoint
 from vstestbed.sim.render.image_sensor import ImageSensor
 from vstestbed.sim.render.pictures import outside_view, servo_renderer
 from vstestbed.sim.render.still import StillView, half_tangents, pixels_per_radian
@@ -52,7 +52,7 @@ class Replay:
         robot, camera, target, world: the scene. shadows: render shadows in the outside views (three times the work).
         sights: points that the outside view must show [m]. samples: multisampling of the outside views, for smooth edges.
         share: size of the servo camera's images as a share of its own (see `servo_renderer`).
-        view: where the camera `overview` stands; None: it follows the robot.
+        view: where the camera `overview` stands; None: it follows the robot. others: further cameras.
     """
 
     def __init__(
@@ -66,8 +66,9 @@ class Replay:
         samples: int = 0,
         share: float = 1.0,
         view: FixedView | None = None,
+        others: tuple[Viewpoint, ...] = (),
     ):
-        self._parts = SceneDescription(robot, camera, target, world, step=camera.period, sights=sights)
+        self._parts = SceneDescription(robot, camera, target, world, step=camera.period, sights=sights, others=others)
         self._stage = Scene(self._parts, samples=samples)
         quality = self._stage.model.vis.quality
         quality.shadowsize = FILM_SHADOW_PX
@@ -78,7 +79,8 @@ class Replay:
         self._follow: FollowCamera | None = None
         self._view = view
         self._seen: tuple[float, Image] | None = None
-        self._own: tuple[Scene, Callable[[], Image]] | None = None
+        self._own: dict[str, tuple[Scene, Callable[[], Image]]] = {}
+        self._lenses = {"eye": camera} | {other.name: other.camera for other in others}
         self._views: dict[str, tuple[StillView, Perspective]] = {}
 
     def of_target(self, target: Target) -> Replay:
@@ -102,18 +104,20 @@ class Replay:
         T_world_camera: Array,
         T_world_goal: Array | None = None,
     ) -> Image:
-        """One picture (H, W, 3) uint8; the servo camera `eye` has its own lens, and `share` of its size whatever width and height say.
+        """One picture (H, W, 3) uint8; the servo camera `eye` and further cameras have lenses of their own, and `share` of their size
+        whatever width and height say.
 
         `overview` follows the robot from picture to picture, so that it, the target and T_world_goal, the servo camera's goal pose (4, 4),
         are in sight. Raises ParameterError: there is no such camera.
         """
         if camera not in self.cameras:
             raise ParameterError.choice("--camera", self.cameras, camera)
-        if camera == "eye":
-            stage, view = self._servo_camera()
+        if camera in self._lenses:
+            stage, view = self._own_lens(camera)
             stage.place(t, T_world_target, q, T_world_camera)
-            self._seen = t, view()
-            return self._seen[1]
+            image = view()
+            self._seen = (t, image) if camera == "eye" else self._seen
+            return image
         if camera not in self._views:
             view = outside_view(self._stage, camera, width, height, self._parts.camera, self._shadows)
             model, data = self._stage.model, self._stage.data
@@ -171,32 +175,34 @@ class Replay:
         """Points (G, 16, 3) in the world whose convex hulls are the robot's geoms in the last picture from outside."""
         return self._things.points(self._stage.data)[self._things.own]
 
-    def _servo_camera(self) -> tuple[Scene, Callable[[], Image]]:
-        """A second stage with the servo camera's own quality, built when first asked for."""
-        if self._own is None:
-            lens = self._parts.camera
-            stage = Scene(self._parts, samples=lens.multisampling)
-            if (imaging := lens.imaging(None)) is not None:
-                drawn_by = servo_renderer(stage, lens)
+    def _own_lens(self, eye: str) -> tuple[Scene, Callable[[], Image]]:
+        """A stage with the quality of the servo camera, or of a further one, built when first asked for."""
+        if eye in self._own:
+            return self._own[eye]
+        lens = self._lenses[eye]
+        stage = Scene(self._parts, samples=lens.multisampling)
+        if (imaging := lens.imaging(None)) is not None:
+            drawn_by = servo_renderer(stage, lens, eye=eye)
 
-                def imaged() -> Image:
-                    images = drawn_by.images(with_depth=imaging.needs_depth)
-                    (image,) = imaging.clean(float(stage.data.time), images, drawn_by.depth)
-                    assert image is not None
-                    return image
+            def imaged() -> Image:
+                images = drawn_by.images(with_depth=imaging.needs_depth)
+                (image,) = imaging.clean(float(stage.data.time), images, drawn_by.depth)
+                assert image is not None
+                return image
 
-                self._own = stage, imaged
-                return self._own
-            drawn_by, f = servo_renderer(stage, lens, share=self._share), self._share * pixels_per_radian(lens)
+            view = imaged
+        else:
+            drawn_by, f = servo_renderer(stage, lens, share=self._share, eye=eye), self._share * pixels_per_radian(lens)
             sides = None if lens.shadows else half_tangents(lens)  # what is out of sight may cast shadows
-            self._own = stage, StillView(drawn_by.full_image, stage.model, stage.data, "eye", f, sides=sides).full_image
-        return self._own
+            view = StillView(drawn_by.full_image, stage.model, stage.data, eye, f, sides=sides).full_image
+        self._own[eye] = stage, view
+        return stage, view
 
     def close(self) -> None:
         """Free the OpenGL contexts."""
         self._stage.close()
-        if self._own is not None:
-            self._own[0].close()
+        for stage, _ in self._own.values():
+            stage.close()
 
 
 def _repaint(model: mujoco.MjModel) -> None:

@@ -49,6 +49,7 @@ CONTINUING: Final = ("worst_task_error_m", "path_length_m", "real_time_factor")
 # The figures of a run's page in their order, each with its title; `run.html` has the captions, by the names of these functions.
 FIGURES: Final[dict[Callable[[LogArrays], Chart | None], str]] = {
     space.features: "Features in the image",
+    space.other_cameras: "Features in the pictures of further cameras",
     space.polar: "Features in polar coordinates",
     space.spherical: "Features in spherical coordinates",
     space.on_sphere: "Features on the sphere",

@@ -37,8 +37,30 @@ def features(tracks: LogArrays) -> Chart | None:
         other = np.zeros(goal.shape[:2], dtype=bool)
         other[1:] = (goal[1:] != goal[:-1]).any(axis=2)
         measured, true = (np.where(other[..., None], np.nan, uv) for uv in (measured, true))
+    _image_plane(panel, tracks, (measured, true, goal), width, height)
+    chart.fit(2.1, 5.4)
+    return chart
+
+
+def other_cameras(tracks: LogArrays) -> Chart | None:
+    """The same in the pictures of further cameras, one above the other."""
+    cameras = tracks.setting.cameras
+    if tracks.markers == 0 or not cameras:
+        return None
+    chart = Chart(4.2 * len(cameras), len(cameras))
+    for panel, (name, (width, height)) in zip(chart.panels, cameras.items(), strict=True):
+        measured, true, goal = (tracks.pixels(suffix, f"{name}_") for suffix in ("", "_true", "_goal"))
+        _image_plane(panel, tracks, (measured, true, goal), width, height)
+        panel.title = name
+    if len(cameras) == 1:
+        chart.fit(2.1, 5.4)
+    return chart
+
+
+def _image_plane(panel: ChartPanel, tracks: LogArrays, trails: tuple[Array, Array, Array], width: int | None, height: int | None) -> None:
+    """Draw trails, measured, true and of the goal, in the picture of a camera of this size [px], with its border."""
     draw = draw_outlines if tracks.setting.outlined else draw_trails
-    draw(panel, measured, true, goal, tracks.names)
+    draw(panel, *trails, tracks.names)
     panel.equal, panel.labels = True, ("u [px]", "v [px]")
     (x0, x1), (y0, y1) = panel.limits()
     if width and height:
@@ -52,8 +74,6 @@ def features(tracks: LogArrays) -> Chart | None:
         panel.xlim, panel.ylim = (left - margin, right + margin), (bottom + margin, top - margin)
     else:
         panel.ylim = y1, y0  # v down, as in the image
-    chart.fit(2.1, 5.4)
-    return chart
 
 
 def draw_trails(panel: ChartPanel, measured: Array, true: Array, goal: Array, names: tuple[str, ...] = ()) -> None:

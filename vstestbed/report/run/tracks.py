@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -109,6 +110,7 @@ class Setting:
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
+    cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # further cameras' width and height [px]
 
     @property
     def image_errors(self) -> tuple[MeasuredError, ...]:
@@ -126,6 +128,7 @@ class Setting:
         view = getattr(goal, "T_camera_target", None)
         goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
+            cameras={name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()},
             width=scenario.camera.width,
             height=scenario.camera.height,
             threshold_px=None if goal.continuing else converged.error_px,
@@ -191,9 +194,9 @@ class LogArrays:
         n = self.markers
         return self.columns(*(f"{stem}_{i}" for i in range(n))) if n else np.empty((len(self.log), 0))
 
-    def pixels(self, suffix: str = "") -> Array:
-        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`."""
-        return np.stack([self.numbered(f"u{suffix}"), self.numbered(f"v{suffix}")], axis=-1)
+    def pixels(self, suffix: str = "", before: str = "") -> Array:
+        """Marker pixels (T, N, 2) [px]: measured, or with the suffix `_true` or `_goal`; of a further camera with its name and _ before."""
+        return np.stack([self.numbered(f"{before}u{suffix}"), self.numbered(f"{before}v{suffix}")], axis=-1)
 
     def named(self, stem: str) -> list[str]:
         """Names after `stem_` in the column names, in the log's order: names of joints or actuators."""

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vstestbed.camera import Camera
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import inverse
 from vstestbed.core.lazy import cv2
@@ -22,8 +23,21 @@ from vstestbed.core.outcome import Outcome, Verdict
 from vstestbed.loop.log_file import Log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.outside import Outside, inset_share
-from vstestbed.report.video.overlay import ALARM, GOOD, HOLD_S, FilmFrame, Residual, captioned, draw_ending, overlay_of, strip_height
+from vstestbed.report.video.overlay import (
+    ALARM,
+    GOOD,
+    HOLD_S,
+    FilmFrame,
+    Overlay,
+    Residual,
+    captioned,
+    draw_ending,
+    named,
+    overlay_of,
+    strip_height,
+)
 from vstestbed.report.video.writer import Image, VideoWriter, png_of
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.render.pictures import draws_rays
 from vstestbed.sim.replay import Replay
@@ -96,11 +110,19 @@ class Pace:
 class Pictures:
     """The pictures of a run from one camera (`eye`, `overview`, ...), with what explains them; asked for each frame in turn.
 
+    Beside the servo camera's pictures stand those of the further cameras, or below them where the whole is higher than wide.
+
     size: (width, height) of a picture [px]. strip: height of the line of numbers below it [px]; None: as its height asks for.
     """
 
     def __init__(self, scenario: Scenario, camera: str, replay: Replay, size: tuple[int, int], strip: int | None = None):
-        self._scenario, self._camera, self._replay, self._size = scenario, camera, replay, size
+        self._scenario, self._camera, self._replay = scenario, camera, replay
+        eyes = scenario.eyes if camera == "eye" else {}
+        self._below = size[1] > size[0] and len(eyes) > 0
+        self._size, *others = panels(size, [scenario.camera, *(eye.camera for eye in eyes.values())], self._below)
+        self._others = [OtherPanel(eye, panel) for eye, panel in zip(eyes.values(), others, strict=True)]
+        self._alone = OtherPanel(scenario.eyes[camera], size) if camera in scenario.eyes else None
+        size = self._size
         self.strip = strip_height(size[1]) if strip is None else strip
         law, name = scenario.law.kind, scenario.name
         self._title = f"{name} \u00b7 {law}" if name else law
@@ -130,7 +152,12 @@ class Pictures:
             self._overlay.draw(image, uv, goal_uv, frame.lost)
             if self._residual is not None:
                 self._residual.put(image, seen, frame, goal)
+            if self._others:
+                parts = [image, *(other.drawn(frame, self._replay) for other in self._others)]
+                image = np.concatenate(parts, axis=0 if self._below else 1)
             return image
+        if self._alone is not None:
+            return self._alone.drawn(frame, self._replay)
         if self._outside is None:
             return self._rendered(self._camera, frame)
         T = self._scenario.goal_pose_at(frame.t, goal)
@@ -146,6 +173,37 @@ class Pictures:
         return self._replay.picture(camera, *self._size, m.t, m.T_world_target, m.q, m.T_world_camera)
 
 
+def panels(size: tuple[int, int], cameras: Sequence[Camera], below: bool = False) -> list[tuple[int, int]]:
+    """Sizes (width, height) of the pictures of several cameras beside, or below, one another that fill a size [px]."""
+    shares = np.array([camera.height / camera.width if below else camera.width / camera.height for camera in cameras])
+    along = size[1] if below else size[0]
+    ends = np.rint(np.cumsum(shares) / shares.sum() * along).astype(int).tolist()
+    lengths = [end - begin for begin, end in zip([0, *ends[:-1]], ends, strict=True)]
+    return [(size[0], length) if below else (length, size[1]) for length in lengths]
+
+
+class OtherPanel:
+    """The part of a film that shows a further camera. size: (width, height) [px]."""
+
+    def __init__(self, eye: OtherCamera, size: tuple[int, int]):
+        self._eye, self._size = eye, size
+        self._overlay = Overlay(*size, eye.target.colors[: len(eye.target.points)], eye.target.outlined)
+        self._scale = np.array(size) / (eye.camera.width, eye.camera.height)
+
+    def drawn(self, frame: FilmFrame, replay: Replay) -> Image:
+        """Its picture at a frame, with its markers and its name; black before its first one."""
+        shown = frame.cameras.get(self._eye.name)
+        if shown is None:
+            return np.zeros((self._size[1], self._size[0], 3), np.uint8)
+        scene = frame.t, frame.T_world_target, frame.q, frame.T_world_camera
+        image = replay.picture(self._eye.name, *self._size, *scene) if shown.image is None else shown.image
+        image = np.array(scaled(image, self._size))
+        uv, goal_uv = ((uv + 0.5) * self._scale - 0.5 for uv in (shown.uv, shown.goal_uv))
+        self._overlay.draw(image, uv, goal_uv)
+        named(image, self._eye.name)
+        return image
+
+
 class Film:
     """A film (`.mp4`) of a run from one camera, in real time; the quality gives its rate.
 
@@ -157,7 +215,12 @@ class Film:
         eye = scenario.camera
         share = quality.share(eye.width, eye.height)
         if size is None and camera == "eye":
-            self._pictures = Pictures(scenario, camera, replay, (round(share * eye.width), round(share * eye.height)))
+            height = round(share * eye.height)
+            others = [round(height * other.camera.width / other.camera.height) for other in scenario.eyes.values()]
+            self._pictures = Pictures(scenario, camera, replay, (round(share * eye.width) + sum(others), height))
+        elif size is None and camera in scenario.eyes:
+            other = scenario.eyes[camera].camera
+            self._pictures = Pictures(scenario, camera, replay, (round(share * other.width), round(share * other.height)))
         else:
             self._pictures = Pictures.within(scenario, camera, replay, size or quality.size)
         every = quality.every(eye.rate_hz)
@@ -233,7 +296,8 @@ def replay_of(scenario: Scenario, quality: Quality, inset_in: tuple[int, int] | 
     share = quality.share(scenario.camera.width, scenario.camera.height)
     if inset_in is not None and quality.longest < FINE.longest:
         share = min(share, inset_share(scenario.camera, inset_in))
-    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share, view)
+    others = tuple(other.viewpoint for other in scenario.eyes.values())
+    return Replay(*parts, quality.shadows, scenario.sights, quality.samples, share, view, others)
 
 
 @contextmanager
@@ -241,7 +305,8 @@ def open_films(
     scenario: Scenario, paths: dict[str, Path], quality: Quality, size: tuple[int, int] | None = None, view: FixedView | None = None
 ) -> Iterator[list[Film]]:
     """Films of a run by the names of their cameras; they are finished at the end, and discarded on an exception."""
-    replay = replay_of(scenario, quality, None if "eye" in paths else size or quality.size, view)
+    own = not {"eye", *scenario.eyes}.isdisjoint(paths)  # else the servo camera is in an inset alone
+    replay = replay_of(scenario, quality, None if own else size or quality.size, view)
     films = [Film(scenario, camera, path, replay, quality, size) for camera, path in paths.items()]
     try:
         yield films

@@ -6,8 +6,9 @@ Pixels follow the project's convention, which is OpenCV's: (0, 0) is the centre 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
 
@@ -225,6 +226,14 @@ def shortened(words: str, size: int, width: int, weight: int = 400) -> str:
     return ""
 
 
+def named(image: Image, name: str) -> None:
+    """Write the name of a camera on a dark box in the lower left corner of its picture, in place."""
+    height, size = image.shape[0], text_size(image.shape[0])
+    width = text_width(name, size) + size
+    cv2.rectangle(image, (0, height - round(1.6 * size)), (width, height), INK, -1)
+    draw_text(image, name, (size // 2, height - round(0.5 * size)), PAPER, size)
+
+
 def draw_text(image: Image, words: str, at: tuple[int, int], color: Color, size: int, weight: int = 400) -> None:
     """Write text from pixel `at` (left end of the base line), `size` [px] high, in place."""
     cv2.putText(image, words, at, color, _FONT, size, weight)
@@ -252,6 +261,7 @@ class FilmFrame:
     own: Array  # values of the robot's and the task's own columns
     image: Image | None = None  # the servo camera's image, if it was rendered already
     goal_image: Image | None = None  # the picture taken at the goal, if law or detector compare with one
+    cameras: Mapping[str, OtherPicture] = field(default_factory=dict[str, "OtherPicture"])  # what further cameras showed last, by name
 
     @classmethod
     def of_frame(cls, frame: Frame) -> FilmFrame:
@@ -259,7 +269,8 @@ class FilmFrame:
         truth, error = frame.truth, frame.error
         shown = None if frame.goal.image is None else frame.goal.image.image
         scene = (truth.T_world_target, truth.T_world_camera, truth.q)
-        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image, shown)
+        others = {name: OtherPicture(record.uv, record.goal_uv, record.image) for name, record in frame.cameras.items()}
+        return cls(frame.t, *scene, frame.observation.uv, error.rms_px, error.lost, frame.goal.uv, frame.row, frame.image, shown, others)
 
     @classmethod
     def of_row(cls, row: dict[str, float], scenario: Scenario) -> FilmFrame:
@@ -271,12 +282,30 @@ class FilmFrame:
             T_world_target=pose_from(target[:3], target[3:]),
             T_world_camera=pose_from(camera[:3], camera[3:]),
             q=np.array([row[f"q_{name}"] for name in joints]),
-            uv=np.array([[row[f"u_{i}"], row[f"v_{i}"]] for i in range(markers)]).reshape(markers, 2),
+            uv=_markers(row, "", markers),
             error_px=row["error_px"],
             lost=bool(row["lost"]),
-            goal_uv=np.array([[row[f"u_goal_{i}"], row[f"v_goal_{i}"]] for i in range(markers)]).reshape(markers, 2),
+            goal_uv=_markers(row, "_goal", markers),
             own=np.array([row[name] for name in scenario.own_columns]),
+            cameras={
+                name: OtherPicture(_markers(row, "", markers, f"{name}_"), _markers(row, "_goal", markers, f"{name}_"))
+                for name in scenario.eyes
+            },
         )
+
+
+@dataclass(frozen=True, slots=True)
+class OtherPicture:
+    """What a further camera showed: markers as measured and at the goal (N, 2) [px], and its image, if it was rendered already."""
+
+    uv: Array
+    goal_uv: Array
+    image: Image | None = None
+
+
+def _markers(row: dict[str, float], which: str, markers: int, before: str = "") -> Array:
+    """Pixels (N, 2) of a row of a log; before: what stands before the names of their columns."""
+    return np.array([[row[f"{before}u{which}_{i}"], row[f"{before}v{which}_{i}"]] for i in range(markers)]).reshape(markers, 2)
 
 
 # The difference of picture and goal picture, which a law of grey levels sees, as an inset of the camera's film.
