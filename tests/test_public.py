@@ -140,7 +140,7 @@ def test_a_mistake_in_python_has_the_sentence_of_a_file() -> None:
         (lambda: vs.laws.IBVS(gain={"kind": "adaptive", "at_zer": 1}), "IBVS.gain.at_zer is an unknown field; did you mean 'at_zero'?"),
         (
             lambda: vs.laws.IBVS(depth="npn"),
-            "IBVS.depth is no depth; valid kinds: constant, estimate, floor, goal, oracle, pnp, sensor, size, got 'npn'",
+            "IBVS.depth is no depth; valid kinds: constant, estimate, floor, goal, oracle, pnp, sensor, size, stereo, got 'npn'",
         ),
         (lambda: vs.robots.Free(), "Free.start is missing: where the camera starts; a block of nominal, random"),
         (lambda: vs.robots.Free(strat=1), "Free.strat is an unknown field; did you mean 'start'?"),

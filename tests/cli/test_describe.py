@@ -213,7 +213,7 @@ def test_a_field_that_holds_a_block_is_followed_by_it() -> None:
 
 
 def test_a_field_in_a_list_has_an_example_that_set_does_not_take() -> None:
-    assert "Example: pose: {xyz: [1.2, 0, 0.7], rpy_deg: [0, 90, 0]}" in field_shown("world.plates.0.pose")
+    assert "Example: pose: {xyz: [1.15, 0, 0.7], rpy_deg: [0, 90, 0]}" in field_shown("world.plates.0.pose")
 
 
 def test_a_field_that_holds_another_block_in_each_kind_is_shown_for_each() -> None:

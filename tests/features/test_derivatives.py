@@ -83,6 +83,8 @@ def seen(p: np.ndarray, inputs: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray
     """What a feature takes of points p (..., N, 3) in the camera frame."""
     if inputs == ("xy", "depth"):
         return p[..., :2] / p[..., 2:], p[..., 2]
+    if inputs == ("xyw", "depth"):
+        return np.concatenate([p[..., :2], np.ones_like(p[..., 2:])], axis=-1) / p[..., 2:], p[..., 2]
     assert inputs == ("ray", "range")
     range_ = np.linalg.norm(p, axis=-1)
     return p / range_[..., None], range_

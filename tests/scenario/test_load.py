@@ -361,7 +361,7 @@ class TestBundled:
             assert scenario.camera.inside(scenario.goal_view.uv[slice(None) if counted is None else counted]).all()
         if scenario.goal.kind != "line":
             s = scenario
-            view = in_view(s.robot, s.camera, s.target, s.detector, s.goal_views[0], s.world)
+            view = in_view(s.robot, s.camera, s.target, s.detector, s.goal_views[0], s.world, [eye.viewpoint for eye in s.eyes.values()])
             assert view, "the start does not see the whole target"
 
     def test_every_default_is_written(self) -> None:

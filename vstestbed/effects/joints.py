@@ -329,8 +329,8 @@ class MotorTorques(Actor):
 
     Ripple and cogging are added to MuJoCo's torque of the step before. With current loops MuJoCo's servos are out of force, but for the
     integrals of their commands: u = kp (act - theta) + kv (v - theta') within the limits, where v is the command of a servo without
-    integral, delayed by whole steps and smoothed by the lag; over a step h of constant u the mean torque is
-    u + (tau - u) (1 - exp(-h / T)) T / h with T = 1 / (2 pi bandwidth).
+    integral (of a motor that is told its torque, u is what it is told), delayed by whole steps and smoothed by the lag; over a step h of
+    constant u the mean torque is u + (tau - u) (1 - exp(-h / T)) T / h with T = 1 / (2 pi bandwidth).
     """
 
     of_motors = True
@@ -344,6 +344,7 @@ class MotorTorques(Actor):
         self._actuators = np.array([model.actuator(f"robot/{name}").id for name in body.actuators])
         self._ctrl = model.actuator_ctrladr[self._actuators]
         self._kp, self._kv = -model.actuator_biasprm[self._actuators, 1], -model.actuator_biasprm[self._actuators, 2]
+        self._told = (self._kp == 0) & (self._kv == 0)  # motors that are told their torque
         self._integrates = model.actuator_dyntype[self._actuators] == mujoco.mjtDyn.mjDYN_INTEGRATOR
         self._act = np.where(self._integrates, model.actuator_actadr[self._actuators], 0)
         joints = model.actuator_trnid[self._actuators, 0]
@@ -381,7 +382,7 @@ class MotorTorques(Actor):
         data, kv = self._data, self._kv
         at, speed = data.qpos[self._qpos], data.qvel[self._qvel]
         held = self._kp * (data.act[self._act] - at) if data.act.size else 0.0
-        u = np.where(self._integrates, held - kv * speed, kv * (data.ctrl[self._ctrl] - speed))
+        u = np.where(self._integrates, held - kv * speed, kv * (data.ctrl[self._ctrl] - speed) + self._told * data.ctrl[self._ctrl])
         own = np.where(self._limited, self._ranges[self._actuators, 1], np.inf)  # of this step: another effect may lower it
         most = np.minimum(own, self._most)
         return np.clip(u, -most, most)

@@ -7,7 +7,7 @@ from vstestbed.features.base import Feature
 from vstestbed.features.line import LineFeature, Segment
 from vstestbed.features.moments import Ellipse, Moments
 from vstestbed.features.observation import Goal, Observation
-from vstestbed.features.points import Point, Polar, Spherical, Stereo
+from vstestbed.features.points import Point, Polar, Spherical, StereoPoint
 from vstestbed.features.polygon import Polygon
 from vstestbed.features.pose import ThetaU
 
@@ -16,7 +16,7 @@ _IN_BOTH = {f.name for f in fields(Observation) if hasattr(Goal, f.name) or f.na
 _VIEW_FIELDS = sorted({*_IN_BOTH, "xyw"})
 FEATURES = Registry(
     "feature",
-    *(Point, Polar, Spherical, Stereo, Polygon, LineFeature, Segment, Moments, Ellipse),
+    *(Point, Polar, Spherical, StereoPoint, Polygon, LineFeature, Segment, Moments, Ellipse),
     default="point",
     contract=Contract(Feature, words={"inputs": _VIEW_FIELDS}),
 )
@@ -33,6 +33,6 @@ __all__ = [
     "Polygon",
     "Segment",
     "Spherical",
-    "Stereo",
+    "StereoPoint",
     "ThetaU",
 ]

@@ -44,8 +44,11 @@ class Point(Feature):
         return L.reshape(*xy.shape[:-2], 2 * xy.shape[-2], 6)
 
 
+_POINT = Point()
+
+
 @spec
-class Stereo(Feature):
+class StereoPoint(Feature):
     """What a pair of parallel cameras shows of each point: (x, y, d) or (x_l, x_r, y), with the disparity d = x_l - x_r = b / Z.
 
     The camera of the law is the left one, and the right one b beside it along x. The depth Z by which d is known is that of `law.depth`:
@@ -78,7 +81,7 @@ class Stereo(Feature):
         """L (..., 3N, 6) of xyw (..., N, 3) and depth (..., N) [m]."""
         xyw = np.asarray(xyw, dtype=float)
         xy = xyw[..., :2]
-        of_xy = Point().interaction(xy, depth).reshape(*xy.shape, 6)
+        of_xy = _POINT.interaction(xy, depth).reshape(*xy.shape, 6)
         x, y, w = xy[..., 0], xy[..., 1], 1 / np.asarray(depth, dtype=float)
         of_d = np.zeros((*x.shape, 6))
         of_d[..., 2], of_d[..., 3], of_d[..., 4] = w * w, w * y, -w * x

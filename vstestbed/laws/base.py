@@ -43,6 +43,8 @@ class Command:
         mode: number of the word in `Law.modes` for what the law did.
         error_grey: RMS of the difference between picture and goal picture, of a law that works on grey levels; NaN else.
         row: values of the law's own columns in the log (`Law.columns`); (): none are known in this frame.
+        wrench: force and moment (6,) that the tool is to exert at the camera's origin, in the camera's frame [N, Nm], by an arm with
+            `controller: impedance`; None for none.
     """
 
     u: Array
@@ -54,6 +56,7 @@ class Command:
     mode: int = 0
     error_grey: float = math.nan
     row: tuple[float, ...] = ()
+    wrench: Array | None = None
 
     @classmethod
     def rest(cls, basis: Array, why: str) -> Command:
@@ -251,5 +254,5 @@ def inputs_of(law: Law[Any]) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*law.inputs, *motion, *cameras, *law.visibility.inputs)))
 
 
-OBSERVATION_FIELDS = (*(f.name for f in fields(Observation)), "xyw")
-LAW_CONTRACT = Contract(Law, base=Law, words={"inputs": OBSERVATION_FIELDS})
+OBSERVATION_FIELDS = tuple(f.name for f in fields(Observation))
+LAW_CONTRACT = Contract(Law, base=Law, words={"inputs": (*OBSERVATION_FIELDS, "xyw")})

@@ -90,6 +90,9 @@ class GuardedLaw:
         if not all_finite(twist):
             self._mode = stepped[1].mode
             return f"gave a twist that is not finite, {np.round(twist, 3)}"
+        wrench = stepped[1].wrench
+        if wrench is not None and not (wrench.shape == (6,) and all_finite(wrench)):
+            return f"gave the wrench {short(wrench)}; the wrench of a Command must be six finite numbers"
         if rates is not None and not all_finite(rates):
             return f"gave rates that are not finite, {np.round(rates, 3)}"
         if free and not all(math.isfinite(share) and all_finite(twists) for share, twists in free):
@@ -342,9 +345,10 @@ class Controller:
         self.law_state, command = self.guarded.step(self.law_state, seen, goal, basis)
         late = t - shot.t > self._latest_s
         own = self._perception.own(seen)
-        error = ImageError.of(own, goal, command.rest_reason, own is not seen)
+        others_tell = own is not seen or bool(self.law.cameras and not command.rest_reason)
+        error = ImageError.of(own, goal, command.rest_reason, others_tell)
         why = f"pictures arrived {t - shot.t:.2g} s late" if late else ""
-        blind = command.rest_reason or unseen(seen, goal, error, self._needed) or why
+        blind = command.rest_reason or ("" if others_tell else unseen(seen, goal, error, self._needed)) or why
         blind = blind and blind + detail(s, seen, self._perception.found, self._perception.why)
         moved = self._moved(t, reading, blind, mount)
         allocation = self._allocate(command, reading, mount)
@@ -435,6 +439,11 @@ class Controller:
             allocation = robot.allocate_rates(command.rates, reading, mount, period)
         else:
             allocation = robot.allocate(robot.motion_basis(mount, reading.q) @ command.rates, reading, mount, period)
+        if command.wrench is not None and isinstance(robot, Arm) and robot.controller.takes_wrench:
+            allocation = robot.pressed(allocation, command.wrench, mount)
+        elif command.wrench is not None:
+            words = f"law {self.law.kind} orders a wrench, which needs an arm with `controller: impedance`"
+            self.guarded.failure = self.guarded.failure or words
         if not (all_finite(allocation.setpoint) and (allocation.twist is command.twist or all_finite(allocation.twist))):
             words = f"robot {robot.kind} made a setpoint that is not finite, {allocation.setpoint}, of the twist {np.round(twist, 3)}"
             self.guarded.failure = self.guarded.failure or words

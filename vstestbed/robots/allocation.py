@@ -65,7 +65,8 @@ class Servo:
     """The servo of one joint, told its speed.
 
     joint: its name. speed: largest one it is told [rad/s, m/s]. torque: largest one [Nm, N]; None for the file's own servo.
-    kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain.
+    kp: position gain, of a servo that integrates the speed to a position [Nm/rad, N/m]; 0 for none. kv: velocity gain; with neither it is
+    a motor that is told its torque.
     """
 
     joint: str

@@ -11,21 +11,22 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from annotated_types import Ge, Le, Len
 
 from vstestbed.core.errors import ParameterError, UnreachableError
-from vstestbed.core.geometry import Array, inverse, log, rigid_error
+from vstestbed.core.geometry import Array, adjoint, inverse, log, rigid_error
 from vstestbed.core.quantity import Angle
 from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
 from vstestbed.effects.links import GeometryError, Payload
-from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount
-from vstestbed.robots.base import STOP_S, BodyFile, Reading, SensorModel, random_of
+from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount, Servo
+from vstestbed.robots.base import LARGEST_STEP_S, STOP_S, BodyFile, Reading, SensorModel, random_of
 from vstestbed.robots.chain import JointChain, reader
+from vstestbed.robots.inner_loops import WRENCH, ArmModel, Impedance, Inner, TorqueControl, VelocityServos
 from vstestbed.robots.own_model import OwnModel
 from vstestbed.robots.realism import Realistic
 
@@ -187,6 +188,8 @@ class Arm(Realistic):
         gravity_error: share of the weight that the drives' gravity compensation leaves uncarried, negative for too much [1]; servos that
             hold a position without compensation then have one, and sag by what it leaves over kp; e.g. `0.05`.
         payload: a load at the flange; None: none.
+        controller: what makes torques of the ordered joint speeds: the joints' own servos (`velocity`), or `computed_torque` or
+            `impedance` on motors with the same limits and friction.
     """
 
     gears: Gears | None = None
@@ -197,6 +200,7 @@ class Arm(Realistic):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
+    controller: Inner = VelocityServos()
 
     start: ClassVar[ArmStart]
     file: ClassVar[str]
@@ -226,19 +230,60 @@ class Arm(Realistic):
                 size, unit = (1.0, "m") if slides else (float(np.degrees(1.0)), "deg")
                 words = f"{chain.names[i]}'s range, {low * size:g} to {high * size:g} {unit}"
                 raise ParameterError.bound(f"start.nominal.q_deg.{i}", "within", words, given[i])
+        if self.controller.takes_wrench and len(chain.names) < 6:
+            raise ParameterError.only_for(
+                "controller", "arms of six joints and more, which can yield in all directions", self.controller.kind
+            )
         self.acting  # noqa: B018 - refuses what does not fit
         if self.encoders is not None:
             self.encoders.read(np.zeros(len(given)), np.zeros(len(given)), chain.slides)
         for field in ("drives", "ripple", "gravity_error"):
+            if self.controller.torques and field == "gravity_error" and self.gravity_error is not None:
+                words = f"servos, and controller {self.controller.kind} has a model of the masses; works: payload: {{declared: false}}"
+                raise ParameterError.only_for(field, words)
             if self.actuation == "ideal" and getattr(self, field) is not None:
                 raise ParameterError.only_for(field, "actuators with limits, and `actuation: ideal` has none; works: another actuation")
 
     @property
     def body(self) -> BodyFile:
         """Its file, with a gripper in place of the camera."""
-        actuation = self.servo_set if self.gravity_error is None else replace(self.servo_set, gravity_error=self.gravity_error)
-        names = self.chain.names
-        return BodyFile(self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True)
+        actuation, names, loop = self._actuation, self.chain.names, self.controller
+        step = min(LARGEST_STEP_S, 1 / loop.rate_hz) if loop.torques else LARGEST_STEP_S
+        return BodyFile(
+            self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True, largest_step_s=step
+        )
+
+    @property
+    def _actuation(self) -> Actuation:
+        """Its servos, or motors without servos for an inner loop of torques; those carry the weight, too."""
+        if self.controller.torques:
+            motors = zip(self.chain.names, self.joint_speeds.tolist(), self.motor_torques.tolist(), strict=True)
+            given = (Servo(name, speed, torque) for name, speed, torque in motors)
+            return Actuation(None, friction=self.servo_set.friction, gravity_compensated=False, servos=tuple(given))
+        return self.servo_set if self.gravity_error is None else replace(self.servo_set, gravity_error=self.gravity_error)
+
+    @property
+    def motor_torques(self) -> Array:
+        """Largest torques of its motors (n,) [Nm, N]; infinite where it has no limits."""
+        return self.largest_torques if self.servo_set.friction else np.full(len(self.chain.names), np.inf)
+
+    @property
+    def largest_torques(self) -> Array:
+        """Those by its file (n,) [Nm, N]."""
+        return self.chain.torque
+
+    @property
+    def onboard(self) -> Any:
+        """Its inner loop of torques; None where the joints have servos."""
+        if not self.controller.torques:
+            return None
+        load = self.payload if self.payload is not None and self.payload.declared else None
+        known = None if load is None else (load.mass_kg, *load.com_m, load.edge_m)
+
+        def model() -> ArmModel:
+            return ArmModel(self.chain, reader().dynamics(self.file, self.flange, self.chain.names, known), self.motor_torques)
+
+        return TorqueControl(self.controller, len(self.chain.names), model)
 
     @property
     def draws(self) -> bool:
@@ -414,7 +459,17 @@ class Arm(Realistic):
         scale = min(1.0, speed, position)
         limit: Limit = "" if scale == 1.0 else "joint_limit" if position < speed else "speed"
         dq = rates * scale
-        return Allocation(dq, mount.to_camera @ (self.kinematics(reading.q)[1] @ dq), scale, limit, dq)
+        return Allocation(self._setpoint(dq), mount.to_camera @ (self.kinematics(reading.q)[1] @ dq), scale, limit, dq)
+
+    def _setpoint(self, dq: Array) -> Array:
+        """Joint speeds (n,), and no wanted wrench where the inner loop takes one."""
+        return np.append(dq, np.zeros(WRENCH)) if self.controller.takes_wrench else dq
+
+    def pressed(self, allocation: Allocation, wrench: Array, mount: Mount) -> Allocation:
+        """The same with a wrench (6,), force and moment that the tool is to exert at the camera's origin, in the camera's frame [N, Nm]."""
+        assert isinstance(self.controller, Impedance)  # it `takes_wrench`
+        there = adjoint(inverse(mount.T_flange_camera) @ self.controller.at.T).T @ wrench  # of the same power in the impedance's frame
+        return replace(allocation, setpoint=np.append(allocation.setpoint[:-WRENCH], there))
 
     def secondary_task(self, null_space: Array, reading: Reading, mount: Mount) -> Array:
         """Joint-limit avoidance in the null space of the law.
@@ -461,7 +516,13 @@ class Arm(Realistic):
         scale = min(1.0, speed, position)
         if scale < 1.0:  # a limit met hides the singularity beside it: `scale` has both
             limit = "joint_limit" if position < speed else "speed"
-        return Allocation(setpoint=dq * scale, twist=mount.to_camera @ realised * scale, scale=scale * along, limit=limit, rates=dq * scale)
+        return Allocation(
+            setpoint=self._setpoint(dq * scale),
+            twist=mount.to_camera @ realised * scale,
+            scale=scale * along,
+            limit=limit,
+            rates=dq * scale,
+        )
 
     def _allowed(self, dq: Array, q: Array, horizon_s: float) -> tuple[float, float]:
         """Largest factors of the joint speeds dq (n,) within the speed limits, and within the velocity damper at the joints q (n,).

@@ -22,8 +22,27 @@ class ChainReader(Protocol):
         """The joints from the root to a flange; names: in their order, () for all."""
         ...
 
+    def dynamics(self, file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> ArmDynamics:
+        """Masses by an arm's file, with a load at its flange. joints: in their order."""
+        ...
+
     def inertia_at(self, file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tuple[Array, Array]:
         """The mass matrix (n, n) at positions q [rad, m], and what of its diagonal are the joints' rotors (n,) [kg m^2, kg]."""
+        ...
+
+
+Load = tuple[float, ...]  # mass [kg], x, y and z of its centre in the flange's frame [m], edge of the cube [m]
+
+
+class ArmDynamics(Protocol):
+    """An arm's masses by its own model: no friction, no elasticity."""
+
+    def inverse(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Torques (n,) [Nm, N] for accelerations qdd at joints q and speeds qd, (n,) each: M(q) qdd + h(q, qd)."""
+        ...
+
+    def mass(self, q: Array) -> Array:
+        """M(q), shape (n, n) [kg m^2, kg]."""
         ...
 
 

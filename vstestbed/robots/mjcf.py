@@ -144,6 +144,11 @@ class Mjcf(Arm):
         return Actuation(None, friction=not ideal, gravity_compensated=ideal, servos=tuple(servos))
 
     @property
+    def largest_torques(self) -> Array:
+        """`torque_limits`, by default the file's."""
+        return np.array(self.torque_limits) if self.torque_limits else self.chain.torque
+
+    @property
     def joint_speeds(self) -> Array:
         """`speed_limits`, as an array."""
         return np.array(self.speed_limits)

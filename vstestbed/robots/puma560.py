@@ -44,15 +44,18 @@ GEAR_RATIOS = (62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686)
 """Turns of the motor in one of the joint [1]. Source: Corke & Armstrong-Helouvry 1994, as in `models/puma560.xml`."""
 
 
+MOTOR_TORQUES = (97.6, 186.4, 89.4, 24.2, 20.1, 21.3)
+"""Largest torques of the motors at the joints [Nm], as in `models/puma560.xml`."""
+
+
 def _worn(k: float, play_deg: float, share: float, counts: int, off_deg: float) -> dict[str, object]:
     """Blocks of a preset: stiffness of joints 1 and 2, play of the elastic joints, cogging and ripple as a share of the largest torque,
     counts in a turn of a motor and eccentricity of its encoder.
     """
-    most = (97.6, 186.4, 89.4, 24.2, 20.1, 21.3)
     return {
         "gears": Gears(stiffness_nmprad=(k, k, 0.4 * k, 0.0, 0.0, 0.0), backlash_deg=(play_deg,)),
         "ripple": Ripple(
-            cogging_nm=tuple(round(share * torque / 2, 3) for torque in most),
+            cogging_nm=tuple(round(share * torque / 2, 3) for torque in MOTOR_TORQUES),
             share=share,
             cycles=tuple(round(6 * ratio, 1) for ratio in GEAR_RATIOS),
         ),
@@ -125,6 +128,11 @@ class Puma560(Arm):
 
     def __post_init__(self) -> None:
         self._check()
+
+    @property
+    def largest_torques(self) -> Array:
+        """Those of its motors."""
+        return np.array(MOTOR_TORQUES)
 
     @property
     def servo_set(self) -> Actuation:

@@ -173,12 +173,18 @@ def _check_inputs(law: Law[Any], state: Any, frame: Frame, basis: Array, command
     """What the law's `inputs` do not name is not read: without it the command is the same."""
     if isinstance(law, Policy):  # whose function may read all that there is without asking
         return
-    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *inputs_of(law)) and getattr(frame.observation, name) is not None]
+    unnamed = [name for name in OBSERVATION_FIELDS if name not in (*FREE, *_named(law)) and getattr(frame.observation, name) is not None]
     if not _differs(law, state, frame, basis, command, unnamed):
         return
     read = [name for name in unnamed if _differs(law, state, frame, basis, command, [name])]
     words = f"{law.kind} reads observation.{' and observation.'.join(read or unnamed)}, which its `inputs` do not name"
     raise AssertionError(f"{words}; write inputs = {(*law.inputs, *(read or unnamed))}")
+
+
+def _named(law: Law[Any]) -> tuple[str, ...]:
+    """The fields of an observation that a law may read; `xyw` is made of two."""
+    named = inputs_of(law)
+    return (*named, "xy", "depth") if "xyw" in named else named
 
 
 def _differs(law: Law[Any], state: Any, frame: Frame, basis: Array, command: Command, without: list[str]) -> bool:
@@ -198,7 +204,7 @@ def _unnamed_in_source(law: Law[Any]) -> str:
         read = re.findall(rf"\b(?:{observation}|{view})\.(\w+)", inspect.getsource(type(law)))
     except (OSError, TypeError):  # a class that was typed in has no file
         return ""
-    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *inputs_of(law))]
+    unnamed = [field for field in OBSERVATION_FIELDS if field in read and field not in (*FREE, *_named(law))]
     return f"; its `inputs` do not name {', '.join(unnamed)}, which it reads, and which may be None then" if unnamed else ""
 
 

@@ -139,7 +139,7 @@ def summary(**changes: object) -> dict[str, Any]:
     return made | changes
 
 
-OF_ANGLES = ("polar", "spherical", "on_sphere", "own_columns")  # figures of two features, and of one's own columns
+OF_ANGLES = ("polar", "spherical", "on_sphere", "own_columns", "other_cameras")  # of two features, own columns, further cameras
 OF_VEHICLES = ("plane", "task_error", "localisation_error", "wheels", "slip")
 OF_FLIGHTS = ("velocity", "tilt", "rates", "rotors")
 EVERY_FIGURE = [title for draw, title in page.FIGURES.items() if draw.__name__ not in (*OF_ANGLES, *OF_VEHICLES, *OF_FLIGHTS)]

@@ -22,7 +22,14 @@ def frame(k: int, image: np.ndarray | None = None) -> Any:
     truth = SimpleNamespace(T_world_target=np.eye(4), T_world_camera=np.eye(4), q=np.zeros(2))
     seen = SimpleNamespace(uv=np.zeros((4, 2)), image=None)
     return SimpleNamespace(
-        t=k / 25, truth=truth, error=SimpleNamespace(rms_px=1.0, lost=False), observation=seen, goal=seen, image=image, row=np.zeros(0)
+        t=k / 25,
+        truth=truth,
+        error=SimpleNamespace(rms_px=1.0, lost=False),
+        observation=seen,
+        goal=seen,
+        image=image,
+        row=np.zeros(0),
+        cameras={},
     )
 
 

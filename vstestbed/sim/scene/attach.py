@@ -55,12 +55,15 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
     for actuator in there:
         model.delete(actuator)
     made = model.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    if servo.kp:
+    if not (servo.kp or servo.kv):
+        made.set_to_motor()
+    elif servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
         made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]
     else:
         made.set_to_velocity(kv=servo.kv)
-    made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
+    if servo.kp or servo.kv:
+        made.ctrllimited, made.ctrlrange = True, [-servo.speed, servo.speed]
     if np.isfinite(servo.torque):
         made.forcelimited, made.forcerange = True, [-servo.torque, servo.torque]
 

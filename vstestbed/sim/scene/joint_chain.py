@@ -10,7 +10,7 @@ import numpy as np
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
-from vstestbed.robots.chain import JointChain
+from vstestbed.robots.chain import JointChain, Load
 from vstestbed.sim.scene.model_files import cannot_compile, read_model
 
 MOST_JOINTS = 7
@@ -74,6 +74,56 @@ def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tupl
     M = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, M)
     return M[np.ix_(dofs, dofs)], model.dof_armature[dofs].copy()
+
+
+class ArmDynamics:
+    """Masses of an arm on its own (`robots.chain.ArmDynamics`), by recursive Newton-Euler and the composite rigid body algorithm.
+
+    file, flange, joints, load: as of `dynamics`.
+    """
+
+    def __init__(self, file: str, flange: str, joints: tuple[str, ...], load: Load | None):
+        spec = read_model(place_of_file(file))
+        if load is not None:
+            mass, *com, edge = load
+            at, (_, T_body_flange) = spec.site(flange), self._flange(file, flange)
+            body = (at.parent if at else spec.body(flange)).add_body(name="load", pos=T_body_flange[:3, :3] @ com + T_body_flange[:3, 3])
+            body.mass, body.inertia, body.explicitinertial, body.ipos = mass, [mass * edge**2 / 6] * 3, True, np.zeros(3)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._places, self._dofs = places_of(self._model, joints)
+        self._full, self._tau = np.zeros((self._model.nv, self._model.nv)), np.zeros(self._model.nv)
+
+    def _flange(self, file: str, flange: str) -> tuple[int, np.ndarray]:
+        found = flange_in(compiled(file), flange)
+        assert found is not None  # the arm was made with it
+        return found
+
+    def inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """See `robots.chain.ArmDynamics`."""
+        model, data = self._model, self._data
+        self._place(q)
+        data.qvel[self._dofs], data.qacc[self._dofs] = qd, qdd
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 1, self._tau)
+        return self._tau[self._dofs] + model.dof_armature[self._dofs] * qdd
+
+    def mass(self, q: np.ndarray) -> np.ndarray:
+        """See `robots.chain.ArmDynamics`."""
+        self._place(q)
+        mujoco.mj_crb(self._model, self._data)
+        mujoco.mj_fullM(self._model, self._data, self._full)
+        return self._full[np.ix_(self._dofs, self._dofs)]
+
+    def _place(self, q: np.ndarray) -> None:
+        self._data.qpos[self._places] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)
+
+
+def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> ArmDynamics:
+    """The masses of an arm by its file, with a load at its flange."""
+    return ArmDynamics(str(model_path(file)), flange, joints, load)
 
 
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
