@@ -11,6 +11,7 @@ class Outcome(Enum):
     converged = "the goal was reached and held"
     completed = "the task was kept in its band for the whole duration"
     landed = "the craft touched down on its pad"
+    inserted = "the plug sits in its socket"
     timed_out = "the time ran out before the goal was reached"
     unstable = "the loop swung or grew until the time ran out"
     target_lost = "the target was out of sight for too long"
@@ -20,6 +21,7 @@ class Outcome(Enum):
     diverged = "the camera left for the far distance"
     collided = "the robot touched something"
     overturned = "the craft tilted by more than 60 degrees"
+    jammed = "the plug stuck before its depth"
     rotor_limit = "a rotor stood at its limit for too long"
     law_failed = "the law failed, and the robot was stopped"
     crashed = "the simulation became unstable"
@@ -29,7 +31,7 @@ class Outcome(Enum):
     @property
     def success(self) -> bool:
         """Whether the task was done."""
-        return self in (Outcome.converged, Outcome.completed, Outcome.landed)
+        return self in (Outcome.converged, Outcome.completed, Outcome.landed, Outcome.inserted)
 
     @property
     def out_of_time(self) -> bool:

@@ -66,6 +66,7 @@ class Observation:
         proprioception: what the robot's own sensors tell of its state (k,) at the exposure (`Robot.proprioception`).
         robot: its own velocities, their limits and the camera twist that they make, when the picture has arrived.
         cameras: what the further cameras tell, by name, as far as they have taken a picture.
+        wrench: force and moment (6,) on the tool by the wrist's sensor, at the camera's origin in its frame [N, Nm]; None without a sensor.
 
     Where the scenario derotates, xy, depth, T_camera_target, ray, relative and motion are those of the level camera, which
     shares the craft's place and heading; uv is what the picture shows.
@@ -88,6 +89,7 @@ class Observation:
     image: Sight | None = None
     ids: NDArray[np.intp] | None = None
     cameras: Mapping[str, CameraView] | None = None
+    wrench: Array | None = None
 
     @property
     def seen(self) -> NDArray[np.bool_]:

@@ -415,6 +415,8 @@ class Controller:
             seen = replace(seen, robot=self._own_rates.model(last, shot, t, t_cmd, reading, mount))
         if self._needs_own_state:
             seen = replace(seen, proprioception=s.robot.proprioception(shot.reading, seen.odometry))
+        if shot.reading.wrench is not None:
+            seen = replace(seen, wrench=self._mount_at(shot.reading.q).to_flange.T @ shot.reading.wrench)
         if self._needs_sight and picture is not None:
             seen = replace(seen, image=sight_of(picture))
         return seen

@@ -56,6 +56,8 @@ class Inputs:
             _finite("readings.heading", "must be an angle in radians, or None without a compass", reading.heading, ())
         if reading.tilt is not None:
             _finite("readings.tilt", "must be roll and pitch in radians, or None", reading.tilt, (2,))
+        if reading.wrench is not None or getattr(self._robot, "wrist", None) is not None:
+            _finite("readings.wrench", "must be six finite numbers, with robot.wrist", reading.wrench, (6,))
         if isinstance(reading, FlightReading):  # a craft's failsafe lives by these numbers
             if not reading.range_m >= 0:  # infinite over nothing
                 raise ParameterError.bound("readings.range_m", ">=", "0 m, infinite over nothing", reading.range_m)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
@@ -23,8 +23,9 @@ from vstestbed.core.spec import spec
 from vstestbed.effects.base import Effect
 from vstestbed.effects.joints import FINEST, CurrentLoops, ElasticJoints, Encoders, Gears, Motors, Ripple, StrainWave, each, quickest
 from vstestbed.effects.links import GeometryError, Payload
+from vstestbed.effects.tool import FORCE, PLUG, TORQUE, Plug, Tool, WristSensor
 from vstestbed.robots.allocation import ALL_SIX, Actuation, Allocation, Limit, Mount, Servo
-from vstestbed.robots.base import LARGEST_STEP_S, STOP_S, BodyFile, Reading, SensorModel, random_of
+from vstestbed.robots.base import LARGEST_STEP_S, STOP_S, BodyFile, Reading, RobotLog, RobotState, SensorModel, Supervisor, random_of
 from vstestbed.robots.chain import JointChain, reader
 from vstestbed.robots.inner_loops import WRENCH, ArmModel, Impedance, Inner, TorqueControl, VelocityServos
 from vstestbed.robots.own_model import OwnModel
@@ -188,6 +189,9 @@ class Arm(Realistic):
         gravity_error: share of the weight that the drives' gravity compensation leaves uncarried, negative for too much [1]; servos that
             hold a position without compensation then have one, and sag by what it leaves over kp; e.g. `0.05`.
         payload: a load at the flange; None: none.
+        tool: a plug at the flange; None: none; e.g. `{radius: 0.01, length: 0.15}`.
+        wrist: a sensor of forces and moments between the flange and what it carries, whose reading is in the log; None: none; e.g.
+            `{noise_n: 0.1}`.
         controller: what makes torques of the ordered joint speeds: the joints' own servos (`velocity`), or `computed_torque` or
             `impedance` on motors with the same limits and friction.
     """
@@ -200,6 +204,8 @@ class Arm(Realistic):
     geometry_error: GeometryError | None = None
     gravity_error: Annotated[float, Ge(-1), Le(1)] | None = None
     payload: Payload | None = None
+    tool: Plug | None = None
+    wrist: WristSensor | None = None
     controller: Inner = VelocityServos()
 
     start: ClassVar[ArmStart]
@@ -250,7 +256,15 @@ class Arm(Realistic):
         actuation, names, loop = self._actuation, self.chain.names, self.controller
         step = min(LARGEST_STEP_S, 1 / loop.rate_hz) if loop.torques else LARGEST_STEP_S
         return BodyFile(
-            self.file, names, flange=self.flange, actuation=actuation, limits=self.chain.limits, gripper=True, largest_step_s=step
+            self.file,
+            names,
+            sensors=(FORCE, TORQUE) if self.wrist is not None else (),
+            flange=self.flange,
+            actuation=actuation,
+            limits=self.chain.limits,
+            largest_step_s=step,
+            feet=(PLUG,) if self.tool is not None else (),
+            gripper=True,
         )
 
     @property
@@ -323,6 +337,8 @@ class Arm(Realistic):
             found.append(self.elastic)
         if self.geometry_error is not None and self.geometry_error.displacements(len(self.chain.names)) is not None:
             found.append(self.geometry_error)
+        if self.tool is not None or self.wrist is not None:
+            found.append(Tool(self.tool, self.wrist))
         return (*found, *((self.payload,) if self.payload is not None else ()), *self.effects)
 
     def _springs(self, gears: Gears) -> tuple[Array, Array | None, Array | None]:
@@ -373,10 +389,19 @@ class Arm(Realistic):
 
     def instruments(self, rng: np.random.Generator) -> SensorModel:
         """What the encoders read of the rotors' angles q and speeds qd (n,) each."""
-        encoders, slides = self.encoders, self.chain.slides
-        if encoders is None:
+        encoders, wrist, slides = self.encoders, self.wrist, self.chain.slides
+        if encoders is None and wrist is None:
             return super().instruments(rng)
-        return lambda q, qd, sensors: Reading(*encoders.read(q, qd, slides))
+
+        def read(q: Array, qd: Array, sensors: Mapping[str, list[float]]) -> Reading:
+            q, qd = (q, qd) if encoders is None else encoders.read(q, qd, slides)
+            return Reading(q, qd, wrench=None if wrist is None else wrist.read(sensors, rng))
+
+        return read
+
+    def log(self, supervisor: Supervisor) -> RobotLog:
+        """With the wrist's sensor its reading."""
+        return RobotLog(supervisor) if self.wrist is None else WristLog(supervisor)
 
     def configuration(self) -> Array:
         """Joint positions of the nominal start, shape (n,) [rad, m]."""
@@ -537,3 +562,16 @@ class Arm(Realistic):
             room = (high - at if u > 0 else at - low) - LIMIT_MARGIN
             speed, position = min(speed, most / size), min(position, max(room, 0.0) / horizon_s / size)
         return speed, position
+
+
+class WristLog(RobotLog):
+    """The supervisor's mode and the wrist's reading, `wrist_fx` to `wrist_mz`: force and moment on the tool, in the flange's frame [N,
+    Nm].
+    """
+
+    columns = (*RobotLog.columns, *(f"wrist_{part}{axis}" for part in "fm" for axis in "xyz"))
+
+    def row(self, state: RobotState) -> Array:
+        """Values at one exposure."""
+        assert state.reading.wrench is not None
+        return np.append(super().row(state), state.reading.wrench)

@@ -34,12 +34,14 @@ class Reading:
         q, qd: joint positions and velocities [rad, rad/s], shape (n,) each.
         heading: by a compass, from the world's x axis, counter-clockwise [rad]; None without one.
         tilt: estimated roll and pitch, shape (2,) [rad]; None where the robot estimates none.
+        wrench: force and moment (6,) on what the flange carries, at its origin in its frame [N, Nm]; None without a sensor at the wrist.
     """
 
     q: Array
     qd: Array
     heading: float | None = None
     tilt: Array | None = None
+    wrench: Array | None = None
 
 
 # Supervisor: may override the law's order for the robot's safety, from proprioception alone.

@@ -110,6 +110,8 @@ def check_depth(robot: Robot, camera: Camera, detector: Detector[Any], law: Law[
         words = "may be sensor only with a depth camera: add camera.depth_sensor"
         others = "goal or constant" if "image" in law.inputs else "pnp, constant, goal or estimate"
         raise ParameterError("law.depth", f"{words} ({', '.join(DEPTH_SENSORS.members)}), or use {others}")
+    if "wrench" in law.inputs and getattr(robot, "wrist", None) is None:
+        raise ParameterError.needs("law", "robot.wrist, a sensor of the wrench that it reads", law.kind)
     if law.depth.on_floor and robot.base != "planar":
         words = f"may be floor only for a vehicle, and robot {robot.kind} is none; use pnp, goal or estimate"
         raise ParameterError("law.depth", words)

@@ -15,13 +15,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from annotated_types import Len
+from annotated_types import Gt, Le, Len
 from numpy.typing import NDArray
 from pydantic import StringConstraints
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, Pose, inverse, transform
-from vstestbed.core.quantity import Mass, Position, PositiveLength
+from vstestbed.core.quantity import Length, Mass, Position, PositiveLength
 from vstestbed.core.spec import spec
 from vstestbed.targets.markers import HUES_DEG, MARKERS, Disc, Marker
 from vstestbed.targets.motion import MOTIONS, Carried, MotionBase, Path, Still
@@ -56,6 +56,25 @@ class Pad:
 
 
 @spec
+class Socket:
+    """A round hole for a plug: a tube on the front of the target, its axis along the target's z, the mouth towards the viewer.
+
+    Args:
+        radius: of the hole [m].
+        depth: from the mouth to the bottom, which is in the target's plane [m].
+        wall: thickness of the tube [m].
+        xy: where its axis crosses the plane, in the target's frame [m].
+        friction: Coulomb friction of what it touches [1].
+    """
+
+    radius: PositiveLength = 0.011
+    depth: PositiveLength = 0.04
+    wall: PositiveLength = 0.01
+    xy: tuple[Length, Length] = (0.0, 0.0)
+    friction: Annotated[float, Gt(0), Le(2)] = 0.3
+
+
+@spec
 class Target:
     """All that other rooms read of a target, with defaults for everything but `kind` and `points`.
 
@@ -64,6 +83,7 @@ class Target:
         marker: what marks each of its points.
         motion: how it moves from there.
         pad: a plate to land on; None: no plate; e.g. `{side: 0.9}`.
+        socket: a hole for a plug; None: none; e.g. `{radius: 0.011, depth: 0.04}`.
         names: names of its markers, in their order, for messages, figures and `goal.markers`; none: they are numbered;
             e.g. `[top left, top right, bottom right, bottom left]`.
     """
@@ -72,6 +92,7 @@ class Target:
     marker: Annotated[Marker, MARKERS] = Disc()
     motion: Annotated[MotionBase, MOTIONS] = Still()
     pad: Pad | None = None
+    socket: Socket | None = None
     names: Annotated[tuple[Name, ...], Len(0, 24)] = ()
 
     one_sided: ClassVar[bool] = False  # whether only its front has markers: seen from behind its plane it counts as lost

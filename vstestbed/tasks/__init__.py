@@ -3,6 +3,7 @@
 from vstestbed.core.registry import Contract, Registry
 from vstestbed.tasks.base import Task, TaskBase
 from vstestbed.tasks.following import GoalGap, GoalLine
+from vstestbed.tasks.insertion import GoalInsertion
 from vstestbed.tasks.landing import GoalLanding
 from vstestbed.tasks.monitor import Setup
 from vstestbed.tasks.path import GoalPath, GoalViews
@@ -17,15 +18,17 @@ FIELDS = {
     "offset_m": "line",
     "way": "path",
     "above": "landing",
+    "tip_m": "insertion",
 }
 """The kind of a goal block without `kind`, recognised by one of its fields."""
-KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalTrack
+KINDS = GoalView, GoalViewFrom, GoalViews, GoalPlace, GoalGap, GoalLine, GoalPath, GoalLanding, GoalInsertion, GoalTrack
 GOALS = Registry("goal", *KINDS, fields=FIELDS, contract=Contract(Task, base=Task))
 
 __all__ = [
     "GOALS",
     "VIEWS",
     "GoalGap",
+    "GoalInsertion",
     "GoalLanding",
     "GoalLine",
     "GoalPath",

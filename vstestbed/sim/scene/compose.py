@@ -10,12 +10,15 @@ scene sits at the wrist's centre, inside the hand), 2 the robot, 3 the target, 5
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
 from vstestbed.camera import Camera
 from vstestbed.core.geometry import FLIP, Array, quaternion_wxyz, transform
 from vstestbed.core.named_files import model_path
+from vstestbed.effects.tool import SOFT_S
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.cube_map import drawn_for
 from vstestbed.sim.scene.attach import add_robot, extent_of
@@ -26,7 +29,7 @@ from vstestbed.sim.scene.overview import frame_drive, frame_flight
 from vstestbed.sim.scene.scenery import add_scenery
 from vstestbed.sim.scene.world import AWAY
 from vstestbed.targets import Target
-from vstestbed.targets.base import Body
+from vstestbed.targets.base import Body, Socket
 from vstestbed.targets.markers import HALF_THICKNESS_M, Solid
 from vstestbed.targets.mesh import as_stl
 from vstestbed.targets.picture import SHARE, PictureTarget
@@ -91,6 +94,7 @@ DECOYS = {"ball": "sphere", "disc": "cylinder", "box": "box"}
 PAD_HALF_M = 0.01  # half of a landing pad's thickness [m]
 PAD_FRICTION = [0.8, 0.005, 0.0001]  # rubber feet on a painted plate, as on a hard floor
 BEHIND_SHEET_M = 1e-3  # How far a board is behind a flat region, which has no thickness [m]: nearer, OpenGL could mix the two far away
+SOCKET_SIDES, SOCKET_BOTTOM_M = 32, 0.002  # flat insides of a socket's hole, and half the thickness of its bottom [m]
 PITCH_M = 1e-5  # Pixel pitch that MuJoCo's camera is given [m]; it drops out, since focal length and principal point are in pixels
 
 
@@ -228,6 +232,25 @@ def _add_target(scene: mujoco.MjSpec, target: Target, carrier: mujoco.MjsBody | 
     if target.body is not None:
         add_body(scene, body, target.body)
     _add_back(scene, body, target)
+    if target.socket is not None:
+        _add_socket(body, target.socket)
+
+
+def _add_socket(body: mujoco.MjsBody, socket: Socket) -> None:
+    """A tube of boxes, whose flat insides touch a circle of the hole's radius, and its bottom; the front of a target collides nowhere
+    else.
+    """
+    middle, half = socket.radius + socket.wall / 2, (socket.radius + socket.wall) * math.tan(math.pi / SOCKET_SIDES)
+    grey, friction = [0.45, 0.47, 0.5, 1.0], [socket.friction, 0.005, 0.0001]
+    parts: list[tuple[list[float], list[float], float]] = [([*socket.xy, SOCKET_BOTTOM_M], [middle, middle, SOCKET_BOTTOM_M], 0.0)]
+    for k in range(SOCKET_SIDES):
+        angle = 2 * math.pi * k / SOCKET_SIDES
+        at = [socket.xy[0] + middle * math.cos(angle), socket.xy[1] + middle * math.sin(angle), -socket.depth / 2]
+        parts.append((at, [socket.wall / 2, half, socket.depth / 2], angle))
+    for k, (at, size, angle) in enumerate(parts):
+        quat = [math.cos(angle / 2), 0, 0, math.sin(angle / 2)]
+        geom = body.add_geom(name=f"target/socket_{k}", type=GEOMS["box"], size=size, pos=at, quat=quat, rgba=grey, group=TARGET_GROUP)
+        geom.mass, geom.friction, geom.solref = 0.0, friction, [SOFT_S, 1.0]
 
 
 def _add_back(scene: mujoco.MjSpec, body: mujoco.MjsBody, target: Target) -> None:
