@@ -104,7 +104,7 @@ class Metric:
         return self.of == "any"
 
 
-MOVING, MODES, LINK = "a target that moves", "a law with modes", "a link or a camera clock"
+MOVING, MODES, LINK, PLUG = "a target that moves", "a law with modes", "a link or a camera clock", "a task of insertion"
 EVERY_RUN = (
     Metric("sim_time_s", "Simulated time", "s", better=0),
     Metric("frames", "Frames", better=0),
@@ -140,6 +140,8 @@ SOME_RUNS = (
     Metric("final_error_grey", "Measured image error", "grey levels", of="ended", where="a law that works on grey levels", tile=True),
     Metric("swung_s", "Longest time for which the command swung", "s", of="any", where="a command that swung"),
     Metric("swing_frames", "Period of that swing, in frames", better=0, of="any", where="a command that swung"),
+    Metric("insertion_m", "Depth of the plug in its socket", "mm", 1e3, better=1, of="any", where=PLUG, tile=True),
+    Metric("largest_force_n", "Largest force on the plug", "N", of="any", where=PLUG, tile=True),
 )
 """The metrics that a summary has where the run has what they tell of."""
 OF_A_RUN = (
