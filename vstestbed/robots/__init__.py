@@ -7,6 +7,7 @@ from vstestbed.robots.allocation import Actuation, Allocation, Mount, Order
 from vstestbed.robots.arm import Arm
 from vstestbed.robots.base import BodyFile, Onboard, Reading, Robot, RobotBase
 from vstestbed.robots.car import Car
+from vstestbed.robots.compound import Compound
 from vstestbed.robots.free import Free
 from vstestbed.robots.mjcf import Mjcf
 from vstestbed.robots.omni import Omni
@@ -14,7 +15,7 @@ from vstestbed.robots.puma560 import Puma560
 from vstestbed.robots.quadrotor import Quadrotor
 from vstestbed.robots.vehicle import Vehicle
 
-ROBOTS = Registry("robot", Free, Puma560, Mjcf, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
+ROBOTS = Registry("robot", Free, Puma560, Mjcf, Compound, Omni, Car, Quadrotor, contract=Contract(Robot, base=Robot))
 VEHICLES: Mapping[str, Callable[[], Vehicle]] = {"omni": Omni, "car": Car}  # Robots that can carry a target along a route (`Carried.by`)
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Arm",
     "BodyFile",
     "Car",
+    "Compound",
     "Free",
     "Mjcf",
     "Mount",

@@ -143,7 +143,7 @@ class Positions:
         q_deg: the positions in the order of `joints` [deg; m for a joint that slides].
     """
 
-    q_deg: Annotated[tuple[Angle, ...], Len(2, 7)]
+    q_deg: Annotated[tuple[Angle, ...], Len(2, 10)]
 
 
 @spec

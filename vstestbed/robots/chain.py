@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
+from vstestbed.effects.body import Change
 
 
 class ChainReader(Protocol):
@@ -20,6 +21,10 @@ class ChainReader(Protocol):
 
     def joint_chain(self, file: str, flange: str, names: tuple[str, ...]) -> JointChain:
         """The joints from the root to a flange; names: in their order, () for all."""
+        ...
+
+    def mounted(self, platform: str, changes: tuple[Change, ...], arm: str, place: tuple[float, float, float]) -> str:
+        """The file of a platform with an arm on it at a place [m]; platform, arm: their files; changes: of the platform."""
         ...
 
     def dynamics(self, file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> ArmDynamics:

@@ -24,7 +24,7 @@ Stiffness = Annotated[float, Gt(0), Le(1e6)]
 WRENCH = 6  # numbers of a wanted wrench, after the joint speeds of a setpoint for an impedance
 LEAST_MOBILITY = 1e-6
 """Added to the diagonal of J M^-1 J^T [1/kg, 1/(kg m^2)]: at a singularity the mass that is felt is a million kg, and not without bound."""
-POSTURE_PER_S = 2.0  # damping of the motions that leave the flange where it is, over the joints' own inertia [1/s]
+POSTURE_RADPS = 5.0  # with which motions that leave the frame where it is follow the reference, critically damped [rad/s]
 
 
 class Reference(NamedTuple):
@@ -92,8 +92,8 @@ class Impedance(InnerLoop):
 
     x = log(T^-1 T_ref) is the displacement to the reference, in which the ordered joint speeds have led T_ref, v the velocity to it, both
     in the frame itself; F is a wanted wrench (`Command.wrench`). A static push f displaces it by K^-1 f. The mass that is felt is the arm's
-    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double diagonalization"). A seventh joint is damped. What
-    friction holds, springs do not move.
+    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double diagonalization"). What more than six joints leave open
+    follows the reference at 5 rad/s. What friction holds, springs do not move.
 
     Args:
         rate_hz: at which it is computed [Hz].
@@ -126,7 +126,8 @@ class Impedance(InnerLoop):
         wrench = K @ log(inverse(T @ at) @ T_ref @ at) + damping_of(felt, K, self.damping) @ (J @ (setpoint[:n] - qd)) + setpoint[n:]
         tau = J.T @ wrench + arm.dynamics.inverse(q, qd, np.zeros(n))
         if n > 6:  # torques that leave the frame alone, J M^-1 tau = 0
-            posture = -POSTURE_PER_S * M @ qd
+            w = POSTURE_RADPS
+            posture = M @ (w * w * (q_ref - q) + 2 * w * (setpoint[:n] - qd))
             tau = tau + posture - J.T @ (felt @ (across.T @ posture))
         return tau
 

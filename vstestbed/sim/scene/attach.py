@@ -57,6 +57,7 @@ def _add(model: mujoco.MjSpec, servo: Servo) -> None:
     made = model.add_actuator(name=servo.joint, target=servo.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     if not (servo.kp or servo.kv):
         made.set_to_motor()
+        made.ctrllimited = made.forcelimited = False  # whatever the file's defaults for actuators are
     elif servo.kp:
         made.set_to_intvelocity(kp=servo.kp, kv=servo.kv)
         made.actlimited, made.actrange = True, [-UNBOUNDED, UNBOUNDED]

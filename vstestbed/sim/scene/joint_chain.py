@@ -12,6 +12,7 @@ from vstestbed.core.named_files import model_path, place_of_file
 from vstestbed.effects.base import places_of
 from vstestbed.robots.chain import JointChain, Load
 from vstestbed.sim.scene.model_files import cannot_compile, read_model
+from vstestbed.sim.scene.mounted import mounted as mounted
 
 MOST_JOINTS = 7
 WORDS = {int(mujoco.mjtJoint.mjJNT_FREE): "a free joint", int(mujoco.mjtJoint.mjJNT_BALL): "a ball joint"}
