@@ -51,7 +51,9 @@ TASKS = {
     "track": lambda: scenario("arm_track_circle", {"stop.duration_s": 8.0}),
     "path": lambda: scenario("quadrotor_path", {"goal.way": LEG, "stop.duration_s": 25.0}),  # the whole path is flown in tests/loop
     "landing": lambda: quick("landing"),
+    "insertion": lambda: scenario("arm_insert", {"robot.controller": "velocity", "robot.start.nominal.q_deg": BEFORE_MOUTH}),
 }
+BEFORE_MOUTH = [13.0, 34.0, -168.0, 18.4, 46.0, -13.0]  # of a plug 2 cm before the approach
 TARGET_EXAMPLES = {
     "square": lambda: Square(side=0.4, pose=Pose(xyz=(0, 0, 1))),
     "points": lambda: Points(at=((0, 0, 0), (0.2, 0, 0.1), (0, 0.3, 0)), pose=Pose(xyz=(0, 0, 1))),
@@ -83,6 +85,8 @@ def scenario(name, changes):
 def robot(kind):
     if kind == "mjcf":
         return ROBOTS.members[kind](**{name: value for name, value in block("scara").items() if name != "kind"})
+    if kind == "compound":
+        return vs.load("mobile_ibvs").robot
     return Free(start=FreeStart(nominal=Pose(xyz=(0, 0, -1)))) if kind == "free" else ROBOTS.members[kind]()
 
 

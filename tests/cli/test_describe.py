@@ -63,7 +63,7 @@ def test_a_law(command) -> None:
     shown = [line.split(" ")[0] for line in lines[lines.index("field default unit what it is") :]]
     assert shown.index("translation") < shown.index("gain") < shown.index("solve")  # its own field before those of all laws of an error
     assert any(line.startswith("gain 0.5 1/s lambda, a number or an adaptive gain") for line in lines)
-    assert any(line.startswith("Used in: arm_calibrate, arm_pbvs, ") for line in lines)
+    assert any(line.startswith("Used in: arm_calibrate, arm_insert, arm_pbvs, ") for line in lines)
     assert lines[-1] == "law: {kind: pbvs, gain: 1.5, translation: cdMc}"
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 import vstestbed as vs
-from vstestbed.core.errors import ParameterError
+from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import Array, exp, inverse, transform
 from vstestbed.features.observation import CameraView, Goal, Observation
 from vstestbed.laws import IBVS, PBVS
+from vstestbed.scenario.load import parse
 from vstestbed.tasks.frame import Frame
 
 RIGHT = {"right": {"camera": {"width": 320, "height": 240, "fovy_deg": 64, "rate_hz": 25, "mount": {"xyz": [0.1, 0, 0]}}}}
@@ -252,3 +255,56 @@ class TestController:
         controller.look("room", small, 0.05, reading)
         with pytest.raises(ParameterError, match=r"t must be after 0\.05 s"):
             controller.look("room", small, 0.05, reading)
+
+
+class TestFiles:
+    """Calibrations of further cameras by their files."""
+
+    LENS = """image_width: 320
+image_height: 240
+camera_matrix: {rows: 3, cols: 3, data: [192, 0, 159.5, 0, 192, 119.5, 0, 0, 1]}
+distortion_model: plumb_bob
+distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
+"""
+
+    def test_a_runs_folder_keeps_them_and_gives_the_same_run_without_the_originals(self, tmp_path: Path) -> None:
+        lens = tmp_path / "given" / "lens.yaml"
+        lens.parent.mkdir()
+        lens.write_text(self.LENS)
+        right = {"camera": {"intrinsics": str(lens), "rate_hz": 25, "mount": {"xyz": [0.1, 0, 0]}}, "calibration": str(lens)}
+        given = SMALL | {"cameras": {"right": right}, "law.cameras": {"right": 1}, "stop.duration_s": 0.4, "detector": "oracle"}
+        recording = vs.run_into(tmp_path / "run", vs.load("arm_ibvs", given), films="none", report=False)
+        lens.unlink()
+        again = vs.run(vs.load(tmp_path / "run" / "scenario.yaml"))
+        assert np.array_equal(again.table, recording.rows.table, equal_nan=True)
+
+    def test_it_is_written_and_read_again_as_it_was(self) -> None:
+        scenario = arm(fusion="pose")
+        assert parse(vs.dump(scenario), "s.yaml") == scenario
+        assert parse(vs.dump(scenario, defaults=True), "s.yaml") == scenario
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"law.cameras": {"room": 1}}, "law.cameras.room: must name a camera that moves as the law's own does"),
+        ({"law.cameras": {"left": 1}}, "law.cameras.left: must be one of right, room"),
+        ({"law.depth": {"kind": "stereo", "camera": "room"}}, "law.depth.camera: must name a camera that moves"),
+        (
+            {"cameras.right.camera.latency_s": 0.02, "law.depth": {"kind": "stereo", "camera": "right"}},
+            "camera.latency_s: must be equal to 0",
+        ),
+        ({"cameras.right.camera.rate_hz": 24.0}, "cameras.right.camera.rate_hz: must be that of pictures a whole number of physics steps"),
+        ({"cameras.Eye": {}}, "cameras.Eye: must have a name of small letters"),
+        ({"cameras.right.detector": "tags"}, "cameras.right.target.marker: may not be disc"),
+        ({"law": {"kind": "hybrid", "cameras": {"right": 1}}}, "law.cameras: is for laws of an error"),
+        ({"cameras": {}, "fusion": "pose"}, "fusion: needs further cameras"),
+        (
+            {"robot": {"kind": "free", "start": {"nominal": {"xyz": [0.5, 0, 0.7], "rpy_deg": [-90, 0, -90]}}}},
+            "cameras.room.on: must be flange",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(words)):
+        arm(**change)

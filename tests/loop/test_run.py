@@ -281,7 +281,7 @@ class TestTruthFence:
 
     def test_of_a_task_only_what_judges_reads_the_truth(self):
         """Reference and goal views, which the law is told, are made of an observation and an error in the image."""
-        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "KeepOut"}  # `rules.py` reads it in a function
+        judges = {"Frame", "ToleranceMonitor", "LandingMonitor", "InsertionMonitor", "KeepOut"}  # `rules.py` reads it in a function
         assert self.readers("tasks", "truth", "T_world_camera", "hidden") == judges
         for task in GOALS.members.values():
             for name, arguments in (("reference", ["self", "state", "seen"]), ("passed", ["self", "state", "error"])):

@@ -92,8 +92,8 @@ class Impedance(InnerLoop):
 
     x = log(T^-1 T_ref) is the displacement to the reference, in which the ordered joint speeds have led T_ref, v the velocity to it, both
     in the frame itself; F is a wanted wrench (`Command.wrench`). A static push f displaces it by K^-1 f. The mass that is felt is the arm's
-    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double diagonalization"). What more than six joints leave open
-    follows the reference at 5 rad/s. What friction holds, springs do not move.
+    own, Lambda = (J M^-1 J^T)^-1, and D = 2 zeta in the modes of K over Lambda ("double diagonalization"). What more than six joints
+    leave open follows the reference at 5 rad/s. What friction holds, springs do not move.
 
     Args:
         rate_hz: at which it is computed [Hz].

@@ -93,12 +93,10 @@ def _kept(scenario: Scenario) -> list[tuple[str | None, Path, str]]:
     sources = [(what, part, part.source) for what, part in parts.items()]
     kept = [(getattr(part, "file", None), source, kept_at(source, what)) for what, part, source in sources if source]
     given: Any = scenario.given.made_of or {}
-    for what, block in (
-        ("robot_", given.get("robot")),
-        ("camera_", given.get("camera")),
-        ("calibration_", given.get("calibration")),
-        ("", given),
-    ):
+    blocks = [(f"{name}_", given.get(name)) for name in ("robot", "camera", "calibration")] + [("", given)]
+    for name, further in (given.get("cameras") or {}).items():
+        blocks += [(f"{name}_", further), (f"{name}_camera_", further.get("camera")), (f"{name}_calibration_", further.get("calibration"))]
+    for what, block in blocks:
         named = {name: block.get(name) for name in CALIBRATED} if isinstance(block, Mapping) else {}
         files = {what + name: file for name, file in named.items() if isinstance(file, str) and is_there(Path(file))}
         kept += [(file, Path(file), kept_at(Path(file), name)) for name, file in files.items()]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
@@ -25,7 +24,7 @@ from vstestbed.scenario.cameras import FurtherCamera, OtherCamera, check_cameras
 from vstestbed.scenario.distributions import DISTRIBUTIONS, Distribution
 from vstestbed.scenario.noise import Noise
 from vstestbed.scenario.randomise import BODY_STREAM, DEPTH_STREAM, PERTURB_STREAM, START_STREAM, TARGET_STREAM, check_randomise, drawn
-from vstestbed.sim.base import Viewpoint, camera_start, flange_for, posture_at, target_start
+from vstestbed.sim.base import camera_start, flange_for, posture_at, target_start
 from vstestbed.sim.scene.world import World
 from vstestbed.targets import TARGETS, Target
 from vstestbed.targets.markers import HIDDEN_M
@@ -42,12 +41,8 @@ from vstestbed.vision.perturb import Perturbed
 VIEW_MARGIN_PX = 10.0  # margin round each whole marker in the picture of a random start [px]
 
 
-def in_view(
-    robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World, others: Sequence[Viewpoint] = ()
-) -> bool:
-    """Whether the robot's start has the whole target in the picture, or all of it that counts for the first goal, seen from its front.
-    others: cameras in whose pictures a part of it may be instead.
-    """
+def in_view(robot: Robot, camera: Camera, target: Target, detector: Detector[Any], goal: Goal, world: World) -> bool:
+    """Whether the robot's start has the whole target in the picture, or all of it that counts for the first goal, seen from its front."""
     T_world_camera = camera_start(robot, camera, target)
     T = inverse(T_world_camera) @ target_start(robot, target)
     if detector.rows is not None:  # points that are not its markers: its middle must be seen from the front
@@ -57,10 +52,6 @@ def in_view(
     turned = T[2, 2] if isinstance(camera, Perspective) else facing
     faces = turned > 0.17 or not target.one_sided  # within 80 degrees of the target's normal: beyond, discs are slivers
     whole = camera.whole(p, target.marker.radius, VIEW_MARGIN_PX) & ~target.hides(inverse(T))
-    for other in others:
-        seen_from = other.pose(robot.flange_pose(robot.configuration()))
-        p_other = target.seen_from(inverse(target_start(robot, target)) @ seen_from)
-        whole |= other.camera.whole(p_other, target.marker.radius, VIEW_MARGIN_PX)
     if world.scenery is not None and whole.any():
         names = world.scenery_before(T_world_camera, p, target.marker.height_m + HIDDEN_M)
         whole &= np.array([not name for name in names])
@@ -316,9 +307,8 @@ class Scenario:
         robot: Robot | None = body
         if made.draw_start:
             rng, parts = made.rng(START_STREAM), (made.camera, made.target, made.detector, made.goal_views[0], made.world)
-            others = [eye.viewpoint for eye in made.eyes.values()] if made.fusion == "pose" else []
             started = (body.randomised(rng) for _ in range(TRIES))
-            robot = next((start for start in started if in_view(start, *parts, others)), None)
+            robot = next((start for start in started if in_view(start, *parts)), None)
             if robot is None:
                 words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
                 raise ParameterError("robot.start.random", words)

@@ -20,6 +20,7 @@ from vstestbed.camera import Camera, Image, Perspective
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse
 from vstestbed.core.named_files import absolute_file, place_of_file
+from vstestbed.core.outcome import Outcome
 from vstestbed.core.quantity import Sigma, TighterBounds
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
@@ -169,6 +170,7 @@ class Task:
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed", "planar", "floating"})  # The bases of robots that can execute it
     continuing: ClassVar[bool] = False  # Whether it has no goal to reach, but an error to keep within a tolerance for the whole duration
     lands: ClassVar[bool] = False  # Whether it ends on the ground
+    ends: ClassVar[Outcome] = Outcome.converged  # The outcome with which it is done
     by_clock: ClassVar[bool] = False  # Whether the reference moves with time, so that `goal_poses` are points on a trajectory
     needs_pose: ClassVar[bool] = False
     """Whether the law needs the target's pose itself, so that its depth source must be one that estimates it."""

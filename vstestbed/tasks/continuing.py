@@ -68,6 +68,7 @@ class Continuing(Task):
     """Defaults of continuing tasks; `band_m` and `settle_s` are fields of each."""
 
     continuing: ClassVar[bool] = True
+    ends: ClassVar[Outcome] = Outcome.completed
     band_m: Any  # a field of each task, with its own default
 
     @property

@@ -79,6 +79,7 @@ class GoalInsertion(Task):
     jam_s: PositiveTime = 3.0
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed"})
     needs_still: ClassVar[bool] = True
+    ends: ClassVar[Outcome] = Outcome.inserted
 
     def check(self, setup: Setup) -> None:
         """The arm must have a plug, the target a socket that takes it, and the law a pose to be in line by."""

@@ -55,6 +55,7 @@ class GoalLanding(Task):
     asks: ClassVar[str] = "landing"
     bases: ClassVar[frozenset[Base]] = frozenset({"floating"})
     lands: ClassVar[bool] = True
+    ends: ClassVar[Outcome] = Outcome.landed
     view_fields: ClassVar[tuple[str, ...]] = ("goal.above",)
 
     def check(self, setup: Setup) -> None:

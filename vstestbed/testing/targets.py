@@ -118,8 +118,7 @@ def check_task(scenario: Scenario) -> None:
     short = uninterrupted(run(replace(scenario, stop=replace(scenario.stop, duration_s=SHORT_FRAMES * scenario.camera.period))))
     assert short.outcome is Outcome.timed_out, f"{task.kind}: 3 frames must not be enough, {short.outcome.name}: {short.reason}"
     whole = uninterrupted(run(scenario))
-    expected = Outcome.landed if task.lands else Outcome.completed if task.continuing else Outcome.converged
-    assert whole.outcome is expected, f"{task.kind}: must end {expected.name}, ended {whole.outcome.name}: {whole.reason}"
+    assert whole.outcome is task.ends, f"{task.kind}: must end {task.ends.name}, ended {whole.outcome.name}: {whole.reason}"
     own = [name for name in scenario.own_columns if name not in whole.columns]
     assert not own, f"{task.kind}: its log lacks the columns {', '.join(own)}"
     if task.continuing:  # its logged error was within the tolerance, since the run counts as completed

@@ -77,7 +77,7 @@ def inertia_at(file: str, joints: tuple[str, ...], q: tuple[float, ...]) -> tupl
     return M[np.ix_(dofs, dofs)], model.dof_armature[dofs].copy()
 
 
-class ArmDynamics:
+class Masses:
     """Masses of an arm on its own (`robots.chain.ArmDynamics`), by recursive Newton-Euler and the composite rigid body algorithm.
 
     file, flange, joints, load: as of `dynamics`.
@@ -122,9 +122,9 @@ class ArmDynamics:
         mujoco.mj_comPos(self._model, self._data)
 
 
-def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> ArmDynamics:
+def dynamics(file: str, flange: str, joints: tuple[str, ...], load: Load | None) -> Masses:
     """The masses of an arm by its file, with a load at its flange."""
-    return ArmDynamics(str(model_path(file)), flange, joints, load)
+    return Masses(str(model_path(file)), flange, joints, load)
 
 
 def placed(xyz: np.ndarray, R: np.ndarray) -> np.ndarray:
