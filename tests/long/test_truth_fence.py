@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from tests.robots.arms import where_installed
 from vstestbed.core.geometry import exp
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.core.outcome import Outcome
-from vstestbed.loop.episode import Episode
+from vstestbed.loop.shutter import CameraClock
 from vstestbed.loop.termination import Termination
 from vstestbed.sim.base import Truth
 
@@ -24,16 +22,17 @@ OF_PICTURES = "keypoints", "patch", "region", "none"
 def corrupted(truth: Truth, rng: np.random.Generator) -> Truth:
     """The same with garbage in every field but the oracle's: poses moved at random, flags turned, numbers drawn anew."""
     garbage: dict[str, object] = {}
-    for field in dataclasses.fields(truth):
-        value = getattr(truth, field.name)
-        if field.name in ("p_camera", "hidden"):  # what the oracle is given
+    for name, value in truth._asdict().items():
+        if name in ("p_camera", "hidden"):  # what the oracle is given
             continue
-        if field.name.startswith("T_world"):
-            garbage[field.name] = value @ exp(rng.normal(size=6))
+        if name.startswith("T_world"):
+            garbage[name] = value @ exp(rng.normal(size=6))
         elif isinstance(value, np.ndarray):
-            garbage[field.name] = ~value if value.dtype == bool else rng.normal(size=value.shape)
+            garbage[name] = ~value if value.dtype == bool else rng.normal(size=value.shape)
+        elif isinstance(value, tuple):
+            garbage[name] = tuple(rng.normal(size=len(value)))
         else:
-            garbage[field.name] = "" if value else "hub and floor"
+            garbage[name] = "" if value else "hub and floor"
     return truth._replace(**garbage)
 
 
@@ -45,20 +44,22 @@ class Commands:
 
     def frame(self, frame: vs.Frame) -> None:
         o = frame.observation
-        self.kept.append((frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy()))
+        seen = [array.copy() for eye in frame.cameras.values() for array in (eye.uv, eye.depth, eye.goal_uv)]
+        self.kept.append((frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy(), *seen))
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("name", where_installed(bundled_scenarios()))
 def test_a_corrupted_truth_changes_no_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     honest, lied_to, rng = Commands(), Commands(), np.random.default_rng(0)
-    arrive, own = Episode._arrive, vs.load(name)
+    send, own = CameraClock._send, vs.load(name)
     # markers by the oracle, which needs no pictures; what is seen without markers by its own detector
     scenario = own if own.detector.kind in OF_PICTURES else vs.load(name, {"detector": {"kind": "oracle"}})
     # a judge that believes the lies would end the run at once: here the clock does
     monkeypatch.setattr(Termination, "verdict", lambda termination, frame: (Outcome.timed_out, "") if frame.t >= DURATION_S else None)
     vs.run(scenario, watch=[honest])
-    monkeypatch.setattr(Episode, "_arrive", lambda self, made, step: arrive(self, (made[0], corrupted(made[1], rng)), step))
+    # every camera's pictures leave for the controller here, with the truth that stays behind
+    monkeypatch.setattr(CameraClock, "_send", lambda self, at, picture, made: send(self, at, picture, (made[0], corrupted(made[1], rng))))
     vs.run(scenario, watch=[lied_to])
     assert len(honest.kept) == len(lied_to.kept) > 5
     for told, lied in zip(honest.kept, lied_to.kept, strict=True):

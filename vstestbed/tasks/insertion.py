@@ -12,7 +12,7 @@ from annotated_types import Gt, Le
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.geometry import Array, inverse, rotation_angle
 from vstestbed.core.outcome import Outcome, Verdict
-from vstestbed.core.quantity import Angle, PositiveAngle, PositiveLength, PositiveSpeed, PositiveTime
+from vstestbed.core.quantity import Angle, PositiveAngle, PositiveLength, PositiveSpeed, PositiveTime, Time
 from vstestbed.core.spec import spec
 from vstestbed.features.observation import Goal, Observation
 from vstestbed.robots.arm import Arm
@@ -21,7 +21,7 @@ from vstestbed.targets import Target
 from vstestbed.tasks.base import Log, Task, view_from
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, at_the_end
-from vstestbed.tasks.monitor import Setup, TaskMonitor
+from vstestbed.tasks.monitor import Setup, TaskMonitor, has_held, held_since
 from vstestbed.tasks.stop import Stop
 
 Force = Annotated[float, Gt(0), Le(1e4)]
@@ -63,6 +63,7 @@ class GoalInsertion(Task):
         press_n: pressure along the axis at which the reference stops, with `robot.wrist` [N]; None: it does not stop by force.
         limit_n: true force on the plug that ends the run [N].
         jam_s: how long a plug that touches may stay where it is [s].
+        seat_s: for how long it must touch at its depth until it is inserted [s].
     """
 
     kind: Literal["insertion"] = "insertion"
@@ -77,6 +78,7 @@ class GoalInsertion(Task):
     press_n: Force | None = 20.0
     limit_n: Force = 200.0
     jam_s: PositiveTime = 3.0
+    seat_s: Time = 0.0
     bases: ClassVar[frozenset[Base]] = frozenset({"fixed"})
     needs_still: ClassVar[bool] = True
     ends: ClassVar[Outcome] = Outcome.inserted
@@ -192,7 +194,7 @@ class InsertionMonitor(TaskMonitor):
         self._force = names.index(FORCE_COLUMN)
         assert isinstance(setup.robot, Arm) and setup.robot.tool is not None
         self._tip = np.array([0.0, 0.0, setup.robot.tool.length])  # the true one
-        self._deepest, self._stuck_since = -math.inf, math.inf
+        self._deepest, self._stuck_since, self._seated_since = -math.inf, math.inf, math.inf
         self.depth_m = self.offset_m = math.nan
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
@@ -205,7 +207,9 @@ class InsertionMonitor(TaskMonitor):
     def reached(self, frame: Frame) -> Verdict | None:
         """The plug touches at its depth inside of the hole."""
         within, force = self.offset_m < self._socket.radius, frame.truth.effects[self._force]
-        if within and force <= self._goal.limit_n and self.depth_m >= self._depth - DEEP_ENOUGH_M and frame.truth.feet:
+        seated = within and force <= self._goal.limit_n and self.depth_m >= self._depth - DEEP_ENOUGH_M and bool(frame.truth.feet)
+        self._seated_since = held_since(self._seated_since, seated, frame.t)
+        if has_held(self._seated_since, frame.t, self._goal.seat_s):
             return Outcome.inserted, f"{1e3 * self.depth_m:.1f} mm deep, {1e3 * self.offset_m:.2f} mm beside the axis"
         return None
 
@@ -217,8 +221,8 @@ class InsertionMonitor(TaskMonitor):
             return Outcome.collided, f"contact of {frame.truth.feet or 'the plug'} with {force:.0f} N, over {goal.limit_n:g} N, {where}"
         if not frame.truth.feet or self.depth_m > self._deepest + CRAWL_M:
             self._deepest, self._stuck_since = max(self._deepest, self.depth_m), math.inf
-        if frame.truth.feet:
-            self._stuck_since = min(self._stuck_since, t)
-        if t - self._stuck_since >= goal.jam_s:
+        stuck = bool(frame.truth.feet) and math.isinf(self._seated_since)
+        self._stuck_since = held_since(self._stuck_since, stuck, t)
+        if has_held(self._stuck_since, t, goal.jam_s):
             return Outcome.jammed, f"for {goal.jam_s:g} s, {where}"
         return super().missed(frame)
