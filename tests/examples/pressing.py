@@ -7,7 +7,6 @@ Reference: Raibert & Craig 1981, doi:10.1115/1.3139652.
 
 from typing import Annotated, Literal
 
-import numpy as np
 from annotated_types import Gt
 
 import vstestbed as vs

@@ -26,5 +26,5 @@ def pressed(**changes: object) -> float:
 
 
 def test_the_plug_sits_with_the_ordered_force_where_a_law_of_pictures_presses_on():
-    assert pressed(**{"law": {"kind": "pressing", "gain": 1, "force_n": 20.0}}) == pytest.approx(20, abs=3)
+    assert pressed(law={"kind": "pressing", "gain": 1, "force_n": 20.0}) == pytest.approx(20, abs=3)
     assert pressed() > 50

@@ -45,7 +45,9 @@ class Commands:
     def frame(self, frame: vs.Frame) -> None:
         o = frame.observation
         seen = [array.copy() for eye in frame.cameras.values() for array in (eye.uv, eye.depth, eye.goal_uv)]
-        self.kept.append((frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy(), *seen))
+        self.kept.append(
+            (frame.command.u.copy(), frame.allocation.setpoint.copy(), o.uv.copy(), o.depth.copy(), frame.goal.uv.copy(), *seen)
+        )
 
 
 @pytest.mark.study

@@ -7,12 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+import av
+import cv2
 import numpy as np
 import pytest
 
 import vstestbed as vs
 from vstestbed.core.errors import ParameterError, ScenarioError
-from vstestbed.core.geometry import Array, exp, inverse, transform
+from vstestbed.core.geometry import Array, Image, exp, inverse, transform
 from vstestbed.features.observation import CameraView, Goal, Observation
 from vstestbed.laws import IBVS, PBVS
 from vstestbed.scenario.load import parse
@@ -184,6 +186,15 @@ class TestStacked:
         run = vs.run(both)
         assert run.outcome is not vs.Outcome.target_lost and run["position_error_m"][-1] < 1e-3
 
+    def test_a_quadrotor_with_one_eye_down_and_one_ahead(self) -> None:
+        # Below the hull and turned 30 deg ahead; the one at the craft's centre goes blind for nine of ten markers.
+        ahead = {"camera": {"fovy_deg": 100, "rate_hz": 25, "mount": {"xyz": [0.1, 0, -0.15], "rpy_deg": [180, -30, 0]}}, "noise": {}}
+        start = {"nominal": {"xyz": [-0.5, 0.3, 4], "yaw_deg": 60}}
+        given = {"detector": "oracle", "noise.dropout": 0.9, "cameras": {"ahead": ahead}, "robot.start": start, "stop.duration_s": 16}
+        alone, both = (vs.run(vs.load("quadrotor_hover", given | law)) for law in ({}, {"law.cameras": {"ahead": 1.0}}))
+        assert alone.outcome is vs.Outcome.target_lost
+        assert both["position_error_m"][0] > 1 and both["position_error_m"][-1] < 0.1 and not both["lost"].any()
+
 
 class TestFused:
     def test_it_goes_on_where_a_plate_hides_the_target_from_the_hand(self) -> None:
@@ -277,6 +288,21 @@ distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}
         lens.unlink()
         again = vs.run(vs.load(tmp_path / "run" / "scenario.yaml"))
         assert np.array_equal(again.table, recording.rows.table, equal_nan=True)
+
+    @pytest.mark.opengl
+    def test_the_film_has_all_pictures_in_a_row_and_render_one_of_them(self, command: Any, tmp_path: Path) -> None:
+        small = {"camera.width": 160, "camera.height": 120, "cameras": {"right": {"camera": {"width": 240, "height": 240, "rate_hz": 25}}}}
+        vs.run_into(tmp_path / "run", vs.load("arm_ibvs", small | {"stop.duration_s": 0.2}), films="camera", report=False)
+        assert command("render", tmp_path / "run", "--camera", "right", "--out", tmp_path / "right.mp4").code == 0
+
+        def middle(name: str) -> Image:
+            with av.open(str(tmp_path / name)) as film:
+                return list(film.decode(video=0))[1].to_ndarray(format="rgb24")
+
+        row, right = middle("run/camera.mp4"), middle("right.mp4")
+        assert row.shape[1] == 160 + 120  # the second one as high as the first one
+        beside = cv2.resize(right, (120, 120), interpolation=cv2.INTER_AREA)[:90]  # its name is at its foot
+        assert np.abs(row[:90, 160:].astype(float) - beside).mean() < 8  # but for the drawn paths
 
     def test_it_is_written_and_read_again_as_it_was(self) -> None:
         scenario = arm(fusion="pose")
