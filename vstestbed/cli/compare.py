@@ -34,6 +34,8 @@ def compare(
     force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,
     again: Annotated[bool, typer.Option("--again", help="Fly a comparison's folder, the argument, again: do its runs agree?")] = False,
+    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Only share I of N of the runs, for an array of jobs.")] = None,
+    merge: Annotated[bool, typer.Option("--merge", help="Put the shards, the arguments, together.")] = False,
     film: Annotated[bool, typer.Option("--film/--no-film", help="Film the first seed, side by side.")] = True,
     baseline: Annotated[Path | None, typer.Option(metavar="OLD", help="An earlier comparison: what changed since, run by run.")] = None,
     fail: Annotated[bool, typer.Option("--fail-on-regression", help="Exit with 5 where it is worse than --baseline.")] = False,
@@ -51,18 +53,20 @@ def compare(
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
     from vstestbed.cli.progress import Counter, show_notes
-    from vstestbed.studies.comparison import Baseline, carry_out, must_be_known, prepared
+    from vstestbed.studies.comparison import Baseline, Shard, carry_out, must_be_known, prepared
 
     must_be_known(executor)
-    if again:
-        _again([Path(name) for name in scenarios or []], out, jobs, executor, not quiet)
+    places = [Path(name) for name in scenarios or []]
+    if again or merge:
+        _again(places, out, jobs, executor, not quiet) if again else _merge(places, out, figures, as_json, quiet)
         return
     if baseline is None and (fail or tolerance is not None):
         option = "--fail-on-regression" if fail else "--tolerance"
         raise ParameterError.needs(option, "the earlier results", why="--baseline OLD, a comparison's folder")
     before, settings, shown = None if baseline is None else Baseline.read(baseline), settings_of(set_), not quiet and not as_json
     fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
-    ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields)
+    share = None if shard is None else Shard.read(shard)
+    ready = prepared(scenarios or [], vary_of(vary), out, resume, settings, plugin or [], film, force, before, fields, shard=share)
     with ready as (runner, plan):
         show_notes(not quiet)
         total = len(runner.jobs)
@@ -88,6 +92,21 @@ def compare(
             typer.echo(line, err=True)
         if fail and worse:
             raise typer.Exit(REGRESSED)
+
+
+def _merge(places: list[Path], out: Path | None, figures: bool, as_json: bool, quiet: bool) -> None:
+    """Put shards together, and say what a comparison says."""
+    from vstestbed.cli.progress import show_notes
+    from vstestbed.studies.comparison import merge
+
+    if not places:
+        raise ParameterError.missing("--merge", "name the shards' folders, e.g. shards/*")
+    show_notes(not quiet)
+    table = merge(places, out, (lambda words: None) if quiet or as_json else lambda words: typer.echo(f"{words} ...", err=True), figures)
+    if as_json:
+        sys.stdout.write(table.write_json() + "\n")
+    elif not quiet:
+        typer.echo(_summary_text(table, table.folder), err=True)
 
 
 def _again(places: list[Path], out: Path | None, jobs: int | None, executor: str, shown: bool) -> None:
@@ -131,4 +150,5 @@ def _summary_text(table: DataFrame, folder: Path) -> str:
 
     done, good = len(table), int(table["success"].sum())
     reached = f"{good} of {done} runs reached the goal{f'; {done - good} did not reach the goal' if good < done else ''}"
-    return "\n".join(filter(None, (reached, statistics_text(folder), f"  results   {folder} (open report.html)")))
+    opened = " (open report.html)" if (folder / "report.html").exists() else ""
+    return "\n".join(filter(None, (reached, statistics_text(folder), f"  results   {folder}{opened}")))

@@ -30,11 +30,12 @@ from vstestbed.studies.comparison.record import (
     must_be_unchanged,
 )
 from vstestbed.studies.comparison.runs import OnDone, Runner
+from vstestbed.studies.comparison.shards import Shard, Share, gather, must_be_done, must_be_whole
 from vstestbed.studies.folder import RESUMABLE, resumed_folder, study_folder, write_plan
 from vstestbed.studies.pools import clear, must_be_known, must_not_be_worker, pool_of, workers
 
-__all__ = ["PLAN", "Baseline", "Comparison", "ComparisonTable", "Job", "Jobs", "Runner", "Variant"]
-__all__ += ["chosen", "compare", "controllers", "must_be_known"]
+__all__ = ["PLAN", "Baseline", "Comparison", "ComparisonTable", "Job", "Jobs", "Runner", "Shard", "Variant"]
+__all__ += ["chosen", "compare", "controllers", "merge", "must_be_known"]
 
 
 def compare(
@@ -57,6 +58,7 @@ def compare(
     primary: str | None = None,
     reference: str | None = None,
     first_seed: int | None = None,
+    shard: str | None = None,
 ) -> ComparisonTable:
     """Run a comparison and write its folder; returns the table with one row per run.
 
@@ -74,6 +76,7 @@ def compare(
         limit: of each task only so many runs, spread evenly over its list.
         figures: whether to draw the page's figures for a paper as well, as PDF, SVG and PNG in `figures/`.
         primary, reference, first_seed: as of `Comparison`.
+        shard: only one of some equal shares of the runs, `3/64` the third of 64, in an `out` of its own; `merge` puts them together.
 
     Raises ScenarioError, ParameterError: bad input, found before anything runs. RunFolderError: the baseline is no comparison, or has none
     of these runs. OutputError: `out` is taken, or another process writes into it. EnvironmentLackError: no OpenGL where a run needs it, no
@@ -83,7 +86,9 @@ def compare(
     must_be_known(executor)
     folder, earlier = None if out is None else Path(out), None if baseline is None else Baseline.read(baseline)
     fields = {"seeds": seeds, "limit": limit, "primary": primary, "reference": reference, "first_seed": first_seed}
-    with prepared(scenarios, vary or {}, folder, resume, set or {}, plugins, film, force, earlier, fields) as (runner, comparison):
+    share = None if shard is None else Shard.read(shard)
+    with prepared(scenarios, vary or {}, folder, resume, set or {}, plugins, film, force, earlier, fields, shard=share) as found:
+        runner, comparison = found
         return carry_out(runner, comparison, jobs, executor, on_done, report=report, baseline=earlier, figures=figures)
 
 
@@ -99,7 +104,7 @@ def carry_out(
     figures: bool = True,
 ) -> ComparisonTable:
     """Do the missing runs of a comparison, then table, film and report; `stage` is called with what is being done after the runs.
-    Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone, so that there is no result.
+    A shard has a table alone. Raises EnvironmentLackError, OutputError: as of `compare`; or stored runs are gone: there is no result.
     """
     with ExitStack() as stack:
         pool = None
@@ -120,7 +125,7 @@ def carry_out(
         if baseline is not None:
             changes = baseline.changes(comparison, table, runner.folder)
             write_json(runner.folder / FILE, changes.plain())  # before the page, which reads it
-        if report:
+        if report and Shard.in_folder(runner.folder).of == 1:
             finish(runner.folder, comparison, table, stage, at_once if pool is None else pool.call, figures)
     return ComparisonTable.of(table, runner.folder, comparison, changes)
 
@@ -140,6 +145,24 @@ def again(
     return folder, agreement(pl.read_parquet(place / "comparison.parquet"), table)
 
 
+def merge(
+    places: Sequence[Path], out: Path | None = None, stage: Callable[[str], None] = lambda words: None, figures: bool = True
+) -> ComparisonTable:
+    """Put the shards of a comparison together into a new folder (`out`): the same runs, table and page as by one process.
+
+    The runs are links to the shards' files where the file system has them. Raises RunFolderError: a folder is no shard of this comparison,
+    shards or runs are missing. OutputError: `out` is taken.
+    """
+    must_be_whole(places)
+    comparison = read_comparison(places[0] / PLAN, moved_plugins(places[0], ()))
+    jobs = Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed)
+    must_be_done(places, jobs)
+    with study_folder("compare", out) as folder:
+        stage("linking the runs")
+        gather(places, folder)
+        return carry_out(Runner(folder, jobs), comparison, stage=stage, figures=figures)
+
+
 @contextmanager
 def prepared(
     scenarios: Sequence[str | Path],
@@ -153,10 +176,13 @@ def prepared(
     baseline: Baseline | None = None,
     fields: Mapping[str, Any] | None = None,
     requested: Comparison | None = None,
+    shard: Shard | None = None,
 ) -> Iterator[tuple[Runner, Comparison]]:
     """Check everything, make or open the folder, write the plan; the folder is held until the block ends. fields: as of `chosen`.
-    requested: the comparison, of which none is named by `scenarios`.
+    requested: the comparison, of which none is named by `scenarios`. shard: only this share of it; None: all, or what the folder is.
     """
+    if shard is not None and out is None:
+        raise ParameterError.needs("--shard", "a folder of its own", why="--out DIR")
     if scenarios:
         settings = {path: block_of(value) for path, value in settings.items()}
         axes = {path: tuple(map(block_of, values)) for path, values in vary.items()}
@@ -166,19 +192,25 @@ def prepared(
             folder = stack.enter_context(resumed_folder("compare", out, PLAN))
             must_be_unchanged(folder, plugins)
             comparison, found = _resumed(folder, requested, force, plugins)
+            there = Shard.in_folder(folder)
+            if shard is not None and shard != there:
+                raise ParameterError("--resume", f"goes on with shard {there} of what the folder compares; leave --shard out", str(folder))
+            every = Share(Jobs(found, comparison.seeds, comparison.first_seed), there)
         elif requested is None:
             raise ParameterError.missing("SCENARIO", "name scenarios to compare, or a comparison")
         else:
             comparison, found = requested, controllers(requested, force)  # before the folder is made: bad input leaves no folder
             _check_workers_find(found)
+            every = Share(Jobs(found, comparison.seeds, comparison.first_seed), shard or Shard())
             if baseline is not None:
-                baseline.must_match(comparison, Jobs(found, comparison.seeds, comparison.first_seed))
+                baseline.must_match(comparison, every)
             folder = stack.enter_context(study_folder("compare", out, RESUMABLE))
             write_plan(folder / PLAN, comparison, "base")
+            (shard or Shard()).keep(folder)
             keep(folder)
         first = comparison.first_seed if comparison.seeds is not None else None
         filmed = (first,) if film and not comparison.tasks else ()  # a film of a few starts would not show a task
-        yield Runner(folder, Jobs(found, comparison.seeds, comparison.first_seed), filmed), comparison
+        yield Runner(folder, every, filmed), comparison
 
 
 def _check_workers_find(found: Variants) -> None:
@@ -210,7 +242,7 @@ def _same(a: Comparison, of_a: Variants, b: Comparison, of_b: Variants) -> bool:
 
 
 def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True) -> Path:
-    """Make table, film and report of a comparison's folder again from its runs.
+    """Make table, film and report of a comparison's folder again from its runs; also of a shard.
     plugins: besides those that it remembers. figures: as of `compare`.
     """
     comparison, table, _ = stored(folder, plugins)
@@ -222,7 +254,7 @@ def report_again(folder: Path, plugins: Sequence[str] = (), figures: bool = True
 def stored(folder: Path, plugins: Sequence[str] = ()) -> tuple[Comparison, pl.DataFrame, int]:
     """The comparison of a folder, the table of its finished runs, and how many there are to be; plugins: see `report_again`."""
     comparison = read_comparison(folder / PLAN, (*plugins, *moved_plugins(folder, plugins)))
-    every = Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed)
+    every = Share(Jobs(controllers(comparison, force=True), comparison.seeds, comparison.first_seed), Shard.in_folder(folder))
     # A damaged run is named, and not left out as if it were still to come.
     table = table_of(folder, every, damaged=False)
     if table.is_empty():

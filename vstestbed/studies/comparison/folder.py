@@ -42,7 +42,7 @@ def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterato
     folder: the comparison's. jobs: all of them. damaged: leave out runs whose summary cannot be read, which are done again. Raises
     RunFolderError: a summary cannot be read, and `damaged` is False.
     """
-    there = set(_with_summary(str(folder), "runs", DEEPEST)) if (folder / "runs").is_dir() else set[str]()
+    there = stored_runs(folder)
     for job in jobs:
         if not there:
             return
@@ -50,6 +50,11 @@ def finished(folder: Path, jobs: Iterable[Job], damaged: bool = True) -> Iterato
             there.remove(job.folder)
             with contextlib.suppress(*([RunFolderError] if damaged else [])):
                 yield job, summary_of(folder, job)
+
+
+def stored_runs(folder: Path) -> set[str]:
+    """The folders of all runs in a comparison's folder that have a summary."""
+    return set(_with_summary(str(folder), "runs", DEEPEST)) if (folder / "runs").is_dir() else set()
 
 
 def _with_summary(folder: str, place: str, depth: int) -> Iterator[str]:

@@ -20,6 +20,7 @@ from vstestbed.scenario.load import GIVEN, parse
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.studies.comparison.folder import finished
 from vstestbed.studies.comparison.plan import Job, Jobs
+from vstestbed.studies.comparison.shards import Share
 from vstestbed.studies.pools import MOST_TRIES, Pool, Request, WorkerLostError, completed
 from vstestbed.studies.run_folder import ASSETS, Files, files_in, files_of_failure, run_into, store
 
@@ -88,7 +89,7 @@ class Runner:
     """
 
     folder: Path
-    jobs: Jobs | Sequence[Job]
+    jobs: Jobs | Share | Sequence[Job]
     filmed: tuple[int | None, ...] = ()
 
     @property
