@@ -79,7 +79,7 @@ def test_64_shards_of_a_thousand_runs_two_of_them_killed(tmp_path: Path, quick: 
     for i in range(1, SHARDS + 1):
         job = subprocess.Popen([*common, "--shard", f"{i}/{SHARDS}", "--out", f"shards/{i}"], **place)
         if i in (7, 40):
-            while len(list(tmp_path.glob(f"shards/{i}/runs/quick/*/*/*/summary.json"))) < 3:
+            while len(list(tmp_path.glob(f"shards/{i}/runs/**/summary.json"))) < 3:
                 time.sleep(0.01)
             job.kill()
         assert (job.wait() == 0) == (i not in (7, 40))

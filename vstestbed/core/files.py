@@ -15,7 +15,7 @@ import shlex
 import shutil
 import unicodedata
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -288,6 +288,30 @@ def whole_folder(out: Path, remedy: str = "give a new one") -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
+
+
+def linked(sources: Iterable[Path], target: Path) -> None:
+    """Make a folder of what several others hold, whole or not at all: links to their files where the file system has them, else copies.
+    Of files of one name in several it has the first. Raises EnvironmentLackError, OutputError: see `writing`.
+    """
+    part = temporary(target)
+    with writing(target):
+        try:
+            for source in sources:
+                shutil.copytree(source, part, copy_function=_link, dirs_exist_ok=True)
+            part.rename(target)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def _link(source: str, target: str) -> str:
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        pass
+    except OSError:  # a file system without hard links, or another one
+        shutil.copy2(source, target)
+    return target
 
 
 def remove_empty(folder: Path) -> None:

@@ -53,6 +53,10 @@ def dm(scenario: str | Path | Scenario, *, seed: int | None = None, **settings: 
 if find_spec("gymnasium") is not None:
     from gymnasium import register
 
-    register(ANY, entry_point="vstestbed.env.gym_env:GymServo")
+    def _register(name: str, **settings: str) -> None:
+        entry, vector = "vstestbed.env.gym_env:GymServo", "vstestbed.env.vector_env:GymServos"
+        register(name, entry_point=entry, vector_entry_point=vector, kwargs=settings)
+
+    _register(ANY)
     for _name in bundled_scenarios():
-        register(f"vstestbed/{_name}-v0", entry_point="vstestbed.env.gym_env:GymServo", kwargs={"scenario": _name})
+        _register(f"vstestbed/{_name}-v0", scenario=_name)

@@ -37,8 +37,13 @@ def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
 
     Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
     """
-    ratio = WORST if math.isnan(error.value) else min(abs(error.value) / error.limit, WORST)
-    return (view + 1.0 - math.log1p(ratio) / math.log1p(WORST)) / views
+    return float(view + nearness(error.value, error.limit)) / views
+
+
+def nearness(error: Any, limit: float) -> Any:
+    """1 at no error, 0 at the worst, or where it is unknown (NaN); errors may be an array."""
+    ratio = np.fmin(np.abs(error) / limit, WORST)  # the other one of NaN and a number
+    return 1.0 - np.log1p(ratio) / math.log1p(WORST)
 
 
 @dataclass(frozen=True)
@@ -73,18 +78,18 @@ class Reward:
         if not math.isfinite(self.success_bonus):
             raise ParameterError.infinite("success_bonus", self.success_bonus)
 
-    def of_step(self, before: float, after: float, terminated: bool, success: bool, left: int = 0) -> float:
-        """The reward of a step between two potentials.
+    def of_step(self, before: Any, after: Any, terminated: Any, success: Any, left: Any = 0) -> Any:
+        """The reward of a step between two potentials; of many steps by arrays.
         terminated: the episode has ended, and not by the clock. left: how many steps the episode would still have had.
         """
-        bonus = self.success_bonus if success else 0.0
+        bonus = self.success_bonus * np.asarray(success)
         if self.kind == "sparse":
             return bonus
         if self.kind == "negative_error":
             g = self.discount  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
-            lost = float(left) if g == 1 else g * -math.expm1(left * math.log(g)) / (1.0 - g)
-            return after - 1.0 + bonus - (lost if terminated and not success else 0.0)
-        return (0.0 if terminated else self.discount * after) - before + bonus
+            lost = 1.0 * left if g == 1 else g * -np.expm1(left * math.log(g)) / (1.0 - g)
+            return after - 1.0 + bonus - np.where(np.logical_and(terminated, np.logical_not(success)), lost, 0.0)
+        return np.where(terminated, 0.0, self.discount * after) - before + bonus
 
 
 ObservationMode = Literal["markers", "pixels", "both"]
@@ -160,7 +165,7 @@ class Rollout:
         rest = {} if end_on_rest else {"rest_after_s": None}
         loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
         self.scenario = replace(given, stop=replace(given.stop, **rest, **loss))
-        self._mode, self._reward = observation, Reward(reward, discount, success_bonus)
+        self._mode, self.reward = observation, Reward(reward, discount, success_bonus)
         robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
         self.action_unit = action_unit(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
         self._session: Session | None = None
@@ -215,7 +220,7 @@ class Rollout:
         truncated = outcome is not None and outcome.out_of_time
         terminated = outcome is not None and not truncated
         left = max(0, self.most_steps - self._steps)
-        reward = self._reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success, left)
+        reward = float(self.reward.of_step(before, self._phi, terminated, outcome is not None and outcome.success, left))
         return Step(self._observation(frame), reward, terminated, truncated, self._info(frame, error))
 
     def expert(self) -> Array:

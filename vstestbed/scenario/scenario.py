@@ -303,20 +303,23 @@ class Scenario:
         Raises ParameterError: a drawn value is refused, the robot has no random block, or no start in it sees the target.
         """
         made = drawn(self)
-        body = made.robot.drawn(made.rng(BODY_STREAM))
-        robot: Robot | None = body
-        if made.draw_start:
-            rng, parts = made.rng(START_STREAM), (made.camera, made.target, made.detector, made.goal_views[0], made.world)
-            started = (body.randomised(rng) for _ in range(TRIES))
-            robot = next((start for start in started if in_view(start, *parts)), None)
-            if robot is None:
-                words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
-                raise ParameterError("robot.start.random", words)
+        robot = made.start(made.seed) if made.draw_start else made.robot.drawn(made.rng(BODY_STREAM))
         if robot is not made.robot or made.draw_start:
             made = replace(made, robot=robot, draw_start=False)
         if made is not self:
             made.__dict__["given"] = self  # no field either: a changed copy is given as it is
         return made
+
+    def start(self, seed: int) -> Robot:
+        """The robot that a seed draws, at the start that it draws, of a scenario with nothing else to be drawn. Errors: see `resolved`."""
+        body, rng = (np.random.default_rng([seed, stream]) for stream in (BODY_STREAM, START_STREAM))
+        drawn_body, parts = self.robot.drawn(body), (self.camera, self.target, self.detector, self.goal_views[0], self.world)
+        started = (drawn_body.randomised(rng) for _ in range(TRIES))
+        robot = next((start for start in started if in_view(start, *parts)), None)
+        if robot is None:
+            words = f"gave no start in {TRIES} draws that has the whole target in view; make it smaller"
+            raise ParameterError("robot.start.random", words)
+        return robot
 
     @cached_property
     def given(self) -> Scenario:

@@ -206,9 +206,10 @@ class BatchSetup:
         return max(0, math.ceil((duration_s - 1e-9) * self.scenario.camera.rate_hz - 1e-9))
 
 
-def start_of(scenario: Scenario) -> Array:
-    """The scenario's own start T_camera_target (4, 4)."""
-    T_world_camera = scenario.robot.flange_pose(scenario.robot.configuration()) @ scenario.camera.mount.T
+def start_of(scenario: Scenario, seed: int | None = None) -> Array:
+    """The scenario's own start T_camera_target (4, 4), or the one that a seed draws."""
+    robot = scenario.robot if seed is None or scenario.robot.start.random is None else scenario.start(seed)
+    T_world_camera = robot.flange_pose(robot.configuration()) @ scenario.camera.mount.T
     return inverse(T_world_camera) @ scenario.target.pose.T
 
 
@@ -378,7 +379,7 @@ def _simulate(setup: BatchSetup, start: Array) -> Batch:
             steps[at], final[at], farthest[at], errors[at] = now.ended[over], runs.T[over], runs.farthest[over], now.error[over]
             reached = code[over] == _CODE[Outcome.converged]
             # the two ways to lose the target are one outcome, but different failures of a law
-            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & _behind(setup.scenario, runs.T[over])
+            crossed[at] = (code[over] == _CODE[Outcome.target_lost]) & behind(setup.scenario, runs.T[over])
             near[at] = np.where(reached, step - runs.near[over] + 1, -1)
             runs, twist = runs.keep(~over), twist[~over]
         if not len(runs.index):  # all have ended before the time is over
@@ -433,7 +434,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     stays lost: such a run ends at once, with the frame at which the `Termination` would end it.
     """
     s = setup.scenario
-    seen, error, all_seen = _seen(s, p)
+    _, seen, error, all_seen = seen_by(s, p)
     state, twist, works = _commands(setup, runs, p, seen, step / s.camera.rate_hz)
     runs.state = state
     lost = ~works | ~np.isfinite(error)
@@ -450,7 +451,7 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
         (np.full(len(p), step >= last), Outcome.timed_out),
         (runs.rest > setup.frames(s.stop.rest_after), Outcome.local_minimum),
         (lost, Outcome.target_lost if gone <= last else Outcome.timed_out),
-        (_behind(s, runs.T), Outcome.target_lost),
+        (behind(s, runs.T), Outcome.target_lost),
         (distance > FAR_M, Outcome.diverged),
         (failed, Outcome.law_failed),
         (runs.near > setup.frames(s.stop.converged.hold_s), Outcome.converged),
@@ -461,25 +462,27 @@ def _frame(setup: BatchSetup, runs: _Runs, p: Array, step: int, last: int) -> Ba
     return BatchFrame(step, runs.index, runs.T, np.where(works[:, None], twist, 0.0), error, code, ended)
 
 
-def _behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
+def behind(s: Scenario, T: Array) -> NDArray[np.bool_]:
     """Which cameras are behind the plane of the target (m,)."""
     if not (s.target.one_sided and s.stop.loss_ends):
         return np.zeros(len(T), dtype=bool)
     return np.einsum("mi,mi->m", T[:, :3, 2], T[:, :3, 3]) <= 0
 
 
-def _seen(s: Scenario, p: Array) -> tuple[NDArray[np.bool_], Array, NDArray[np.bool_]]:
-    """Visibility (m, N) of markers p (m, N, 3), RMS error over the visible ones (m,) [px], and whether all are visible (m,)."""
+def seen_by(s: Scenario, p: Array) -> tuple[Array, NDArray[np.bool_], Array, NDArray[np.bool_]]:
+    """Pixels (m, N, 2) of markers p (m, N, 3), their visibility (m, N), RMS error over the visible ones (m,) [px], and whether all are
+    visible (m,).
+    """
     uv = s.camera.project(p)
     seen = np.isfinite(uv[..., 0])
     if isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited":
         seen &= s.camera.whole(p.reshape(-1, 3), s.target.marker.radius).reshape(seen.shape)
     d, all_seen = uv - s.goal_view.uv, np.asarray(seen.all(axis=1))
     if all_seen.all():  # nearly every frame: no masks needed
-        return seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
+        return uv, seen, np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * p.shape[1])), all_seen
     d[~seen] = 0.0  # NaN otherwise
     count = np.maximum(seen.sum(axis=1), 1)  # 1: no division by zero where nothing is seen
-    return seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
+    return uv, seen, np.where(seen.any(axis=1), np.sqrt(np.einsum("mni,mni->m", d, d) / (2 * count)), np.nan), all_seen
 
 
 def _commands(setup: BatchSetup, runs: _Runs, p: Array, seen: NDArray[np.bool_], t: float) -> tuple[Array, Array, NDArray[np.bool_]]:

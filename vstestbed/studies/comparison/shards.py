@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 from vstestbed.core.errors import ParameterError, RunFolderError
-from vstestbed.core.files import write_json
+from vstestbed.core.files import linked, write_json, write_whole
 from vstestbed.studies.comparison.folder import stored_runs
 from vstestbed.studies.comparison.plan import Job, Jobs
 from vstestbed.studies.comparison.record import FILES, PLAN, RECORD, SCENARIOS
@@ -104,25 +102,11 @@ def must_be_done(places: Iterable[Path], jobs: Jobs) -> None:
 def gather(places: Iterable[Path], folder: Path) -> None:
     """Put plan, files and runs of all shards into a folder; runs are links to the shards' files where the file system has them."""
     first, *_ = places = list(places)
-    for name in (PLAN, RECORD):
-        shutil.copy2(first / name, folder / name)
-    for name in (SCENARIOS, FILES):
-        if (first / name).is_dir():
-            shutil.copytree(first / name, folder / name)
-    for place in places:
-        for name in ("runs", ASSETS):
-            if (place / name).is_dir():
-                shutil.copytree(place / name, folder / name, copy_function=_link, dirs_exist_ok=True)
-
-
-def _link(source: str, target: str) -> str:
-    try:
-        os.link(source, target)
-    except FileExistsError:  # a mesh that several shards have
-        pass
-    except OSError:  # a file system without hard links, or another one
-        shutil.copy2(source, target)
-    return target
+    for name, of in (("runs", places), (ASSETS, places), (SCENARIOS, [first]), (FILES, [first])):
+        if there := [place / name for place in of if (place / name).is_dir()]:
+            linked(there, folder / name)
+    for name in (RECORD, PLAN):  # with its plan it is a comparison
+        write_whole(folder / name, (first / name).read_bytes())
 
 
 def _plan(place: Path) -> object:
