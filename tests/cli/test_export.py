@@ -129,3 +129,17 @@ def test_without_the_extra_the_command_that_installs_it_is_named(command, place,
     monkeypatch.delitem(sys.modules, "vstestbed.report.export.mcap_file", raising=False)
     ended = command("export", place / "run", "--to", "mcap")
     assert ended.code == 4 and "pip install 'vstestbed[export]'" in ended.err and not (place / "run.mcap").exists()
+
+
+def test_successes_alone_are_demonstrations(command, place):
+    ended = command("export", place / "comparison", "--to", "lerobot", "--only", "successes")
+    assert ended.code != 0 and "has no success among 2 runs" in ended.err
+    summary = next((place / "comparison/runs").rglob("summary.json"))
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"success": True, "outcome": "converged"}))
+    for to, file in (("lerobot", "meta/episodes/chunk-000/file-000.parquet"), ("csv", "comparison.csv")):
+        ended = command("export", place / "comparison", "--to", to, "--only", "successes")
+        assert ended.code == 0 and "1 of 2 runs are no successes, and are left out" in ended.err
+        path = place / f"comparison_{to}" / file
+        assert len(pl.read_parquet(path) if to == "lerobot" else pl.read_csv(path)) == 1
+    ended = command("export", place / "run", "--to", "csv", "--only", "successes", "--out", place / "c")
+    assert ended.code == 2 and "--only" in ended.err and "a comparison's folder" in ended.err

@@ -18,6 +18,7 @@ WORKS = "a run's folder holds scenario.yaml, a comparison's comparison.yaml"
 
 
 Format = Literal["mcap", "rosbag2", "lerobot", "csv"]  # what other tools read
+Only = Literal["all", "successes"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ def export(
         Format, typer.Option("--to", help="mcap: Foxglove, PlotJuggler, rerun. rosbag2: ROS 2. lerobot: a dataset v3.0. csv: tables.")
     ],
     out: Annotated[Path | None, typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]")] = None,
+    only: Annotated[Only, typer.Option("--only", help="Of a comparison all runs, or the successes: demonstrations.")] = "all",
     start: Annotated[
         float | None, typer.Option(min=0, metavar="SECONDS", help="mcap, rosbag2: what t = 0 is, since 1970. [default: 0]")
     ] = None,
@@ -56,7 +58,7 @@ def export(
     from vstestbed.core.files import make_parents, must_be_new
     from vstestbed.report.export.source import opened, write_csv
 
-    found = _found(folder, plugin or [])
+    found = _found(folder, plugin or [], only)
     beside, file = found.folder.resolve(), to == "mcap" and found.within is None
     path = out or beside.with_name(f"{beside.name}.mcap" if file else f"{beside.name}_{to}")
     if not file:
@@ -92,14 +94,16 @@ def export(
         typer.echo("\n".join([*found.left_out, str(path)]), err=True)
 
 
-def _found(folder: Path, plugins: list[str]) -> Exported:
+def _found(folder: Path, plugins: list[str], only: Only = "all") -> Exported:
     """What a folder holds. Raises RunFolderError: neither a run nor a comparison, a damaged one, or one without a frame."""
     if folder.is_file():  # a person may name one of its files
         if not any((folder.parent / name).is_file() for name in ("scenario.yaml", "comparison.yaml")):
             raise RunFolderError(folder, "is a file, and not one of a run's or a comparison's folder", f"give the folder: {WORKS}")
         folder = folder.parent
     if (folder / "comparison.yaml").is_file():
-        return _comparison(folder, plugins)
+        return _comparison(folder, plugins, only)
+    if only != "all":
+        raise ParameterError.only_for("--only", "a comparison's folder", only)
     from vstestbed.report.export.source import RecordedRun
 
     run = RecordedRun.of(folder, plugins)
@@ -108,10 +112,13 @@ def _found(folder: Path, plugins: list[str]) -> Exported:
     return Exported(folder, None, (folder,), frames, None, cut, tuple(plugins))
 
 
-def _comparison(folder: Path, plugins: list[str]) -> Exported:
+def _comparison(folder: Path, plugins: list[str], only: Only) -> Exported:
     from vstestbed.studies.comparison import stored
 
-    comparison, table, total = stored(folder, plugins)
+    comparison, every, total = stored(folder, plugins)
+    table = every.filter("success") if only == "successes" else every
+    if table.is_empty():
+        raise RunFolderError(folder, f"has no success among {len(every)} runs; there is nothing to export", "leave --only out")
     places = [folder / name for name in table["folder"].to_list()]
     runs = tuple(place for place in places if (place / "log.parquet").is_file() or (place / "log.part").is_file())
     if not runs:
@@ -119,7 +126,9 @@ def _comparison(folder: Path, plugins: list[str]) -> Exported:
     words = []
     if lost := len(places) - len(runs):
         words.append(f"{lost} of {len(places)} runs crashed without a log, and are left out")
-    if left := total - len(places):
+    if failed := len(every) - len(table):
+        words.append(f"{failed} of {len(every)} runs are no successes, and are left out")
+    if left := total - len(every):
         words.append(f"{left} of {total} runs are not done yet; vstestbed compare --resume --out {folder} does them")
     frames = int(table["frames"].sum()) if "frames" in table.columns else 0
     return Exported(folder, folder, runs, frames, table, tuple(words), comparison.plugins)
