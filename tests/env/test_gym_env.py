@@ -430,3 +430,37 @@ def in_processes_as_alone(n: int, name: str, settings: dict[str, Any], context: 
             assert reward == rewards[k][i]
         assert all(same({name: value[i] for name, value in together.items()}, one) for together, one in zip(shown, alone, strict=True))
         env.close()
+
+
+def test_an_action_may_hold_for_several_frames() -> None:
+    overrides = {"detector": "oracle", "stop.duration_s": 0.5}
+    once, thrice = (gymnasium.make("vstestbed/ibvs_book-v0", overrides=overrides, action_repeat=k) for k in (1, 3))
+    once.reset(seed=2), thrice.reset(seed=2)
+    action = np.full(6, 0.02)
+    for _ in range(3):
+        shown, *_, info = once.step(action)
+    held, reward, terminated, truncated, held_info = thrice.step(action)
+    assert same(shown, held) and held_info["t"] == info["t"] and not (terminated or truncated)
+    before = thrice.unwrapped._rollout._phi  # type: ignore[attr-defined]
+    assert reward == pytest.approx(0.99 * before - potential_at_start(overrides))
+    steps = 1
+    while not truncated:
+        _, _, _, truncated, _ = thrice.step(action)
+        steps += 1
+    assert steps == thrice.unwrapped._rollout.most_steps == 2  # type: ignore[attr-defined]
+    with pytest.raises(ParameterError, match="action_repeat"):
+        gymnasium.make("vstestbed/ibvs_book-v0", action_repeat=0)
+
+
+def potential_at_start(overrides: dict[str, Any]) -> float:
+    env = gymnasium.make("vstestbed/ibvs_book-v0", overrides=overrides)
+    env.reset(seed=2)
+    return env.unwrapped._rollout._phi  # type: ignore[attr-defined]
+
+
+def test_info_has_what_the_seed_drew(tmp_path: Path) -> None:
+    drawn = {"randomise": [{"field": "camera.latency_s", "uniform": [0.0, 0.1]}], "detector": "oracle"}
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", overrides=drawn)
+    found = [env.reset(seed=seed)[1]["randomised"]["camera.latency_s"] for seed in (1, 2, 1)]
+    assert found[0] == found[2] != found[1] and all(0 <= value <= 0.1 for value in found)
+    assert found[0] == vs.load("arm_ibvs", drawn, seed=1).resolved.camera.latency_s

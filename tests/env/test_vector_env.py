@@ -97,6 +97,8 @@ def test_what_a_batch_leaves_out_is_not_left_out_silently() -> None:
     assert shown["markers"][0] == pytest.approx(arm.reset(seed=4)[0]["markers"], abs=0.01)  # the arm's own start
     with pytest.raises(ParameterError, match="observation must be markers"):
         made("vector_entry_point", observation="pixels")
+    with pytest.raises(ParameterError, match="action_repeat must be 1"):
+        made("vector_entry_point", action_repeat=2)
     with pytest.raises(ParameterError, match=r"shape \(2, 6\)"):
         env.step(np.zeros((2, 5)))
     with pytest.raises(ParameterError, match="in 3 directions"):

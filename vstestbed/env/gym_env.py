@@ -27,7 +27,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         render_mode: None, or `rgb_array`, the scene from outside.
-        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, as `Rollout` has them.
+        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, action_repeat, as `Rollout` has them.
     Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
 

@@ -21,6 +21,7 @@ from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN
 from vstestbed.scenario.load import load
+from vstestbed.scenario.randomise import values_of
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
@@ -132,9 +133,9 @@ class Rollout:
     learners, who rest and lose the target often: `local_minimum` (and `stuck` of the monitor `settles`), and `target_lost`.
 
     Info at every step: `is_success`, `outcome` and `reason` ("" while it runs), `error`, `error_unit`, `error_limit`, `error_by`
-    (the judged error in this frame, NaN where unknown, and who measures it), `t` [s], `seed`, and `truth`: `T_world_camera`,
-    `T_world_target` (4, 4), `twist` (6,) of the camera, `q`. The reward and the end of tasks that the truth decides (`error_by`) are
-    the referee's, computed with it; observations never are.
+    (the judged error in this frame, NaN where unknown, and who measures it), `t` [s], `seed`, `randomised` (what the seed drew for the
+    block `randomise`, by paths), and `truth`: `T_world_camera`, `T_world_target` (4, 4), `twist` (6,) of the camera, `q`. The reward and
+    the end of tasks that the truth decides (`error_by`) are the referee's, computed with it; observations never are.
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
@@ -142,6 +143,7 @@ class Rollout:
         overrides: values by dotted path, as `vstestbed.load`.
         end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
         end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
+        action_repeat: for how many frames an action holds; the reward is that of the step from its first to its last.
     Raises ScenarioError: the scenario has mistakes. ParameterError: another mode; overrides of a loaded scenario; those of `Reward`.
     """
 
@@ -156,11 +158,15 @@ class Rollout:
         overrides: Mapping[str, object] | None = None,
         end_on_rest: bool = True,
         end_on_loss: bool = True,
+        action_repeat: int = 1,
     ):
         if observation not in get_args(ObservationMode):
             raise ParameterError.choice("observation", get_args(ObservationMode), observation)
         if isinstance(scenario, Scenario) and overrides:
             raise ParameterError.only_for("overrides", "a scenario given by name or path; load it with them")
+        if not isinstance(action_repeat, int) or action_repeat < 1:
+            raise ParameterError.bound("action_repeat", "a whole number of at least", 1, action_repeat)
+        self.action_repeat = action_repeat
         given = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
         rest = {} if end_on_rest else {"rest_after_s": None}
         loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
@@ -173,11 +179,13 @@ class Rollout:
         self._replay: Replay | None = None
         self._overview: Pictures | None = None
         self._phi, self._told, self._steps = 0.0, False, 0
+        self._randomised: dict[str, Any] = {}
 
     @property
     def most_steps(self) -> int:
         """Steps of an episode that ends by the clock, where no picture is missing."""
-        return math.ceil(self.scenario.stop.duration_s * self.scenario.camera.rate_hz - 1e-9)
+        frames = math.ceil(self.scenario.stop.duration_s * self.scenario.camera.rate_hz - 1e-9)
+        return math.ceil(frames / self.action_repeat)
 
     def bounds(self) -> dict[str, Bounds | dict[str, Bounds]]:
         """The entries of an observation."""
@@ -199,6 +207,7 @@ class Rollout:
         given, seed = self.scenario, int(seed)  # of numpy, in a vector of environments
         scenario = given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
         self.close()
+        self._randomised = values_of(scenario.given)
         self._session = Session(scenario, pictures=self._mode != "markers")
         frame = self._frame = self._session.reset()
         error, self._phi = self._judged(frame)
@@ -212,8 +221,10 @@ class Rollout:
         u = self.action_unit * np.clip(self._checked(action), -1.0, 1.0)
         session, frame = self._running()
         if frame.outcome is None:
-            frame = self._frame = session.step(u)
             self._steps += 1
+        for _ in range(self.action_repeat):
+            if frame.outcome is None:
+                frame = self._frame = session.step(u)
         outcome, before = frame.outcome, self._phi
         self._told = outcome is not None  # an episode may have ended with its first frame: the first step tells
         error, self._phi = self._judged(frame)
@@ -315,5 +326,6 @@ class Rollout:
             "error_by": error.by,
             "t": frame.t,
             "seed": self._episode.scenario.seed,
+            "randomised": dict(self._randomised),
             "truth": {name: np.array(value) for name, value in true.items()},
         }

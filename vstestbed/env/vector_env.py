@@ -60,6 +60,8 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         rollout = Rollout(scenario, **settings)
         if "pixels" in rollout.bounds():
             raise ParameterError.fixed("observation", "markers", settings["observation"], why="a batch draws no pictures")
+        if rollout.action_repeat != 1:
+            raise ParameterError.fixed("action_repeat", "1", rollout.action_repeat, where="in a batch")
         self._given, self._unit, self._reward, self._last = rollout.scenario, rollout.action_unit, rollout.reward, rollout.most_steps
         self.scenario = _ideal(rollout.scenario, ideal)
         self._setup = setup = BatchSetup(self.scenario)
@@ -75,7 +77,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         )
         self._goal = np.nan_to_num(self.scenario.goal_view.uv).clip(-MOST_PX, MOST_PX).astype(np.float32)
         self._rngs: list[np.random.Generator] = []
-        self._runs: _Runs | None = None
+        self._runs: _Episodes | None = None
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -89,7 +91,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         if self._runs is None:
             if not mask.all():
                 raise SessionError("no episode has begun", "call reset() without a mask first")
-            self._runs, self._rngs = _Runs(n), [seeding.np_random(None)[0] for _ in seeds]
+            self._runs, self._rngs = _Episodes(n), [seeding.np_random(None)[0] for _ in seeds]
         for i in np.flatnonzero(mask):
             if (own := seeds[i]) is not None:
                 self._rngs[i] = seeding.np_random(own)[0]
@@ -119,7 +121,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         reward = self._reward.of_step(before, runs.phi, terminated, info["is_success"], left)
         return seen, np.where(anew, 0.0, reward), terminated & ~anew, truncated & ~anew, info
 
-    def _look(self, runs: _Runs, twist: Array, now: NDArray[np.bool_]) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _look(self, runs: _Episodes, twist: Array, now: NDArray[np.bool_]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Observation and info of all environments, whose counters and outcomes it brings up to date.
         twist: commanded since the frame before (n, 6), inf where none was. now: which are in a new frame (n,).
         """
@@ -149,7 +151,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         goal = np.broadcast_to(self._goal, markers.shape).copy()
         return {"goal": goal, "markers": markers, "seen": seen.astype(np.float32)}, self._info(runs, error)
 
-    def _info(self, runs: _Runs, error: Array) -> dict[str, Any]:
+    def _info(self, runs: _Episodes, error: Array) -> dict[str, Any]:
         names = np.array(["", *(outcome.name for outcome in CODES)], dtype=object)
         told = {
             "is_success": runs.code == OUTCOMES.index(Outcome.converged),
@@ -173,7 +175,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         return Dict({"goal": Box(-MOST_PX, MOST_PX, (n, 2), np.float32), "markers": places, "seen": Box(0.0, 1.0, (n,), np.float32)})
 
 
-class _Runs:
+class _Episodes:
     """The n episodes: poses T_camera_target, numbers of the frames, of those near the goal, at rest and without sight until now, the way
     without sight [m], potentials, codes of the outcomes, seeds.
     """

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,13 +41,12 @@ def drawn(scenario: Scenario) -> Scenario:
     Raises ParameterError: a drawn value is refused; it names the distribution, `randomise.2`, the value and why.
     """
     if scenario.randomise:
-        of_field = [np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()]) for one in scenario.randomise]
-        values = [one.draw(rng) for one, rng in zip(scenario.randomise, of_field, strict=True)]
-        plain, fields = to_mapping(scenario) | {"randomise": []}, [one.field for one in scenario.randomise]
+        plain, found = to_mapping(scenario) | {"randomise": []}, values_of(scenario)
+        fields, values = list(found), list(found.values())
         if "robot.realism" in fields:  # it fills what is not given
             plain["robot"] = brief_mapping(scenario.robot)
         try:
-            put_over(plain, dict(zip(fields, values, strict=True)), {}, {})
+            put_over(plain, found, {}, {})
             scenario = build(type(scenario), plain, {}, "")
         except ScenarioError as error:
             mistake = error.mistakes[0]
@@ -61,6 +60,12 @@ def drawn(scenario: Scenario) -> Scenario:
         return scenario
     placed = clutter.draw(np.random.default_rng([scenario.seed, CLUTTER_STREAM]), scenario.target.hues_deg)
     return replace(scenario, world=replace(scenario.world, clutter=replace(clutter, placed=placed)))
+
+
+def values_of(scenario: Scenario) -> dict[str, Any]:
+    """What the seed draws for the fields of `randomise`, by their paths."""
+    of_field = [(one, np.random.default_rng([scenario.seed, RANDOMISE_STREAM, *one.field.encode()])) for one in scenario.randomise]
+    return {one.field: one.draw(rng) for one, rng in of_field}
 
 
 def check_randomise(randomise: Sequence[Distribution]) -> None:
