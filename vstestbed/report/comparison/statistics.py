@@ -180,7 +180,7 @@ def paired_difference(a: ArrayLike, b: ArrayLike) -> IntervalEstimate:
         return IntervalEstimate(mean, mean, mean, n, float(mean == 0))
     from scipy.stats import permutation_test
 
-    drawn = {"n_resamples": _resamples(n), "rng": np.random.default_rng(0), "vectorized": True}
+    drawn = {"n_resamples": _resamples(n), "rng": np.random.default_rng(0), "vectorized": True, "batch": _at_once(n)}
     p = permutation_test((d,), np.mean, permutation_type="samples", **drawn).pvalue
     return IntervalEstimate(mean, *_bootstrap((d,), np.mean), n, float(p))
 
@@ -204,6 +204,11 @@ def _resamples(n: int) -> int:
     return max(199, min(RESAMPLES, RESAMPLES * MOST // n))
 
 
+def _at_once(n: int) -> int:
+    """Resamples of n values that are in memory together: 80 MB. Of up to 50,000 values they are all of them."""
+    return max(1, RESAMPLES * MOST // n)
+
+
 def _bootstrap(samples: tuple[Array, ...], statistic: Any) -> tuple[float, float]:
     """Both ends of scipy's BCa interval of a statistic of one or several samples, each resampled by itself; NaN of fewer than FEWEST.
 
@@ -218,8 +223,10 @@ def _bootstrap(samples: tuple[Array, ...], statistic: Any) -> tuple[float, float
     low = high = math.nan
     with warnings.catch_warnings(action="ignore"):  # where hardly any resample differs BCa is undefined, and the percentiles are taken
         for method in ("BCa", "percentile") if n <= MOST else ("percentile",):
-            drawn: dict[str, Any] = {"n_resamples": _resamples(n), "rng": np.random.default_rng(0), "vectorized": True}
-            low, high = bootstrap(samples, statistic, confidence_level=CONFIDENCE, method=method, **drawn).confidence_interval
+            drawn: dict[str, Any] = {"n_resamples": _resamples(n), "rng": np.random.default_rng(0), "batch": _at_once(n)}
+            low, high = bootstrap(
+                samples, statistic, confidence_level=CONFIDENCE, method=method, vectorized=True, **drawn
+            ).confidence_interval
             if np.isfinite([low, high]).all():
                 break
     return float(low), float(high)

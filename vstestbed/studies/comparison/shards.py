@@ -86,12 +86,12 @@ def must_be_whole(places: Sequence[Path]) -> None:
 
 
 def must_be_done(places: Iterable[Path], jobs: Jobs) -> None:
-    """Refuse shards with runs that are not there. Raises RunFolderError: in which how many are missing."""
-    lacking = dict[Path, str]()
-    for place in places:
-        share, there = Share(jobs, Shard.in_folder(place)), stored_runs(place)
-        if left := sum(job.folder not in there for job in share):
-            lacking[place] = f"{left} of {len(share)} runs of shard {Shard.in_folder(place)} ({place})"
+    """Refuse shards, of which there are all, with runs that are not there. Raises RunFolderError: in which how many are missing."""
+    lacking, left = dict[Path, str](), iter(jobs)
+    for place in sorted(places, key=lambda place: Shard.in_folder(place).number):
+        n, there = len(Share(jobs, Shard.in_folder(place))), stored_runs(place)
+        if missing := sum(job.folder not in there for job in islice(left, n)):
+            lacking[place] = f"{missing} of {n} runs of shard {Shard.in_folder(place)} ({place})"
     if lacking:
         words = f"not there are {'; '.join(list(lacking.values())[:20])}{'; ...' if len(lacking) > 20 else ''}"
         raise RunFolderError(
