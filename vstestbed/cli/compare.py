@@ -17,6 +17,8 @@ from vstestbed.core.errors import ParameterError
 if TYPE_CHECKING:
     from polars import DataFrame
 
+    from vstestbed.report.comparison.baseline import BaselineChanges
+
 
 def compare(
     scenarios: Annotated[
@@ -53,6 +55,7 @@ def compare(
 ) -> None:
     """Every scenario, with every value that is varied, from every seed: one table, one report, one film."""
     from vstestbed.cli.progress import Counter, show_notes
+    from vstestbed.report.comparison.baseline import TOLERANCE
     from vstestbed.studies.comparison import Baseline, Shard, carry_out, must_be_known, prepared
 
     must_be_known(executor)
@@ -84,14 +87,19 @@ def compare(
     elif not quiet:
         typer.echo(_summary_text(table, runner.folder), err=True)
     if table.baseline is not None:
-        from vstestbed.report.comparison.baseline import TOLERANCE, text
+        _tell_changes(table.baseline, TOLERANCE if tolerance is None else tolerance, fail, shown)
 
-        worse = [f"worse: {words}" for words in table.baseline.regressions(TOLERANCE if tolerance is None else tolerance)]
-        lines = [text(table.baseline), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
-        for line in lines:
-            typer.echo(line, err=True)
-        if fail and worse:
-            raise typer.Exit(REGRESSED)
+
+def _tell_changes(changes: BaselineChanges, tolerance: float, fail: bool, shown: bool) -> None:
+    """Say what changed against the baseline; exit 5 where something got worse and that is to fail."""
+    from vstestbed.report.comparison.baseline import text
+
+    worse = [f"worse: {words}" for words in changes.regressions(tolerance)]
+    lines = [text(changes), *(worse or ["nothing got worse"])] if shown else worse * fail  # the reason for 5 is always told
+    for line in lines:
+        typer.echo(line, err=True)
+    if fail and worse:
+        raise typer.Exit(REGRESSED)
 
 
 def _merge(places: list[Path], out: Path | None, figures: bool, as_json: bool, quiet: bool) -> None:

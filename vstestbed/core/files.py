@@ -307,7 +307,7 @@ def linked(sources: Iterable[Path], target: Path) -> None:
 def _link(source: str, target: str) -> str:
     try:
         os.link(source, target)
-    except FileExistsError:
+    except FileExistsError:  # a mesh that several of the folders share
         pass
     except OSError:  # a file system without hard links, or another one
         shutil.copy2(source, target)
