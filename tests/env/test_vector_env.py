@@ -65,6 +65,16 @@ def test_episodes_are_those_of_single_environments(settings: dict[str, Any], sha
     arrays.close(), single.close()
 
 
+def test_an_episode_that_ends_with_its_first_frame_tells_it_in_its_first_step() -> None:
+    at_goal = {"overrides": {"stop.converged": {"error_px": 5000, "hold_s": 0.0}}}
+    arrays, single = made("vector_entry_point", 3, **at_goal), made("sync", 3, **at_goal)
+    arrays.reset(seed=1), single.reset(seed=1)
+    for _ in range(5):
+        a, b = arrays.step(np.full((3, 6), 0.1)), single.step(np.full((3, 6), 0.1))
+        assert a[1] == pytest.approx(b[1], abs=1e-6) and (a[2] == b[2]).all() and (a[-1]["seed"] == b[-1]["seed"]).all()
+    single.close()
+
+
 def test_the_law_reaches_the_goal_and_success_is_told() -> None:
     env = made("vector_entry_point", 4)
     _, info = env.reset(seed=0)

@@ -107,17 +107,17 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
             raise ParameterError("actions", f"must have the shape {(self.num_envs, len(self._unit))}", action.shape)
         if not np.isfinite(action).all():
             raise ParameterError.infinite("actions", "NaN or inf")
-        anew = runs.code != 0
-        twist = np.where(anew[:, None], 0.0, self._unit * np.clip(action, -1.0, 1.0))
+        anew, goes = runs.told.copy(), ~runs.told & (runs.code == 0)  # one may have ended with its first frame: its first step tells
+        twist = np.where(~goes[:, None], 0.0, self._unit * np.clip(action, -1.0, 1.0))
         runs.T = exp(-self.scenario.camera.period * twist) @ runs.T
-        runs.frame += ~anew
+        runs.frame += goes
         for i in np.flatnonzero(anew):
             runs.begin(int(i), self._given, int(self._rngs[i].integers(MOST_SEED)))
         before = runs.phi.copy()
-        seen, info = self._look(runs, np.where(anew[:, None], np.inf, twist), np.ones_like(anew))
+        seen, info = self._look(runs, np.where(goes[:, None], twist, np.inf), goes | anew)
         truncated = runs.code == OUTCOMES.index(Outcome.timed_out)
         terminated = (runs.code != 0) & ~truncated
-        left = np.maximum(0, self._last - runs.frame)
+        left, runs.told = np.maximum(0, self._last - runs.frame), (runs.code != 0) & ~anew
         reward = self._reward.of_step(before, runs.phi, terminated, info["is_success"], left)
         return seen, np.where(anew, 0.0, reward), terminated & ~anew, truncated & ~anew, info
 
@@ -177,18 +177,18 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
 
 class _Episodes:
     """The n episodes: poses T_camera_target, numbers of the frames, of those near the goal, at rest and without sight until now, the way
-    without sight [m], potentials, codes of the outcomes, seeds.
+    without sight [m], potentials, codes of the outcomes, seeds, and which have told their end.
     """
 
     def __init__(self, n: int):
         self.T = np.tile(np.eye(4), (n, 1, 1))
         self.frame, self.near, self.rest, self.blind, self.code, self.seed = (np.zeros(n, dtype=int) for _ in range(6))
-        self.blind_m, self.phi = np.zeros(n), np.zeros(n)
+        self.blind_m, self.phi, self.told = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
 
     def begin(self, i: int, scenario: Scenario, seed: int) -> None:
         """Episode i at the start that a seed draws."""
         self.T[i], self.seed[i] = start_of(scenario, seed), seed
-        for counted in (self.frame, self.near, self.rest, self.blind, self.code, self.blind_m):
+        for counted in (self.frame, self.near, self.rest, self.blind, self.code, self.blind_m, self.told):
             counted[i] = 0
 
 
