@@ -237,11 +237,11 @@ class Episode:
     def _see(self, name: str, camera: CameraClock, step: int) -> None:
         """Take the pictures of a further camera, and deliver them."""
         assert self.controller.others is not None
-        camera.act(step, self.controller.others.perception[name].regions_of_interest)
+        perception = self.controller.others.perception[name]
+        camera.act(step, perception.regions_of_interest)
         for shot, truth in camera.line.pop_due(step):
             given, _ = camera.received(shot, step)
-            last = self._last_of.get(name)
-            if last is not None and shot.t <= last[0].t:  # it was overtaken
+            if perception.before is not None and given.t <= perception.before.t:  # overtaken, by the stamps, which are all that a robot has
                 continue
             self.controller.see(name, given)
             self._last_of[name] = shot, truth

@@ -14,8 +14,8 @@ from vstestbed.core.geometry import Array, adjoint, exp, inverse, transform
 ROUNDS, SETTLED = 10, 1e-9
 """Most steps of Gauss and Newton, and the step [m, rad] at which they end: from a pose of one picture it takes three or four."""
 LEAST_MARKERS, LEAST_SHARE = 3, 1e-6
-"""Fewest markers in all pictures together that tell a pose, and the least eigenvalue of the information, as a share of the largest, with
-which they do."""
+"""Fewest markers in all pictures together that tell a pose, and the least singular value of L, as a share of the largest, with which they
+do."""
 
 
 class CameraPixels(NamedTuple):
