@@ -441,13 +441,13 @@ def test_an_action_may_hold_for_several_frames() -> None:
         shown, *_, info = once.step(action)
     held, reward, terminated, truncated, held_info = thrice.step(action)
     assert same(shown, held) and held_info["t"] == info["t"] and not (terminated or truncated)
-    before = thrice.unwrapped._rollout._phi  # type: ignore[attr-defined]
+    before = thrice.unwrapped._rollout._phi  # type: ignore[attr-defined] - a GymServo
     assert reward == pytest.approx(0.99 * before - potential_at_start(overrides))
     steps = 1
     while not truncated:
         _, _, _, truncated, _ = thrice.step(action)
         steps += 1
-    assert steps == thrice.unwrapped._rollout.most_steps == 2  # type: ignore[attr-defined]
+    assert steps == thrice.unwrapped._rollout.most_steps == 2  # type: ignore[attr-defined] - a GymServo
     with pytest.raises(ParameterError, match="action_repeat"):
         gymnasium.make("vstestbed/ibvs_book-v0", action_repeat=0)
 
@@ -455,7 +455,7 @@ def test_an_action_may_hold_for_several_frames() -> None:
 def potential_at_start(overrides: dict[str, Any]) -> float:
     env = gymnasium.make("vstestbed/ibvs_book-v0", overrides=overrides)
     env.reset(seed=2)
-    return env.unwrapped._rollout._phi  # type: ignore[attr-defined]
+    return env.unwrapped._rollout._phi  # type: ignore[attr-defined] - a GymServo
 
 
 def test_info_has_what_the_seed_drew(tmp_path: Path) -> None:

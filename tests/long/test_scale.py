@@ -80,7 +80,7 @@ def test_64_shards_of_a_thousand_runs_two_of_them_killed(tmp_path: Path, quick: 
         job = subprocess.Popen([*common, "--shard", f"{i}/{SHARDS}", "--out", f"shards/{i}"], **place)
         if i in (7, 40):
             while len(list(tmp_path.glob(f"shards/{i}/runs/**/summary.json"))) < 3:
-                time.sleep(0.01)
+                time.sleep(0.01)  # until it has stored some
             job.kill()
         assert (job.wait() == 0) == (i not in (7, 40))
     merging = [*words, "compare", "--merge", *(f"shards/{i}" for i in range(1, SHARDS + 1)), "--out", "all", "--no-figures", "--quiet"]
@@ -105,7 +105,7 @@ def test_a_hundred_thousand_runs_are_merged_within_a_gigabyte(tmp_path: Path, qu
     summary = json.loads((model / "summary.json").read_text())
     planned = subprocess.Popen([*words, *common, "--shard", f"1/{SHARDS}", "--out", "first"], **place)
     while not (tmp_path / "first/record.json").exists():
-        time.sleep(0.1)
+        time.sleep(0.1)  # its plan is written before its runs
     planned.kill()
     planned.wait()
     plan = read_comparison(tmp_path / "first/comparison.yaml")

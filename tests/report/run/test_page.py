@@ -352,3 +352,10 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text('{"scenario": ')
     with pytest.raises(RunFolderError, match=r"summary\.json: is not the summary of a run .*; without this file"):
         write_report(tmp_path, log=log(5), setting=setting(4))
+
+
+def test_numbers_of_other_tasks_are_no_tiles() -> None:
+    from vstestbed.report.run.page import tiles
+
+    common, touched = ({tile[0] for tile in tiles(summary)} for summary in ({"final_error_px": 1.0}, {"insertion_m": 0.03}))
+    assert touched - common == {"Depth of the plug in its socket"} and not any("plug" in title for title in common)

@@ -213,7 +213,8 @@ def _held(tracks: LogArrays, joint: str) -> tuple[float, float] | None:
 def tiles(summary: Summary) -> list[Item]:
     """The most important numbers; of a law that works on grey levels and measures no markers the error in grey levels."""
     other = "px" if "final_error_grey" in summary and summary.get("final_error_px") is None else "grey"
-    ended = [name for name, metric in KNOWN.items() if metric.tile and name not in (f"final_error_{other}", "worst_task_error_m")]
+    large = [m.name for m in KNOWN.values() if m.tile and (not m.where or summary.get(m.name) is not None)]
+    ended = [name for name in large if name not in (f"final_error_{other}", "worst_task_error_m")]
     return _items((KNOWN[name] for name in (CONTINUING if "worst_task_error_m" in summary else ended)), summary)
 
 
