@@ -359,3 +359,13 @@ def test_numbers_of_other_tasks_are_no_tiles() -> None:
 
     common, touched = ({tile[0] for tile in tiles(summary)} for summary in ({"final_error_px": 1.0}, {"insertion_m": 0.03}))
     assert touched - common == {"Depth of the plug in its socket"} and not any("plug" in title for title in common)
+
+
+def test_torques_of_an_inner_loop_are_not_taken_for_speeds_that_friction_held() -> None:
+    import vstestbed as vs
+    from vstestbed.report.run.page import events
+
+    yielding = vs.load("arm_insert", {"detector": "oracle", "stop.duration_s": 3.0})
+    recording = vs.run(yielding)
+    assert yielding.robot.controller.torques and np.abs(recording["ctrl_joint_2"]).min() > 1  # it holds its weight [Nm]
+    assert not any("Friction held" in one for one in events(LogArrays.of(recording.rows, Setting.of(yielding))))

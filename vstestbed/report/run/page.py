@@ -193,7 +193,8 @@ def events(tracks: LogArrays) -> list[str]:
     if (limited := scale < UNLIMITED).sum() > SOME * len(t):
         last = float(t[np.flatnonzero(limited)[-1]])
         found.append(f"Limits of law or robot shortened {100 * limited.mean():.0f} % of its commands, the last at {last:.3g} s.")
-    held = {name: stood for name in ([] if tracks.setting.planar else tracks.named("qd")) if (stood := _held(tracks, name)) is not None}
+    joints = tracks.named("qd") if tracks.setting.told_speeds and not tracks.setting.planar else []
+    held = {name: stood for name in joints if (stood := _held(tracks, name)) is not None}
     if held:
         longest, first = max(s for s, _ in held.values()), min(t for _, t in held.values())
         words = "although it was told to move" if len(held) == 1 else "although they were told to move"

@@ -110,6 +110,7 @@ class Setting:
     changing: bool = False  # whether a row of the log may come to show another point
     threshold_grey: float | None = None  # RMS difference of picture and goal picture that counts as converged [grey levels]
     own: tuple[str, ...] = ()  # columns of the law's own, and of the effects'
+    told_speeds: bool = True  # whether the joints' inputs are speeds: of inner loops they are torques
     cameras: Mapping[str, tuple[int, int]] = field(default_factory=dict[str, tuple[int, int]])  # further cameras' width and height [px]
 
     @property
@@ -128,6 +129,7 @@ class Setting:
         view = getattr(goal, "T_camera_target", None)
         goals = [view.place for view in scenario.goal_views if view.place is not None]
         return cls(
+            told_speeds=scenario.robot.onboard is None,
             cameras={name: (eye.camera.width, eye.camera.height) for name, eye in scenario.eyes.items()},
             width=scenario.camera.width,
             height=scenario.camera.height,
