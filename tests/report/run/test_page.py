@@ -367,5 +367,5 @@ def test_torques_of_an_inner_loop_are_not_taken_for_speeds_that_friction_held() 
 
     yielding = vs.load("arm_insert", {"detector": "oracle", "stop.duration_s": 3.0})
     recording = vs.run(yielding)
-    assert yielding.robot.controller.torques and np.abs(recording["ctrl_joint_2"]).min() > 1  # it holds its weight [Nm]
+    assert yielding.robot.controller.torques and np.abs(recording["ctrl_joint_2"])[1:].min() > 1  # it holds its weight [Nm]
     assert not any("Friction held" in one for one in events(LogArrays.of(recording.rows, Setting.of(yielding))))
