@@ -31,7 +31,7 @@ def compare(
     first_seed: Annotated[int | None, typer.Option(min=0, help="The first of their numbers. [default: 0]")] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Of each task only so many starts, spread over its list.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
-    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
+    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/compare/NUMBER]")] = None,
     force: Force = False,
     resume: Annotated[bool, typer.Option("--resume", help="Do what is missing in --out DIR.")] = False,

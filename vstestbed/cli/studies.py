@@ -265,7 +265,7 @@ def tune(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     set_: Settings = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
-    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, or dask://HOST:PORT.")] = "local",
+    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results. [default: runs/tune/NUMBER]")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the search in --out DIR; --trials may be more.")] = False,
     as_json: Json = False,

@@ -19,11 +19,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.files import writing
 from vstestbed.core.shares import STOPS, at_once, some_done
+
+if TYPE_CHECKING:
+    from vstestbed.scenario.scenario import Scenario
 
 Done_co = TypeVar("Done_co", covariant=True)
 
@@ -96,6 +99,7 @@ def completed(pool: Pool, work: Iterable[tuple[Of, Asked]], again: list[tuple[Of
             going[pool.submit(now[1])] = now
             if now is following:
                 following = next(rest, None)
+        pool.dispatch()
         yield from ended  # after the pool has been filled, which goes on while the caller keeps what is done
         if not (going or again or following):
             return
@@ -185,11 +189,15 @@ def clear(folder: Path) -> Path:
 class LocalPool:
     """Processes of this machine, each with one OpenGL context and one core, which start when this process has enough work for them.
 
+    Attribute films: it makes films where they are asked for.
+
     Args:
         jobs: number of processes.
         folder: the study's folder, held by this process. Temporary files stand in `.running` in it, where the next process that
             holds the folder removes what a killed one has left.
     """
+
+    films = True
 
     def __init__(self, jobs: int, folder: Path):
         self.room, self._here_s = jobs, 0.0
@@ -223,6 +231,9 @@ class LocalPool:
         outer.set_running_or_notify_cancel()
         slot.run(request).add_done_callback(lambda inner: self._hand_over(inner, slot, outer))
         return outer
+
+    def dispatch(self) -> None:
+        """Send what was submitted and waits for others to be sent with it: nothing here."""
 
     def _hand_over(self, inner: Future[Done], slot: _Slot, outer: Future[Done]) -> None:
         """Free the slot, then complete the future with the result of the run or its error."""
@@ -281,6 +292,8 @@ class DaskPool:
     Raises EnvironmentLackError: dask.distributed is not installed, or no scheduler answers at the address.
     """
 
+    films = True
+
     def __init__(self, address: str):
         try:
             from distributed import Client
@@ -328,6 +341,9 @@ class DaskPool:
         outer.set_running_or_notify_cancel()
         future.add_done_callback(lambda inner: self._hand_over(inner, outer))
         return outer
+
+    def dispatch(self) -> None:
+        """Nothing waits."""
 
     def _hand_over(self, inner: Any, outer: Future[Done]) -> None:
         """Complete `outer` with the result or the error of `inner`, in every case: the runner waits for it."""
@@ -396,13 +412,20 @@ Pool = LocalPool | DaskPool
 WorkerLostError, and by then the pool has replaced the worker."""
 
 
-def pool_of(executor: str, workers: int, folder: Path) -> Pool:
-    """The pool of `--executor`: `local`, or `dask://HOST:PORT`; `folder` is the study's."""
+def pool_of(executor: str, workers: int, folder: Path, flown: Callable[[], Iterable[Scenario]] = tuple) -> Pool:
+    """The pool of `--executor`: `local`, `warp`, or `dask://HOST:PORT`; `folder` is the study's. flown: what it shall fly.
+    Raises ParameterError: warp does not draw what one of them asks for. EnvironmentLackError: no scheduler, no MuJoCo Warp.
+    """
     must_be_known(executor)
+    if executor == "warp":
+        from vstestbed.studies.together import TogetherPool, must_fly_together
+
+        must_fly_together(flown())
+        return TogetherPool(workers, folder)
     return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))
 
 
 def must_be_known(executor: str) -> None:
     """Refuse any other value of `--executor`."""
-    if executor != "local" and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
-        raise ParameterError.fixed("--executor", "local or dask://HOST:PORT", executor)
+    if executor not in ("local", "warp") and not re.fullmatch(DASK + r"[^/\s]+:\d+", executor):
+        raise ParameterError.fixed("--executor", "local, warp or dask://HOST:PORT", executor)

@@ -219,7 +219,10 @@ class Search:
     def _pool(self) -> Pool:
         """Started with the first run that is missing."""
         most = max(self.plan.batch * self.runs, 2 * self.fresh)
-        return self._stack.enter_context(closing(pool_of(self.executor, workers(self.jobs, most), self.folder)))
+        return self._stack.enter_context(closing(pool_of(self.executor, workers(self.jobs, most), self.folder, self._flown)))
+
+    def _flown(self) -> list[Scenario]:
+        return [controllers(self.comparison)[0].scenario]
 
     def _search(self) -> None:
         clear(self.folder)  # of a process that was killed

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
-from vstestbed.camera import Camera
+from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import EnvironmentLackError
 from vstestbed.core.geometry import Array
 from vstestbed.sim import gl_probe as gl
@@ -17,9 +18,24 @@ from vstestbed.sim.render.cube_map import drawn_for
 if TYPE_CHECKING:
     from vstestbed.sim.render.opengl import SceneCamera
     from vstestbed.sim.render.rays import RaySceneCamera
+    from vstestbed.sim.render.warp import Shot
     from vstestbed.sim.scene.scene import Scene
 
 T = TypeVar("T")
+
+
+class DrawsTogether(Protocol):
+    """Draws a run's pictures together with those of others (`studies.together`). name: of what draws them."""
+
+    name: str
+
+    def draw(self, shot: Shot) -> Sequence[Image]:
+        """The tiles of a picture."""
+        ...
+
+
+drawn_together: ContextVar[DrawsTogether | None] = ContextVar("drawn_together", default=None)
+"""Of a run that flies with others, in its thread: what draws its pictures, whatever `camera.renderer` says."""
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
 
 
@@ -31,16 +47,19 @@ def servo_renderer(stage: Scene, camera: Camera, noisy: bool = False, share: flo
     ParameterError: rays are asked for and cannot draw this scene.
     """
     given = stage, camera, noisy, share, eye
+    if together := drawn_together.get():
+        from vstestbed.sim.render.warp import WarpRenderer
+
+        return WarpRenderer(stage, camera, together.draw, together.name, noisy, share, eye)
     return _chosen(camera, lambda: _opengl().OpenGLRenderer(*given), lambda: _rays().RayRenderer(*given))
 
 
 def outside_view(stage: Scene, name: str, width: int, height: int, camera: Camera, shadows: bool = True) -> SceneCamera | RaySceneCamera:
     """One of the scene's cameras, rendered as the servo camera's `renderer` asks; rays draw no shadows. Raises as `servo_renderer`."""
-    return _chosen(
-        camera,
-        lambda: _opengl().SceneCamera(stage, name, width, height, shadows, style="outside"),
-        lambda: _rays().RaySceneCamera(stage, name, width, height, FILM_RAYS),
-    )
+    by_rays: Callable[[], Any] = lambda: _rays().RaySceneCamera(stage, name, width, height, FILM_RAYS)  # noqa: E731 - beside the other
+    if drawn_together.get():  # OpenGL in a process with Warp has been seen to crash
+        return by_rays()
+    return _chosen(camera, lambda: _opengl().SceneCamera(stage, name, width, height, shadows, style="outside"), by_rays)
 
 
 def bare_renderer(stage: Scene, camera: Camera) -> Callable[[Array], object]:

@@ -150,11 +150,24 @@ class Raster:
         self._lens, self._R = lens, R_camera_lens
         n = math.ceil(math.sqrt(samples))
         steps = (np.arange(n) + 0.5) / n - 0.5 if n > 1 else np.zeros(0)
-        self._within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        grid = np.stack(np.meshgrid(np.arange(self.width), np.arange(self.height)), axis=-1).astype(float)
-        grid = (grid + 0.5) / share - 0.5 if share < 1 else grid
-        self._rays = np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
-        self._apart = angles_to_next(self._rays)
+        self.within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        self._share = share
+
+    @cached_property
+    def _rays(self) -> Array:
+        grid = pixel_grid(self.width, self.height)
+        grid = (grid + 0.5) / self._share - 0.5 if self._share < 1 else grid
+        return np.concatenate([self._of(rows) for rows in np.array_split(grid, max(1, self.height // 64))])
+
+    @cached_property
+    def apart(self) -> Array:
+        """Angle from each ray to the next, (H, W) [rad]."""
+        return angles_to_next(self._rays)
+
+    def parts(self) -> Array:
+        """Rays (H, W, n, 3) through the parts of all pixels."""
+        rows = np.array_split(pixel_grid(self.width, self.height), max(1, self.height // 64))
+        return np.concatenate([self._of(part[..., None, :] + self.within) for part in rows])
 
     def _of(self, uv: Array) -> Array:
         return self._lens.ray(uv) @ self._R.T
@@ -177,10 +190,10 @@ class Raster:
             self._draw(image, waiting, caster, T_world_camera)
 
     def _draw(self, image: Image, tiles: list[Window], caster: Caster, T: Array) -> None:
-        grow = 1 if len(self._within) else 0  # an edge is found by a pixel's neighbours
+        grow = 1 if len(self.within) else 0  # an edge is found by a pixel's neighbours
         cut = [(max(0, a - grow), max(0, b - grow), min(self.width, c + grow), min(self.height, d + grow)) for a, b, c, d in tiles]
         parts = [self.rays(window) for window in cut]
-        apart = np.concatenate([self._apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut])
+        apart = np.concatenate([self.apart[top:bottom, left:right].ravel() for left, top, right, bottom in cut])
         colours, geoms = caster.cast(T, [part.reshape(-1, 3) for part in parts], apart)
         start = 0
         for (a, b, c, d), (left, top, _, _), part in zip(tiles, cut, parts, strict=True):
@@ -198,8 +211,8 @@ class Raster:
         row, column = np.nonzero(np.logical_or.reduce([other != geoms for other in near]))
         if len(row):
             at = np.stack([column + corner[0], row + corner[1]], axis=-1)
-            uv, n = at[:, None] + self._within, len(self._within)
-            apart = np.repeat(self._apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
+            uv, n = at[:, None] + self.within, len(self.within)
+            apart = np.repeat(self.apart[at[:, 1], at[:, 0]] / math.sqrt(n), n)
             colours, _ = caster.cast(T, [self._of(uv).reshape(-1, 3)], apart)
             drawn[row, column] = (colours.reshape(len(row), -1, 3).mean(axis=1) + 0.5).astype(np.uint8)
 
@@ -273,8 +286,12 @@ class RayRenderer:
             windows += tuple((0, v, raster.width, v + 1) for v in noise_rows(raster.height))
         if rows is not None:
             windows = tuple((a, max(b, rows[0]), c, min(d, rows[1])) for a, b, c, d in windows if b < rows[1] and d > rows[0])
-        raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
+        self._fill(image, raster, panel, windows)
         return image
+
+    def _fill(self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]) -> None:
+        """Draw windows of an image (H, W, 3), the picture of a panel, in place."""
+        raster.draw(image, windows, self._caster, self._stage.camera_pose(self._eye))
 
 
 def refuse(camera: Camera, mirror: float = 0.0) -> None:

@@ -22,7 +22,7 @@ class Mipmap:
         levels = [texels]
         while max(levels[-1].shape[:2]) > 1:
             levels.append(_halved(levels[-1]))
-        self._table = np.concatenate([level.reshape(-1, 3) for level in levels])
+        self.table = np.concatenate([level.reshape(-1, 3) for level in levels])
         self._height, self._width = (np.array([level.shape[axis] for level in levels]) for axis in (0, 1))
         self._start = np.concatenate([[0], np.cumsum(self._height * self._width)[:-1]])
 
@@ -30,6 +30,11 @@ class Mipmap:
     def size(self) -> tuple[int, int]:
         """Width and height of the texture [texel]."""
         return int(self._width[0]), int(self._height[0])
+
+    @property
+    def levels(self) -> list[tuple[int, int, int]]:
+        """Of each level its first texel in the table, width and height."""
+        return list(zip(self._start.tolist(), self._width.tolist(), self._height.tolist(), strict=True))
 
     def at(self, place: Array, texels: Array) -> NDArray[np.float32]:
         """Colours (N, 3), 1 for full brightness, at places (N, 2), as shares of the width from the left and of the height from the top.
@@ -78,7 +83,7 @@ class Mipmap:
         across, down = (u - left).astype(np.float32)[:, None], (v - top).astype(np.float32)[:, None]
         columns = left % width, (left + 1) % width
         rows = start + top % height * width, start + (top + 1) % height * width
-        table = self._table
+        table = self.table
         upper, lower = ((1 - across) * table[row + columns[0]] + across * table[row + columns[1]] for row in rows)
         return np.asarray(((1 - down) * upper + down * lower) / 255, np.float32)
 
@@ -114,12 +119,12 @@ class Paint:
     a flat texture (`type="2d"`) lies as it is (the floor's checker, tags, pictures); any other textured geom, round, of a mesh or with a
     cube texture, has its texture's mean colour (`averaged`).
 
-    model, data: the scene; lights are where `data` has them.
+    model, data: the scene; lights are where `data` has them. Its attributes are what the kernels of `warp_kernels` work with.
     anisotropy: samples of a texture that is not repeated in a pixel that sees it aslant, see `Camera`.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, anisotropy: int = 1):
-        self._model, self._data, self._anisotropy = model, data, anisotropy
+        self._model, self._data, self.anisotropy = model, data, anisotropy
         material = model.geom_matid
         painted = material >= 0
         rgb = own_colours(model)[:, :3]
@@ -127,19 +132,19 @@ class Paint:
         texture = np.where(painted, model.mat_texid[material, RGB_ROLE] if model.nmat else -1, -1)
         flat = (texture >= 0) & (model.tex_type[texture] == FLAT_TEXTURE) if model.ntex else texture >= 0
         printed = flat & np.isin(model.geom_type, FLAT)
-        self._printed: list[int] = np.flatnonzero(printed).tolist()
+        self.printed: list[int] = np.flatnonzero(printed).tolist()
         self.averaged: list[int] = np.flatnonzero((texture >= 0) & ~printed).tolist()
-        self._mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self._printed})}
-        self._texture, self._repeated = texture, repeated(model)
+        self.mipmaps = {i: Mipmap(texels_of(model, i)) for i in sorted({int(texture[g]) for g in self.printed})}
+        self.texture, self.repeated = texture, repeated(model)
         floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "floor")
         shows = (model.geom_group == TARGET_GROUP) | (np.arange(model.ngeom) == floor)
-        self._glossy = {g for g in self._printed if shows[g] and model.mat_specular[material[g]] > 0}
+        self.glossy = {g for g in self.printed if shows[g] and model.mat_specular[material[g]] > 0}
         self._local = bool((model.light_type[model.light_active] != DIRECTIONAL).any())
         for g in self.averaged:
             rgb[g] *= texels_of(model, int(texture[g])).mean(axis=(0, 1)) / 255
-        self._rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
-        self._glow = np.append(emission, 0).astype(np.float32)
-        self._sky = _sky(model)
+        self.rgb = np.vstack([rgb, [0, 0, 0]]).astype(np.float32)  # the last row: no hit, geom -1
+        self.glow = np.append(emission, 0).astype(np.float32)
+        self.sky = _sky(model)
 
     def colours(
         self, origin: Array, rays: Array, geom: NDArray[np.int32], distance: Array, normal: Array, apart: Array
@@ -155,19 +160,19 @@ class Paint:
                 to, share = self._towards(int(i), points)
                 facing = np.maximum((to * normal).sum(axis=1), 0.0)
                 light += (share * (model.light_ambient[i][:, None] + model.light_diffuse[i][:, None] * facing)).astype(np.float32)
-        light += self._glow[geom]
-        light *= self._rgb.T[:, geom]
+        light += self.glow[geom]
+        light *= self.rgb.T[:, geom]
         colour = np.minimum(light, 1, out=light)
-        for printed in self._printed:
+        for printed in self.printed:
             at = np.flatnonzero(geom == printed)
             if len(at):
                 points = origin + rays[at] * distance[at, None]
                 colour[:, at] *= self._print(printed, points, rays[at], normal[at], apart[at] * distance[at]).T
-                if printed in self._glossy:
+                if printed in self.glossy:
                     colour[:, at] = np.minimum(1, colour[:, at] + self._highlight(printed, points, rays[at], normal[at]))
         sky = np.flatnonzero(geom == -1)
         if len(sky):
-            elevation, tints = self._sky
+            elevation, tints = self.sky
             up = rays[sky, 2]
             for channel, tint in zip(colour, tints.T, strict=True):
                 channel[sky] = np.interp(up, elevation, tint)
@@ -208,9 +213,9 @@ class Paint:
         begins = np.where(half[:2] > 0, 0.5 * times, 0.5)
         edges = 2 * np.column_stack([size[i], size[j]])
         place = np.column_stack([local[k, i], -local[k, j]]) / edges * times + begins
-        mipmap = self._mipmaps[self._texture[geom]]
+        mipmap = self.mipmaps[self.texture[geom]]
         cosine = np.maximum(np.abs(np.einsum("ni,ni->n", rays, normal)), 1e-6)
-        if self._anisotropy == 1 or self._repeated[self._texture[geom]]:
+        if self.anisotropy == 1 or self.repeated[self.texture[geom]]:
             texels = across / cosine * (times * mipmap.size / edges).max(axis=1)
             return mipmap.at(place - np.floor(place), texels)
         # A pixel covers `across` / cosine along the ray's shadow on the face, and `across` at a right angle to it.
@@ -220,7 +225,7 @@ class Paint:
         shadow /= np.linalg.norm(shadow, axis=1)[:, None]
         two = (shadow * (across / cosine)[:, None]) @ R, (np.cross(normal, shadow) * across[:, None]) @ R
         first, second = (np.column_stack([step[k, i], -step[k, j]]) / edges * times for step in two)
-        return mipmap.aslant(place, (first, second), self._anisotropy)
+        return mipmap.aslant(place, (first, second), self.anisotropy)
 
     def _towards(self, i: int, points: Array) -> tuple[Array, Array]:
         """Unit vectors (N, 3) from points (N, 3) to light i, which has a place, and what share of its light gets there (N,)."""

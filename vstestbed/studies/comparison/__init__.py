@@ -67,7 +67,7 @@ def compare(
     Args:
         scenarios: paths or bundled names; or one comparison, by path or bundled name.
         vary: lists of values by dotted path; every combination is run. seeds: number of seeds; None: only the nominal start.
-        jobs: worker processes; None: one per core. executor: `local` or `dask://HOST:PORT`.
+        jobs: worker processes; None: one per core. executor: `local`, `warp` (pictures by a device, without films), or `dask://HOST:PORT`.
         out: the folder; None: `runs/compare/<number>`. resume: do only the runs that are missing in `out`.
         set: values by dotted path for all scenarios. plugins: files or modules that add kinds.
         film: whether to film the first seed. report: whether to write the page.
@@ -110,7 +110,7 @@ def carry_out(
         pool = None
         try:
             if left := len(runner.jobs) - runner.done:
-                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), runner.folder)))
+                pool = stack.enter_context(closing(pool_of(executor, workers(jobs, left), runner.folder, runner.scenarios)))
                 runner.run(pool, on_done)
             else:
                 clear(runner.folder)  # of a process that was killed while it wrote the report

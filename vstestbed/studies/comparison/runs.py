@@ -92,6 +92,10 @@ class Runner:
     jobs: Jobs | Share | Sequence[Job]
     filmed: tuple[int | None, ...] = ()
 
+    def scenarios(self) -> Iterator[Scenario]:
+        """What flies, without starts and seeds."""
+        yield from {id(job.controller): job.controller.scenario for job in self.jobs}.values()
+
     @property
     def done(self) -> int:
         """Number of jobs with a stored result."""
@@ -106,7 +110,7 @@ class Runner:
         """Do the missing runs. Raises EnvironmentLackError, OutputError: no OpenGL, or nothing can be written; finished runs are kept."""
         again = list[tuple[Job, Request[Files]]]()
         try:
-            for job, request, future in completed(pool, self._requests(on_done), again):
+            for job, request, future in completed(pool, self._requests(pool, on_done), again):
                 try:
                     files = future.result()
                 except WorkerLostError as error:
@@ -124,7 +128,7 @@ class Runner:
         self._done.add(job.folder)
         on_done(job, summary)
 
-    def _requests(self, on_done: OnDone) -> Iterator[tuple[Job, Request[Files]]]:
+    def _requests(self, pool: Pool, on_done: OnDone) -> Iterator[tuple[Job, Request[Files]]]:
         """All missing jobs with their requests, drawn when their turn comes; a job whose start cannot be drawn is stored at once."""
         for job in self.jobs:
             if job.folder in self._done:
@@ -140,4 +144,4 @@ class Runner:
                     files = files_of_failure(text, str(error))
                 self._store(job, files, 1, on_done)
             else:
-                yield job, request_of(job.folder, scenario, job.seed in self.filmed)
+                yield job, request_of(job.folder, scenario, pool.films and job.seed in self.filmed)

@@ -1,0 +1,305 @@
+"""Pictures of many runs drawn together on a device: rays cast by MuJoCo Warp, shaded by the kernels of `warp_kernels`.
+
+The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its picture with a `Shot`; whoever has the
+shots of many runs draws them all by one `Device.draw`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import mujoco_warp as mjw
+import numpy as np
+import warp
+from numpy.typing import NDArray
+
+from vstestbed.camera import Camera, Image, Panel, Window
+from vstestbed.core.geometry import Array
+from vstestbed.sim.render import warp_kernels as kernels
+from vstestbed.sim.render.rays import Raster, RayRenderer
+from vstestbed.sim.render.shade import Paint
+from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
+from vstestbed.sim.scene.scene import Scene
+
+wp: Any = warp  # whose types are made as it runs
+PLACES = 4096  # rays of a slot: pixels of the tiles in it, with their rims
+MOST_TILES = 16  # of a slot
+SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
+SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together: enough rays to fill a large card
+LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")  # prefixes of the arrays of a model that say what its pictures show
+MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light_poscom0", "light_dir0", "geom_friction", "geom_margin")
+"""Those among them that do not, or whose effect is in the state."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A picture that a run asks for, of which `tiles` are wanted.
+
+    stage: the scene in its state, which stays until the picture is drawn, with what identifies its `look` and its paint. T_world_camera:
+    pose (4, 4). raster: the rays of its pixels, with `lens` what identifies them. outside: show what encloses the servo camera's lens.
+    """
+
+    stage: Scene
+    look: bytes
+    paint: Paint
+    T_world_camera: Array
+    raster: Raster
+    lens: tuple[object, ...]
+    tiles: tuple[Window, ...]
+    outside: bool
+
+
+Draw = Callable[[Shot], Sequence[Image]]  # draws the tiles of a picture, among those of other runs
+
+
+def cut(window: Window) -> Iterator[Window]:
+    """Tiles of a window, each of PLACES pixels at most with a rim of one pixel: wide ones of few rows, else squares."""
+    left, top, right, bottom = window
+    across = min(right - left, max(SIDE, PLACES // (bottom - top + 2) - 2))
+    down = PLACES // (across + 2) - 2
+    for v in range(top, bottom, down):
+        for u in range(left, right, across):
+            yield u, v, min(u + across, right), min(v + down, bottom)
+
+
+class WarpRenderer(RayRenderer):
+    """The servo camera's images through any lens, of the same rays as `RayRenderer`, drawn together with those of other runs.
+
+    draw: draws them; other arguments as of `RayRenderer`. The depth of a depth camera is cast by MuJoCo. Raises as `RayRenderer`.
+    """
+
+    def __init__(self, stage: Scene, camera: Camera, draw: Draw, name: str, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
+        super().__init__(stage, camera, noisy, share, eye)
+        self.name, self._ask, self._outside, self._look = name, draw, stage.parts.stands(eye), look_of(stage.model)
+
+    def _fill(self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]) -> None:
+        tiles = tuple(tile for window in windows for tile in cut(window) if window[0] < window[2] and window[1] < window[3])
+        if not tiles:
+            return
+        lens = repr(panel.lens), panel.R_camera_panel.tobytes(), raster.width, raster.height
+        shot = Shot(self._stage, self._look, self._caster.paint, self._stage.camera_pose(self._eye), raster, lens, tiles, self._outside)
+        for (left, top, right, bottom), drawn in zip(tiles, self._ask(shot), strict=True):
+            image[top:bottom, left:right] = drawn
+
+
+class _Table:
+    """The rays of a raster on the device: through the centres of pixels, and through their parts where edges are smoothed."""
+
+    def __init__(self, raster: Raster):
+        self.width = raster.width
+        self.n = len(raster.within)
+        rays = raster.rays((0, 0, raster.width, raster.height))
+        self.rays = wp.array(rays.reshape(-1, 3).astype(np.float32), dtype=wp.vec3)
+        self.apart = wp.array(raster.apart.ravel().astype(np.float32), dtype=float)
+        self._raster = raster
+
+    @cached_property
+    def within(self) -> Any:
+        """Rays (pixels, n) through the parts of pixels."""
+        return wp.array(self._raster.parts().reshape(-1, self.n, 3).astype(np.float32), dtype=wp.vec3)
+
+
+class _Slot:
+    """What is drawn in a slot: some tiles of one picture. number: the picture's. places: taken up."""
+
+    def __init__(self, number: int, shot: Shot):
+        self.number, self.shot, self.places = number, shot, 0
+        self.tiles: list[tuple[int, Window, Window]] = []  # first place, pixels with the rim, pixels
+
+    def takes(self, tile: Window, grown: Window) -> bool:
+        """Take a tile, if there is room."""
+        room = (grown[2] - grown[0]) * (grown[3] - grown[1])
+        if len(self.tiles) == MOST_TILES or self.places + room > PLACES:
+            return False
+        self.tiles.append((self.places, grown, tile))
+        self.places += room
+        return True
+
+    def images(self, drawn: Image) -> Iterator[Image]:
+        """The tiles' pixels, as copies, of the colours (PLACES, 3) that the device has drawn."""
+        for start, (left, top, right, bottom), (a, b, c, d) in self.tiles:
+            whole = drawn[start : start + (right - left) * (bottom - top)].reshape(bottom - top, right - left, 3)
+            yield whole[b - top : d - top, a - left : c - left].copy()  # the next tiles are drawn into the same memory
+
+
+def slots_of(number: int, shot: Shot) -> Iterator[_Slot]:
+    """The slots of a picture, by its number."""
+    rim, slot = int(len(shot.raster.within) > 0), _Slot(number, shot)
+    for tile in shot.tiles:
+        left, top, right, bottom = tile
+        grown = max(left - rim, 0), max(top - rim, 0), min(right + rim, shot.raster.width), min(bottom + rim, shot.raster.height)
+        if not slot.takes(tile, grown):
+            yield slot
+            slot = _Slot(number, shot)
+            slot.takes(tile, grown)
+    yield slot
+
+
+class _World:
+    """Scenes of one look on the device, one in each slot: their shapes, materials and textures are the same, and their states their own.
+
+    paint, stage: of one of them. slots: how many.
+    """
+
+    def __init__(self, stage: Scene, paint: Paint, slots: int):
+        model = stage.model
+        self._model = mjw.put_model(model)
+        self._data = mjw.make_data(model, nworld=slots, nconmax=1, njmax=1)
+        self._context = mjw.create_render_context(model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5])
+        self._slots, self._ngeom, self._nlight = slots, model.ngeom, max(1, int(model.light_active.sum()))
+        self._on = np.flatnonzero(model.light_active)
+        self._look = _look(model, paint, self._on)
+        self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
+        rays = kernels.Rays()
+        shape = slots, PLACES
+        rays.origin, rays.ray, rays.normal = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
+        rays.apart, rays.distance, rays.geom = wp.zeros(shape, float), wp.zeros(shape, float), wp.zeros(shape, int)
+        self._rays, self._drawn = rays, wp.zeros(shape, dtype=wp.vec3ub)
+        self._count, self._found, self._total = wp.zeros(slots, int), wp.zeros(shape, int), wp.zeros((*shape, 3), int)
+        self._tiles = np.zeros((slots, MOST_TILES), np.dtype(kernels.Tile.numpy_dtype()))
+        self._views = np.zeros(slots, np.dtype(kernels.View.numpy_dtype()))
+        self._state = np.zeros((slots, self._ngeom, 3), np.float32), np.zeros((slots, self._ngeom, 3, 3), np.float32)
+        self._lights = np.zeros((5, slots, self._nlight, 3), np.float32)
+
+    def draw(self, table: _Table, outside: bool, work: Sequence[_Slot]) -> NDArray[np.uint8]:
+        """The colours (slots, PLACES, 3) of what is in slots, as many as there are at most, all of pictures with the same rays."""
+        self._put(work)
+        where = wp.array(self._views, dtype=kernels.View), wp.array(self._tiles, dtype=kernels.Tile)
+        lit, shape = (self._look, self._lamps(), self._data.geom_xpos, self._data.geom_xmat, self._rays), (self._slots, PLACES)
+        hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
+        seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
+        wp.launch(kernels.aim, shape, [*where, table.width, table.rays, table.apart, self._rays])
+        self._cast(seen)
+        wp.launch(kernels.blind, shape, [*where, table.width, table.rays, self._rays])
+        wp.launch(kernels.shade, shape, [*lit, self._drawn])
+        if table.n:
+            self._smooth(table, where, lit, seen)
+        return self._drawn[: len(work)].numpy()
+
+    def _smooth(self, table: _Table, where: tuple[Any, Any], lit: tuple[Any, ...], seen: Any) -> None:
+        """Draw the pixels at edges again, by the means of the rays through their parts."""
+        shape, found = (self._slots, PLACES), (self._count, self._found)
+        self._count.zero_()
+        self._total.zero_()
+        wp.launch(kernels.edges, shape, [*where, self._rays, *found])
+        for first in range(0, int(self._count.numpy().max()) * table.n, PLACES):
+            wp.launch(kernels.aim_within, shape, [*where, table.width, table.within, table.apart, *found, first, self._rays])
+            self._cast(seen)
+            wp.launch(kernels.add_up, shape, [*lit, self._count, first, table.n, self._total])
+        wp.launch(kernels.smooth, shape, [*found, table.n, self._total, self._drawn])
+
+    def _put(self, work: Sequence[_Slot]) -> None:
+        """Take the states, views and tiles to the device."""
+        (xpos, xmat), lights = self._state, self._lights
+        self._views["tiles"] = 0
+        for i, slot in enumerate(work):
+            data, model, T = slot.shot.stage.data, slot.shot.stage.model, slot.shot.T_world_camera
+            self._views[i] = T[:3, 3], T[:3, :3], len(slot.tiles)
+            self._tiles[i, : len(slot.tiles)] = slot.tiles
+            xpos[i], xmat[i] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
+            if len(self._on):
+                own = data.light_xpos, data.light_xdir, model.light_ambient, model.light_diffuse, model.light_specular
+                lights[:, i] = [values[self._on] for values in own]
+        self._data.geom_xpos.assign(xpos)
+        self._data.geom_xmat.assign(xmat)
+        mjw.refit_bvh(self._model, self._data, self._context)
+
+    def _lamps(self) -> Any:
+        lamps = kernels.Lamps()
+        names = "place", "along", "ambient", "diffuse", "specular"
+        for name, values in zip(names, self._lights, strict=True):
+            setattr(lamps, name, wp.array(values, dtype=wp.vec3))
+        return lamps
+
+    def _cast(self, seen: Any) -> None:
+        rays = self._rays
+        given = rays.origin, rays.ray, seen, True, self._everything, rays.distance, rays.geom, rays.normal
+        mjw.rays(self._model, self._data, *given, self._context)
+
+
+def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
+    """What all worlds of a scene share, as the shading kernel reads it. on: the lights that are lit."""
+    look, n = kernels.Look(), model.ngeom
+    material, printed = model.geom_matid, paint.printed
+    textures = {texture: i for i, texture in enumerate(paint.mipmaps)}
+    texture, times, uniform, gloss, samples = np.full(n, -1), np.ones((n, 2)), np.zeros(n), np.zeros((n, 2)), np.ones(n)
+    for g in printed:
+        m, number = material[g], int(paint.texture[g])
+        texture[g], times[g], uniform[g] = textures[number], model.mat_texrepeat[m], model.mat_texuniform[m]
+        samples[g] = 1 if paint.repeated[number] else paint.anisotropy
+        if g in paint.glossy:
+            gloss[g] = model.mat_specular[m], 128 * model.mat_shininess[m]
+    levels, sizes, tables, start = [], [], [], 0
+    for mipmap in paint.mipmaps.values():
+        levels.append((len(sizes), len(mipmap.levels)))
+        sizes += [(start + first, width, height) for first, width, height in mipmap.levels]
+        tables.append(mipmap.table)
+        start += len(mipmap.table)
+    elevation, tint = paint.sky
+    cone = np.column_stack([np.cos(np.radians(model.light_cutoff[on])), model.light_exponent[on]])
+
+    def put(values: object, dtype: Any, least: tuple[int, ...]) -> Any:
+        array = np.asarray(values)
+        return wp.array(array if array.size else np.zeros(least, array.dtype), dtype=dtype)
+
+    look.rgb, look.glow = put(paint.rgb[:n], wp.vec3, (1, 3)), put(paint.glow[:n], float, (1,))
+    look.box = put((model.geom_type == mujoco.mjtGeom.mjGEOM_BOX).astype(np.int32), int, (1,))
+    look.half, look.texture = put(model.geom_size.astype(np.float32), wp.vec3, (1, 3)), put(texture.astype(np.int32), int, (1,))
+    look.times, look.uniform = put(times.astype(np.float32), wp.vec2, (1, 2)), put(uniform.astype(np.int32), int, (1,))
+    look.gloss, look.samples = put(gloss.astype(np.float32), wp.vec2, (1, 2)), put(samples.astype(np.int32), int, (1,))
+    look.level, look.size = put(np.array(levels, np.int32), wp.vec2i, (1, 2)), put(np.array(sizes, np.int32), wp.vec3i, (1, 3))
+    look.texels = put(np.concatenate(tables) if tables else np.zeros((1, 3), np.uint8), wp.vec3ub, (1, 3))
+    look.elevation, look.tint = put(elevation.astype(np.float32), float, (1,)), put(tint.astype(np.float32), wp.vec3, (1, 3))
+    look.light_type = put(model.light_type[on].astype(np.int32), int, (0,))
+    look.attenuation = put(model.light_attenuation[on].astype(np.float32), wp.vec3, (0, 3))
+    look.cone = put(cone.astype(np.float32), wp.vec2, (0, 2))
+    return look
+
+
+class Device:
+    """Draws pictures on a device of Warp: a graphics card where there is one, else this processor.
+
+    name: of the device and of what draws there. spent_s: wall time spent on drawing [s].
+    """
+
+    def __init__(self) -> None:
+        wp.config.quiet = True
+        wp.init()
+        device = wp.get_preferred_device()
+        self.name = f"rays (mujoco_warp {mjw.__version__}, {device.name})"
+        self.slots = SLOTS["cuda" if device.is_cuda else "cpu"]
+        self._worlds, self._tables = dict[bytes, _World](), dict[tuple[object, ...], _Table]()
+
+    def draw(self, shots: Sequence[Shot]) -> list[list[Image]]:
+        """The tiles of each picture, those of equal scenes and lenses together."""
+        alike: dict[tuple[bytes, tuple[object, ...], bool], list[_Slot]] = {}
+        for i, shot in enumerate(shots):
+            key = shot.look, (*shot.lens, len(shot.raster.within)), shot.outside
+            alike.setdefault(key, []).extend(slots_of(i, shot))
+        drawn: list[list[Image]] = [[] for _ in shots]
+        for (look, lens, outside), work in alike.items():
+            first = work[0].shot
+            if look not in self._worlds:
+                self._worlds[look] = _World(first.stage, first.paint, self.slots)
+            if lens not in self._tables:
+                self._tables[lens] = _Table(first.raster)
+            for start in range(0, len(work), self.slots):
+                some = work[start : start + self.slots]
+                for slot, colours in zip(some, self._worlds[look].draw(self._tables[lens], outside, some), strict=True):
+                    drawn[slot.number].extend(slot.images(colours))
+        return drawn
+
+
+def look_of(model: mujoco.MjModel) -> bytes:
+    """What identifies scenes whose pictures show the same shapes, materials, textures and lights; kept with the model."""
+    names = [n for n in dir(model) if n.startswith(LOOKS) and n not in MOVED]
+    found = hashlib.blake2b(digest_size=16)
+    for name in names:
+        found.update(np.ascontiguousarray(getattr(model, name)).tobytes())
+    return found.digest()

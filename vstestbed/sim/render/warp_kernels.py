@@ -1,0 +1,403 @@
+"""Kernels of pictures drawn on a device: rays of tiles, the edges among their hits, and `shade`'s colours, by Warp.
+
+A launch works on W slots of C places each: a slot holds some tiles of one picture, a place one of their pixels, or one of the rays through
+an edge's pixel. Imported only where Warp is wanted; `# noqa: ANN` since Warp reads the annotations as types of its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+NO_RAY, SKY = -2, -1
+AWAY = 1e9  # where rays of places without a pixel begin [m]: they meet no box of a scene
+BOX, DIRECTIONAL, SPOT = 6, 1, 0  # as `mjtGeom` and `mjtLightType` have them
+
+
+@wp.struct
+class Tile:
+    """A tile of a picture: its first place, its pixels with the rim by which edges are found (left, top, right, bottom), and the wanted."""
+
+    start: int
+    grown: wp.vec4i
+    wanted: wp.vec4i
+
+
+@wp.struct
+class View:
+    """Pose of the camera of a slot, and the number of its tiles."""
+
+    origin: wp.vec3
+    R: wp.mat33
+    tiles: int
+
+
+@wp.struct
+class Look:
+    """What all worlds of a scene share: colours, textures with their mipmaps one after another, the sky, fixed properties of lights."""
+
+    rgb: wp.array(dtype=wp.vec3)
+    glow: wp.array(dtype=float)
+    box: wp.array(dtype=int)
+    half: wp.array(dtype=wp.vec3)
+    texture: wp.array(dtype=int)  # of what is printed on a geom; -1 for none
+    times: wp.array(dtype=wp.vec2)
+    uniform: wp.array(dtype=int)
+    gloss: wp.array(dtype=wp.vec2)  # specular and 128 shininess; 0 where nothing is mirrored
+    samples: wp.array(dtype=int)  # of a texture seen aslant
+    level: wp.array(dtype=wp.vec2i)  # of a texture: its first level, and the number of levels
+    size: wp.array(dtype=wp.vec3i)  # of a level: start in `texels`, width, height
+    texels: wp.array(dtype=wp.vec3ub)
+    elevation: wp.array(dtype=float)
+    tint: wp.array(dtype=wp.vec3)
+    light_type: wp.array(dtype=int)
+    attenuation: wp.array(dtype=wp.vec3)
+    cone: wp.array(dtype=wp.vec2)  # cosine of the cutoff, exponent
+
+
+@wp.struct
+class Lamps:
+    """The lights of each world now, shape (W, lights)."""
+
+    place: wp.array2d(dtype=wp.vec3)
+    along: wp.array2d(dtype=wp.vec3)
+    ambient: wp.array2d(dtype=wp.vec3)
+    diffuse: wp.array2d(dtype=wp.vec3)
+    specular: wp.array2d(dtype=wp.vec3)
+
+
+@wp.struct
+class Rays:
+    """Rays of all places, shape (W, C), and what they hit."""
+
+    origin: wp.array2d(dtype=wp.vec3)
+    ray: wp.array2d(dtype=wp.vec3)
+    apart: wp.array2d(dtype=float)
+    distance: wp.array2d(dtype=float)
+    geom: wp.array2d(dtype=int)
+    normal: wp.array2d(dtype=wp.vec3)
+
+
+@wp.func
+def _tile(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j: int) -> int:
+    """Number of the tile of place j; -1 for a place beyond all tiles."""
+    for k in range(views[w].tiles):
+        grown = tiles[w, k].grown
+        if j < tiles[w, k].start + (grown[2] - grown[0]) * (grown[3] - grown[1]):
+            return k
+    return -1
+
+
+@wp.func
+def _pixel(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int) -> int:
+    """Number of the pixel of place j in the picture; -1 for a place beyond all tiles."""
+    k = _tile(views, tiles, w, j)
+    if k < 0:
+        return -1
+    grown, within = tiles[w, k].grown, j - tiles[w, k].start
+    columns = grown[2] - grown[0]
+    return (grown[1] + within // columns) * width + grown[0] + within % columns
+
+
+@wp.func
+def _aim(rays: Rays, w: int, j: int, view: View, ray: wp.vec3, apart: float):
+    """Point place j along a ray in the camera's frame; away from everything where the lens has none."""
+    if wp.isnan(ray[0]):
+        rays.origin[w, j] = wp.vec3(AWAY, AWAY, AWAY)
+        rays.ray[w, j] = wp.vec3(1.0, 0.0, 0.0)
+    else:
+        rays.origin[w, j] = view.origin
+        rays.ray[w, j] = view.R @ ray
+    rays.apart[w, j] = apart
+
+
+@wp.kernel
+def aim(
+    views: wp.array(dtype=View),
+    tiles: wp.array2d(dtype=Tile),
+    width: int,
+    table: wp.array(dtype=wp.vec3),
+    angles: wp.array(dtype=float),
+    rays: Rays,
+):
+    """The ray through the centre of each pixel. table, angles: of all pixels of the picture."""
+    w, j = wp.tid()
+    pixel = _pixel(views, tiles, w, j, width)
+    if pixel < 0:
+        _aim(rays, w, j, views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
+    else:
+        _aim(rays, w, j, views[w], table[pixel], angles[pixel])
+
+
+@wp.kernel
+def blind(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), width: int, table: wp.array(dtype=wp.vec3), rays: Rays):
+    """Mark the pixels that have no ray, which are not the sky."""
+    w, j = wp.tid()
+    pixel = _pixel(views, tiles, w, j, width)
+    if pixel >= 0:
+        if wp.isnan(table[pixel][0]):
+            rays.geom[w, j] = NO_RAY
+
+
+@wp.kernel
+def edges(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), rays: Rays, count: wp.array(dtype=int), found: wp.array2d(dtype=int)):
+    """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many, and which."""
+    w, j = wp.tid()
+    k = _tile(views, tiles, w, j)
+    if k >= 0:
+        tile = tiles[w, k]
+        columns = tile.grown[2] - tile.grown[0]
+        rows = tile.grown[3] - tile.grown[1]
+        row, column = (j - tile.start) // columns, (j - tile.start) % columns
+        u, v = tile.grown[0] + column, tile.grown[1] + row
+        if u >= tile.wanted[0] and u < tile.wanted[2] and v >= tile.wanted[1] and v < tile.wanted[3]:
+            own, other = rays.geom[w, j], int(0)
+            for dv in range(-1, 2):
+                for du in range(-1, 2):
+                    near = wp.clamp(row + dv, 0, rows - 1) * columns + wp.clamp(column + du, 0, columns - 1)
+                    if rays.geom[w, tile.start + near] != own:
+                        other = 1
+            if other == 1:
+                found[w, wp.atomic_add(count, w, 1)] = j
+
+
+@wp.func
+def _edge(count: int, first: int, j: int, n: int) -> int:
+    """The number of the edge whose ray is at place j, of n rays each; -1 for none."""
+    edge = (first + j) // n
+    if edge >= count:
+        return -1
+    return edge
+
+
+@wp.kernel
+def aim_within(
+    views: wp.array(dtype=View),
+    tiles: wp.array2d(dtype=Tile),
+    width: int,
+    table: wp.array2d(dtype=wp.vec3),
+    angles: wp.array(dtype=float),
+    count: wp.array(dtype=int),
+    found: wp.array2d(dtype=int),
+    first: int,
+    rays: Rays,
+):
+    """The n rays within each pixel at an edge, from the ray `first` on. table: (pixels, n)."""
+    w, j = wp.tid()
+    n = table.shape[1]
+    edge = _edge(count[w], first, j, n)
+    if edge < 0:
+        _aim(rays, w, j, views[w], wp.vec3(wp.nan, wp.nan, wp.nan), 0.0)
+    else:
+        pixel = _pixel(views, tiles, w, found[w, edge], width)
+        _aim(rays, w, j, views[w], table[pixel, (first + j) % n], angles[pixel] / wp.sqrt(float(n)))
+
+
+@wp.func
+def _between(look: Look, level: int, place: wp.vec2) -> wp.vec3:
+    """Linear interpolation between the four texels round a place of a level, which repeats itself beyond its edges."""
+    size = look.size[level]
+    u, v = place[0] * float(size[1]) - 0.5, place[1] * float(size[2]) - 0.5
+    left, top = wp.floor(u), wp.floor(v)
+    across, down = u - left, v - top
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(2):
+        for k in range(2):
+            column, row = (int(left) + k) % size[1], (int(top) + i) % size[2]
+            if column < 0:
+                column += size[1]
+            if row < 0:
+                row += size[2]
+            texel = look.texels[size[0] + row * size[1] + column]
+            share = wp.where(k == 1, across, 1.0 - across) * wp.where(i == 1, down, 1.0 - down)
+            total += share * wp.vec3(float(texel[0]), float(texel[1]), float(texel[2]))
+    return total / 255.0
+
+
+@wp.func
+def _texel(look: Look, texture: int, place: wp.vec2, texels: float) -> wp.vec3:
+    """A texture at a place, linear between the two levels whose texels are next to a pixel's size; see `shade.Mipmap.at`."""
+    at = wp.vec2(place[0] - wp.floor(place[0]), place[1] - wp.floor(place[1]))
+    level = look.level[texture]
+    height = wp.clamp(wp.log2(wp.max(texels, 1.0e-9)), 0.0, float(level[1] - 1))
+    fine = int(height)
+    part = height - float(fine)
+    colour = _between(look, level[0] + fine, at)
+    if part > 0.0:
+        colour = (1.0 - part) * colour + part * _between(look, level[0] + fine + 1, at)
+    return colour
+
+
+@wp.func
+def _on_face(v: wp.vec3, face: int, edges: wp.vec2, times: wp.vec2) -> wp.vec2:
+    """A vector in a geom's frame along the axes of a face, as shares of its texture."""
+    i = wp.where(face == 0, 1, 0)
+    j = wp.where(face == 2, 1, 2)
+    return wp.vec2(v[i] / edges[0] * times[0], -v[j] / edges[1] * times[1])
+
+
+@wp.func
+def _print(look: Look, g: int, x: wp.vec3, R: wp.mat33, point: wp.vec3, ray: wp.vec3, normal: wp.vec3, across: float) -> wp.vec3:
+    """The texture of a plane or a box; see `shade.Paint._print`."""
+    turned = wp.transpose(R)
+    local, n = turned @ (point - x), turned @ normal
+    half, face = look.half[g], int(2)
+    if look.box[g] == 1:
+        face = int(0)
+        if wp.abs(n[1]) > wp.abs(n[0]):
+            face = 1
+        if wp.abs(n[2]) > wp.max(wp.abs(n[0]), wp.abs(n[1])):
+            face = 2
+    size = wp.vec3(wp.where(half[0] > 0.0, half[0], 1.0), wp.where(half[1] > 0.0, half[1], 1.0), wp.where(half[2] > 0.0, half[2], 1.0))
+    times = look.times[g]
+    if look.uniform[g] == 1:
+        times = wp.vec2(times[0] * size[0], times[1] * size[1])
+    begins = wp.vec2(wp.where(half[0] > 0.0, 0.5 * times[0], 0.5), wp.where(half[1] > 0.0, 0.5 * times[1], 0.5))
+    i, j = wp.where(face == 0, 1, 0), wp.where(face == 2, 1, 2)
+    edges = wp.vec2(2.0 * size[i], 2.0 * size[j])
+    place = _on_face(local, face, edges, times) + begins
+    texture = look.texture[g]
+    whole = look.size[look.level[texture][0]]
+    pixels = wp.vec2(float(whole[1]), float(whole[2]))
+    cosine = wp.max(wp.abs(wp.dot(ray, normal)), 1.0e-6)
+    most = look.samples[g]
+    if most == 1:
+        texels = across / cosine * wp.max(times[0] * pixels[0] / edges[0], times[1] * pixels[1] / edges[1])
+        return _texel(look, texture, place, texels)
+    shadow = ray - wp.dot(ray, normal) * normal
+    if wp.length(shadow) < 1.0e-6:  # seen at a right angle: any direction on the face will do; single floats give no less
+        shadow = wp.vec3(R[0, i], R[1, i], R[2, i])
+    shadow = wp.normalize(shadow)
+    first = _on_face(turned @ (shadow * (across / cosine)), face, edges, times)
+    second = _on_face(turned @ (wp.cross(normal, shadow) * across), face, edges, times)
+    long, short = wp.length(wp.cw_mul(first, pixels)), wp.length(wp.cw_mul(second, pixels))
+    along = first
+    if short > long:
+        along, long, short = second, short, long
+    samples = wp.clamp(int(wp.ceil(long / wp.max(short, 1.0e-9) - 0.01)), 1, most)
+    texels = wp.max(long / float(samples), short)
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(samples):
+        total += _texel(look, texture, place + along * ((float(k) + 0.5) / float(samples) - 0.5), texels)
+    return total / float(samples)
+
+
+@wp.func
+def _share(look: Look, lamps: Lamps, w: int, i: int, to: wp.vec3, far: float) -> float:
+    """What share of light i, which has a place, gets to a point from which it is `far` away along `to`."""
+    a = look.attenuation[i]
+    share = 1.0 / wp.max(a[0] + a[1] * far + a[2] * far * far, 1.0e-9)
+    if look.light_type[i] == SPOT:
+        along = wp.clamp(-wp.dot(to, lamps.along[w, i]), 0.0, 1.0)
+        if along < look.cone[i][0]:
+            return 0.0
+        share *= wp.pow(along, look.cone[i][1])
+    return share
+
+
+@wp.func
+def _sky(look: Look, up: float) -> wp.vec3:
+    """The sky at the sine of an elevation, linear between those that are known."""
+    last = look.elevation.shape[0] - 1
+    if up <= look.elevation[0]:
+        return look.tint[0]
+    if up >= look.elevation[last]:
+        return look.tint[last]
+    low, high = int(0), int(last)
+    while high - low > 1:
+        middle = (low + high) // 2
+        if look.elevation[middle] <= up:
+            low = middle
+        else:
+            high = middle
+    part = (up - look.elevation[low]) / (look.elevation[high] - look.elevation[low])
+    return (1.0 - part) * look.tint[low] + part * look.tint[high]
+
+
+@wp.func
+def _colour(
+    look: Look, lamps: Lamps, xpos: wp.array2d(dtype=wp.vec3), xmat: wp.array2d(dtype=wp.mat33), rays: Rays, w: int, j: int
+) -> wp.vec3:
+    """The colour of what a ray hits, from 0 to 1; see `shade.Paint.colours`."""
+    g, ray, distance, normal = rays.geom[w, j], rays.ray[w, j], rays.distance[w, j], rays.normal[w, j]
+    if g == SKY:
+        return _sky(look, ray[2])
+    point = rays.origin[w, j] + ray * distance
+    glow, gloss = look.glow[g], look.gloss[g]
+    light, mirrored = wp.vec3(glow, glow, glow), wp.vec3(0.0, 0.0, 0.0)
+    for i in range(look.light_type.shape[0]):
+        to, share = -lamps.along[w, i], float(1.0)
+        if look.light_type[i] != DIRECTIONAL:
+            way = lamps.place[w, i] - point
+            far = wp.max(wp.length(way), 1.0e-9)
+            to = way / far
+            share = _share(look, lamps, w, i, to, far)
+        facing = wp.dot(to, normal)
+        light += share * (lamps.ambient[w, i] + wp.max(facing, 0.0) * lamps.diffuse[w, i])
+        if gloss[0] > 0.0 and facing > 0.0:
+            half = wp.normalize(to - ray)
+            mirrored += gloss[0] * share * wp.pow(wp.clamp(wp.dot(half, normal), 0.0, 1.0), gloss[1]) * lamps.specular[w, i]
+    colour = wp.min(wp.cw_mul(light, look.rgb[g]), wp.vec3(1.0, 1.0, 1.0))
+    if look.texture[g] >= 0:
+        colour = wp.cw_mul(colour, _print(look, g, xpos[w, g], xmat[w, g], point, ray, normal, rays.apart[w, j] * distance))
+    return wp.min(colour + mirrored, wp.vec3(1.0, 1.0, 1.0))
+
+
+@wp.func
+def _grey(colour: float) -> int:
+    return int(255.0 * colour + 0.5)
+
+
+@wp.kernel
+def shade(
+    look: Look,
+    lamps: Lamps,
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    rays: Rays,
+    out: wp.array2d(dtype=wp.vec3ub),
+):
+    """The grey levels of all places."""
+    w, j = wp.tid()
+    colour = wp.vec3(0.0, 0.0, 0.0)
+    if rays.geom[w, j] != NO_RAY and rays.origin[w, j][0] < 0.5 * AWAY:
+        colour = _colour(look, lamps, xpos, xmat, rays, w, j)
+    out[w, j] = wp.vec3ub(wp.uint8(_grey(colour[0])), wp.uint8(_grey(colour[1])), wp.uint8(_grey(colour[2])))
+
+
+@wp.kernel
+def add_up(
+    look: Look,
+    lamps: Lamps,
+    xpos: wp.array2d(dtype=wp.vec3),
+    xmat: wp.array2d(dtype=wp.mat33),
+    rays: Rays,
+    count: wp.array(dtype=int),
+    first: int,
+    n: int,
+    total: wp.array3d(dtype=int),
+):
+    """Add the grey levels of the rays within the pixels at edges to those of their pixel: whole numbers, whose order does not count."""
+    w, j = wp.tid()
+    edge = _edge(count[w], first, j, n)
+    if edge >= 0 and rays.origin[w, j][0] < 0.5 * AWAY:
+        colour = _colour(look, lamps, xpos, xmat, rays, w, j)
+        for channel in range(3):
+            wp.atomic_add(total, w, edge, channel, _grey(colour[channel]))
+
+
+@wp.kernel
+def smooth(
+    count: wp.array(dtype=int), found: wp.array2d(dtype=int), n: int, total: wp.array3d(dtype=int), out: wp.array2d(dtype=wp.vec3ub)
+):
+    """The means of the rays within the pixels at edges, rounded, in place of the ray through their centre."""
+    w, edge = wp.tid()
+    if edge < count[w]:
+        mean = wp.vec3ub()
+        for channel in range(3):
+            mean[channel] = wp.uint8((2 * total[w, edge, channel] + n) // (2 * n))
+        out[w, found[w, edge]] = mean
+
+
+Kernel = Any
