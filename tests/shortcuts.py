@@ -28,9 +28,13 @@ class Here:
     """A pool of comparisons and searches in this process: no worker has to start and import the package."""
 
     room = 1
+    films = True
 
     def submit(self, request: Any) -> Future[Any]:
         return at_once(request.perform)
+
+    def dispatch(self) -> None:
+        pass
 
     def tries(self, request: Any) -> int:
         return 1

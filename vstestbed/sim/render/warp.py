@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -28,10 +28,11 @@ from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 
 wp: Any = warp  # whose types are made as it runs
-PLACES = 4096  # rays of a slot: pixels of the tiles in it, with their rims
+PLACES = 8192  # rays of a slot: pixels of the tiles in it, with their rims
 MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
-SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together: enough rays to fill a large card
+LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.Lamps`
+SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
 LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")  # prefixes of the arrays of a model that say what its pictures show
 MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light_poscom0", "light_dir0", "geom_friction", "geom_margin")
 """Those among them that do not, or whose effect is in the state."""
@@ -152,75 +153,91 @@ class _World:
         self._model = mjw.put_model(model)
         self._data = mjw.make_data(model, nworld=slots, nconmax=1, njmax=1)
         self._context = mjw.create_render_context(model, nworld=slots, cam_active=[], enabled_geom_groups=[0, 1, 2, 3, 4, 5])
-        self._slots, self._ngeom, self._nlight = slots, model.ngeom, max(1, int(model.light_active.sum()))
         self._on = np.flatnonzero(model.light_active)
         self._look = _look(model, paint, self._on)
+        shape, n = (slots, PLACES), len(self._on)
         self._everything = wp.full(PLACES, -1, dtype=int)  # bodies that rays pass through: none
-        rays = kernels.Rays()
-        shape = slots, PLACES
-        rays.origin, rays.ray, rays.normal = (wp.zeros(shape, dtype=wp.vec3) for _ in range(3))
-        rays.apart, rays.distance, rays.geom = wp.zeros(shape, float), wp.zeros(shape, float), wp.zeros(shape, int)
-        self._rays, self._drawn = rays, wp.zeros(shape, dtype=wp.vec3ub)
-        self._count, self._found, self._total = wp.zeros(slots, int), wp.zeros(shape, int), wp.zeros((*shape, 3), int)
-        self._tiles = np.zeros((slots, MOST_TILES), np.dtype(kernels.Tile.numpy_dtype()))
-        self._views = np.zeros(slots, np.dtype(kernels.View.numpy_dtype()))
-        self._state = np.zeros((slots, self._ngeom, 3), np.float32), np.zeros((slots, self._ngeom, 3, 3), np.float32)
-        self._lights = np.zeros((5, slots, self._nlight, 3), np.float32)
+        self._rays, self._drawn = kernels.Rays(), wp.zeros(shape, dtype=wp.vec3ub)
+        kinds = {wp.vec3: ("origin", "ray", "normal"), float: ("apart", "distance"), int: ("geom",)}
+        for dtype, names in kinds.items():
+            for name in names:
+                setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
+        self._views, self._tiles = wp.zeros(slots, dtype=kernels.View), wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
+        self._lamps, self._lights = kernels.Lamps(), [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
+        for name, lights in zip(LIGHTS, self._lights, strict=True):
+            setattr(self._lamps, name, lights)
 
     def draw(self, table: _Table, outside: bool, work: Sequence[_Slot]) -> NDArray[np.uint8]:
-        """The colours (slots, PLACES, 3) of what is in slots, as many as there are at most, all of pictures with the same rays."""
+        """The colours (n, places) of what is in n slots, as many as there are at most, all of pictures with the same rays."""
         self._put(work)
-        where = wp.array(self._views, dtype=kernels.View), wp.array(self._tiles, dtype=kernels.Tile)
-        lit, shape = (self._look, self._lamps(), self._data.geom_xpos, self._data.geom_xmat, self._rays), (self._slots, PLACES)
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
         seen = wp.types.vector(6, float)(*(0.0 if group in hidden else 1.0 for group in range(6)))
+        shape, where = (len(work), max(slot.places for slot in work)), (self._views, self._tiles)
+        lit = self._look, self._lamps, self._data.geom_xpos, self._data.geom_xmat, self._rays
         wp.launch(kernels.aim, shape, [*where, table.width, table.rays, table.apart, self._rays])
-        self._cast(seen)
+        self._cast(shape, seen)
         wp.launch(kernels.blind, shape, [*where, table.width, table.rays, self._rays])
         wp.launch(kernels.shade, shape, [*lit, self._drawn])
         if table.n:
-            self._smooth(table, where, lit, seen)
-        return self._drawn[: len(work)].numpy()
+            self._smooth(table, shape, lit, seen)
+        return self._drawn[: shape[0], : shape[1]].numpy()
 
-    def _smooth(self, table: _Table, where: tuple[Any, Any], lit: tuple[Any, ...], seen: Any) -> None:
+    def _smooth(self, table: _Table, shape: tuple[int, int], lit: tuple[Any, ...], seen: Any) -> None:
         """Draw the pixels at edges again, by the means of the rays through their parts."""
-        shape, found = (self._slots, PLACES), (self._count, self._found)
-        self._count.zero_()
-        self._total.zero_()
-        wp.launch(kernels.edges, shape, [*where, self._rays, *found])
-        for first in range(0, int(self._count.numpy().max()) * table.n, PLACES):
-            wp.launch(kernels.aim_within, shape, [*where, table.width, table.within, table.apart, *found, first, self._rays])
-            self._cast(seen)
-            wp.launch(kernels.add_up, shape, [*lit, self._count, first, table.n, self._total])
-        wp.launch(kernels.smooth, shape, [*found, table.n, self._total, self._drawn])
+        (slots, places), where = shape, (self._views, self._tiles)
+        count, found = wp.zeros(slots, dtype=int), wp.empty(shape, dtype=int)
+        wp.launch(kernels.edges, shape, [*where, self._rays, count, found])
+        most = int(count.numpy().max())
+        if not most:
+            return
+        total = wp.zeros((slots, most, 3), dtype=int)
+        for first in range(0, most * table.n, places):
+            wp.launch(kernels.aim_within, shape, [*where, table.width, table.within, table.apart, count, found, first, self._rays])
+            self._cast(shape, seen)
+            wp.launch(kernels.add_up, shape, [*lit, count, first, table.n, total])
+        wp.launch(kernels.smooth, (slots, most), [count, found, table.n, total, self._drawn])
 
     def _put(self, work: Sequence[_Slot]) -> None:
-        """Take the states, views and tiles to the device."""
-        (xpos, xmat), lights = self._state, self._lights
-        self._views["tiles"] = 0
-        for i, slot in enumerate(work):
-            data, model, T = slot.shot.stage.data, slot.shot.stage.model, slot.shot.T_world_camera
-            self._views[i] = T[:3, 3], T[:3, :3], len(slot.tiles)
-            self._tiles[i, : len(slot.tiles)] = slot.tiles
-            xpos[i], xmat[i] = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
-            if len(self._on):
-                own = data.light_xpos, data.light_xdir, model.light_ambient, model.light_diffuse, model.light_specular
-                lights[:, i] = [values[self._on] for values in own]
-        self._data.geom_xpos.assign(xpos)
-        self._data.geom_xmat.assign(xmat)
-        mjw.refit_bvh(self._model, self._data, self._context)
+        """Take the states, views and tiles to the device, in slots from the first on."""
+        n, shots = len(work), list({id(slot.shot): slot.shot for slot in work}.values())
+        of = {id(shot): i for i, shot in enumerate(shots)}
+        at = [of[id(slot.shot)] for slot in work]
+        poses = np.array([shot.T_world_camera for shot in shots], np.float32)[at]
+        views = np.empty((n, 13), np.int32)
+        views[:, :12] = np.concatenate([poses[:, :3, 3], poses[:, :3, :3].reshape(n, 9)], axis=1).view(np.int32)
+        views[:, 12] = [len(slot.tiles) for slot in work]
+        tiles = np.zeros((n, MOST_TILES, 9), np.int32)
+        rows = [(i, k, start, *grown, *tile) for i, slot in enumerate(work) for k, (start, grown, tile) in enumerate(slot.tiles)]
+        filled = np.array(rows, np.int32)
+        tiles[filled[:, 0], filled[:, 1]] = filled[:, 2:]
+        datas = [shot.stage.data for shot in shots]
+        put = [
+            (self._views, views),
+            (self._tiles, tiles),
+            (self._data.geom_xpos, np.array([data.geom_xpos for data in datas], np.float32)[at]),
+            (self._data.geom_xmat, np.array([data.geom_xmat for data in datas], np.float32)[at]),
+        ]
+        if len(self._on):
+            put += [(lights, values[at]) for lights, values in zip(self._lights, self._lit(shots), strict=True)]
+        for there, values in put:  # bytes for bytes; CUDA returns when it has read memory that is not pinned
+            held = np.ascontiguousarray(values)
+            wp.copy(there, wp.array(ptr=held.ctypes.data, shape=(held.nbytes // there.strides[-1],), dtype=there.dtype, device="cpu"))
+        mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
-    def _lamps(self) -> Any:
-        lamps = kernels.Lamps()
-        names = "place", "along", "ambient", "diffuse", "specular"
-        for name, values in zip(names, self._lights, strict=True):
-            setattr(lamps, name, wp.array(values, dtype=wp.vec3))
-        return lamps
+    def _lit(self, shots: Sequence[Shot]) -> NDArray[np.float32]:
+        """The lights of each scene now, in the order of LIGHTS, (5, shots, lights, 3)."""
+        found = []
+        for shot in shots:
+            data, model = shot.stage.data, shot.stage.model
+            own = data.light_xpos, data.light_xdir, model.light_ambient, model.light_diffuse, model.light_specular
+            found.append([values[self._on] for values in own])
+        return np.array(found, np.float32).swapaxes(0, 1)
 
-    def _cast(self, seen: Any) -> None:
-        rays = self._rays
-        given = rays.origin, rays.ray, seen, True, self._everything, rays.distance, rays.geom, rays.normal
-        mjw.rays(self._model, self._data, *given, self._context)
+    def _cast(self, shape: tuple[int, int], seen: Any) -> None:
+        n, m = shape
+        rays, data = self._rays, replace(self._data, nworld=n)
+        origin, ray, distance, geom, normal = (a[:n, :m] for a in (rays.origin, rays.ray, rays.distance, rays.geom, rays.normal))
+        mjw.rays(self._model, data, origin, ray, seen, True, self._everything[:m], distance, geom, normal, self._context)
 
 
 def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
@@ -265,7 +282,7 @@ def _look(model: mujoco.MjModel, paint: Paint, on: NDArray[np.intp]) -> Any:
 class Device:
     """Draws pictures on a device of Warp: a graphics card where there is one, else this processor.
 
-    name: of the device and of what draws there. spent_s: wall time spent on drawing [s].
+    name: of the device and of what draws there.
     """
 
     def __init__(self) -> None:

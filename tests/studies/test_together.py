@@ -1,0 +1,176 @@
+"""Runs that fly together: each as alone, their pictures by one call; what fails, and what a device does not draw."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco_warp")
+
+import vstestbed as vs
+from tests.shortcuts import one_quick
+from vstestbed.core.errors import EnvironmentLackError, ParameterError
+from vstestbed.loop.session import run
+from vstestbed.scenario.load import seeded
+from vstestbed.sim.render.warp import Device, Shot
+from vstestbed.studies import together
+from vstestbed.studies.pools import Request, WorkerLostError
+from vstestbed.studies.together import Together, TogetherPool, device, must_fly_together
+
+WORLDS, FRAMES = 8, 40
+ROBOTS = "arm_ibvs", "quadrotor_hover", "omni_ibvs", "car_pbvs"
+
+
+def short(name: str, frames: int = FRAMES) -> vs.Scenario:
+    rate = vs.load(name).camera.rate_hz
+    return vs.load(name, {"stop.duration_s": frames / rate})
+
+
+def flown(scenarios: Sequence[vs.Scenario]) -> list[vs.Recording]:
+    return [done.result() for done in Together(device()).fly([lambda one=one: run(one) for one in scenarios])]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_runs_that_fly_together_agree_with_those_that_opengl_draws(name: str) -> None:
+    worlds = [seeded(short(name), seed) for seed in range(WORLDS)]
+    found = flown(worlds)
+    assert all("mujoco_warp" in one.versions["renderer"] for one in found)
+    assert len({one["u_0"][0] for one in found}) == WORLDS  # each from its own start
+    own = run(worlds[0])
+    assert found[0].outcome is own.outcome
+    assert len(found[0].rows) == len(own.rows) >= FRAMES // 2
+    places = [name for name in own.columns if name.startswith(("u_", "v_")) and name[2:].isdigit()]
+    first = [abs(found[0][name][0] - own[name][0]) for name in places]
+    assert np.nanmax(first) < 0.1  # px
+    # a pixel at an edge that falls otherwise is some hundredths of a pixel, and the run goes on from there
+    way = [np.abs(found[0][name] - own[name]) for name in places]
+    assert np.nanmedian(way) < 0.1
+    assert np.nanmax(way) < 1.0
+
+
+@pytest.mark.parametrize("name", one_quick("arm_ibvs", "omni_ibvs", "car_line", "arm_fisheye", "arm_two_eyes"))
+def test_a_run_does_not_depend_on_those_beside_it(name: str) -> None:
+    scenario = short(name, 15)
+    (alone,) = flown([scenario])
+    beside = flown([short(name, 4), scenario, short("arm_mesh", 6)])
+    assert beside[1].table.tobytes() == alone.table.tobytes()
+    assert beside[1].outcome is alone.outcome
+
+
+def test_only_one_run_goes_on_at_a_time_and_an_error_is_its_own() -> None:
+    inside, most = 0, 0
+
+    class Nothing(Device):
+        name = "nothing"
+
+        def __init__(self) -> None:
+            self.calls: list[int] = []
+
+        def draw(self, shots: Sequence[Any]) -> list[Any]:
+            self.calls.append(len(shots))
+            return [[shot] for shot in shots]
+
+    nothing = Nothing()
+    group = Together(nothing)
+
+    def task(n: int) -> int:
+        nonlocal inside, most
+        for i in range(n):
+            inside += 1
+            most = max(most, inside)
+            inside -= 1
+            assert group.draw(i) == [i]  # pyright: ignore[reportArgumentType] - any object will do for this device
+        if n == 2:
+            raise ValueError("two")
+        return n
+
+    before = threading.active_count()
+    results = group.fly([lambda n=n: task(n) for n in (3, 2, 1, 0)])
+    assert [done.exception() is None for done in results] == [True, False, True, True]
+    assert str(results[1].exception()) == "two"
+    assert [results[i].result() for i in (0, 2, 3)] == [3, 1, 0]
+    assert nothing.calls == [3, 2, 1]
+    assert most == 1
+    assert threading.active_count() <= before + 1
+
+
+def test_a_device_that_fails_is_told_by_every_run_and_none_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: Device, shots: Sequence[Shot]) -> Any:
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(Device, "draw", full)
+    done = Together(device()).fly([lambda: run(short("arm_ibvs", 3)) for _ in range(2)])
+    for one in done:
+        with pytest.raises(EnvironmentLackError, match="out of memory"):
+            one.result()
+
+
+@pytest.mark.parametrize(
+    ("changed", "field"),
+    [
+        ({"camera.renderer": "gl"}, "camera.renderer"),
+        ({"camera.shadows": True}, "camera.shadows"),
+        ({"world.floor": {"mirror": 0.3}}, "world.floor.mirror"),
+    ],
+)
+def test_what_a_device_does_not_draw_is_refused_by_its_field(changed: dict, field: str) -> None:
+    with pytest.raises(ParameterError, match="executor warp draws") as refused:
+        must_fly_together([vs.load("arm_ibvs"), vs.load("arm_ibvs", changed)])
+    assert refused.value.field == field
+
+
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    together.device.cache_clear()
+    monkeypatch.setitem(__import__("sys").modules, "vstestbed.sim.render.warp", None)
+    with pytest.raises(EnvironmentLackError, match=r"MuJoCo Warp is not installed") as lack:
+        device()
+    assert "vstestbed[gpu]" in str(lack.value)
+    together.device.cache_clear()
+
+
+def double(n: int, place: str | None = None) -> int:
+    if n == 13:
+        raise ValueError("thirteen")
+    if n == 99:
+        __import__("os")._exit(1)
+    return 2 * n
+
+
+@pytest.mark.process
+def test_a_worker_that_dies_takes_its_runs_with_it_and_a_second_try_flies_alone(tmp_path: Path) -> None:
+    pool = TogetherPool(1, tmp_path)
+    requests = {n: Request(str(n), double, (n,)) for n in (1, 2, 13, 99)}
+    try:
+        futures = {n: pool.submit(request) for n, request in requests.items()}
+        pool.dispatch()
+        assert all(isinstance(future.exception(60), WorkerLostError) for future in futures.values())
+        again = {n: pool.submit(request) for n, request in requests.items()}
+        while pool._waiting:
+            pool.dispatch()
+        assert isinstance(again[99].exception(60), WorkerLostError)
+        assert [again[n].result(60) for n in (1, 2)] == [2, 4]
+        assert str(again[13].exception(60)) == "thirteen"
+        assert pool.tries(requests[99]) == 2
+    finally:
+        pool.close()
+
+
+@pytest.mark.process
+def test_compare_by_warp_is_complete_without_films_and_resumes(cli, tmp_path: Path) -> None:
+    args = ["compare", "arm_ibvs", "arm_pbvs", "--seeds", "2", "--set", "stop.duration_s=0.4", "--executor", "warp", "--out", "found"]
+    done = cli(*args, "--no-figures")
+    assert done.code == 0, done.err
+    summaries = [json.loads(path.read_text()) for path in Path("found").rglob("summary.json")]
+    assert len(summaries) == 4
+    assert all("mujoco_warp" in one["versions"]["renderer"] for one in summaries)
+    assert not list(Path("found").rglob("*.mp4"))
+    assert len(list(Path("found").rglob("end.png"))) == 4  # by rays: OpenGL stays out of a process with Warp
+    refused = cli("compare", "arm_ibvs", "--set", "camera.shadows=true", "--executor", "warp", "--out", "none")
+    assert refused.code != 0
+    assert "camera.shadows" in refused.err
