@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,22 +36,51 @@ def flown(scenarios: Sequence[vs.Scenario]) -> list[vs.Recording]:
     return [done.result() for done in Together(device()).fly([lambda one=one: run(one) for one in scenarios])]
 
 
+def places(one: vs.Recording) -> np.ndarray:
+    """Where the markers were seen [px], (frames, 2 N)."""
+    return np.stack([one[name] for name in one.columns if name.startswith(("u_", "v_")) and name[2:].isdigit()], axis=1)
+
+
+def places(one: vs.Recording) -> np.ndarray:
+    """Where the markers were seen [px], (frames, 2 N)."""
+    return np.stack([one[name] for name in one.columns if name.startswith(("u_", "v_")) and name[2:].isdigit()], axis=1)
+
+
 @pytest.mark.parametrize("name", ROBOTS)
-def test_runs_that_fly_together_agree_with_those_that_opengl_draws(name: str) -> None:
+def test_runs_that_fly_together_agree_with_those_that_fly_alone(name: str) -> None:
     worlds = [seeded(short(name), seed) for seed in range(WORLDS)]
     found = flown(worlds)
     assert all("mujoco_warp" in one.versions["renderer"] for one in found)
-    assert len({one["u_0"][0] for one in found}) == WORLDS  # each from its own start
-    own = run(worlds[0])
-    assert found[0].outcome is own.outcome
-    assert len(found[0].rows) == len(own.rows) >= FRAMES // 2
-    places = [name for name in own.columns if name.startswith(("u_", "v_")) and name[2:].isdigit()]
-    first = [abs(found[0][name][0] - own[name][0]) for name in places]
-    assert np.nanmax(first) < 0.1  # px
-    # a pixel at an edge that falls otherwise is some hundredths of a pixel, and the run goes on from there
-    way = [np.abs(found[0][name] - own[name]) for name in places]
-    assert np.nanmedian(way) < 0.1
-    assert np.nanmax(way) < 1.0
+    assert len({places(one)[0].tobytes() for one in found}) == WORLDS  # each from its own start
+    by_rays = run(seeded(vs.load(name, {"stop.duration_s": worlds[0].stop.duration_s, "camera.renderer": "rays"}), 0))
+    assert found[0].outcome is by_rays.outcome
+    assert len(found[0].rows) == len(by_rays.rows) >= FRAMES // 2
+    assert np.nanmax(np.abs(places(found[0]) - places(by_rays))) < 0.3
+
+
+VIEWS = [*((name, WORLDS) for name in ROBOTS), *((name, 200) for name in ("arm_fisheye", "arm_spherical", "omni_catadioptric", *ROBOTS))]
+
+
+@pytest.mark.parametrize(("name", "views"), one_quick(*VIEWS[:4], every=1) + one_quick(None, *VIEWS[4:])[1:])
+def test_markers_are_seen_as_near_to_the_truth_as_where_opengl_draws_them(name: str, views: int) -> None:
+    """Of small markers each renderer's few samples a pixel leave some hundredths of a pixel, OpenGL's four as many as these four."""
+
+    def worlds(**more: object) -> list[vs.Scenario]:
+        changed = {"camera.multisampling": 4, "stop.duration_s": 2 / vs.load(name).camera.rate_hz, **more}
+        return [seeded(vs.load(name, changed), seed) for seed in range(views)]
+
+    drawn = np.array([places(one)[0] for one in flown(worlds())])
+    by_gl, true = (np.array([places(run(one))[0] for one in made]) for made in (worlds(), worlds(detector={"kind": "oracle"})))
+    apart, own, opengl = (np.abs(a - b)[np.isfinite(a - b)] for a, b in ((drawn, by_gl), (drawn, true), (by_gl, true)))
+    told = "; ".join(
+        f"{what} median {np.median(d):.3f}, 95 % {np.quantile(d, 0.95):.3f}, most {d.max():.3f}"
+        for what, d in (("from OpenGL's", apart), ("from the true", own), ("OpenGL's from the true", opengl))
+    )
+    print(f"{name}, {views} views [px]: {told}")
+    assert np.array_equal(np.isfinite(drawn), np.isfinite(by_gl))
+    assert np.median(apart) < 0.05
+    assert np.quantile(apart, 0.95) < 0.15
+    assert np.quantile(own, 0.9) < (1.3 if views == WORLDS else 1.05) * np.quantile(opengl, 0.9)
 
 
 @pytest.mark.parametrize("name", one_quick("arm_ibvs", "omni_ibvs", "car_line", "arm_fisheye", "arm_two_eyes"))
@@ -90,14 +119,12 @@ def test_only_one_run_goes_on_at_a_time_and_an_error_is_its_own() -> None:
             raise ValueError("two")
         return n
 
-    before = threading.active_count()
     results = group.fly([lambda n=n: task(n) for n in (3, 2, 1, 0)])
     assert [done.exception() is None for done in results] == [True, False, True, True]
     assert str(results[1].exception()) == "two"
     assert [results[i].result() for i in (0, 2, 3)] == [3, 1, 0]
     assert nothing.calls == [3, 2, 1]
     assert most == 1
-    assert threading.active_count() <= before + 1
 
 
 def test_a_device_that_fails_is_told_by_every_run_and_none_waits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,15 +189,15 @@ def test_a_worker_that_dies_takes_its_runs_with_it_and_a_second_try_flies_alone(
 
 
 @pytest.mark.process
-def test_compare_by_warp_is_complete_without_films_and_resumes(cli, tmp_path: Path) -> None:
-    args = ["compare", "arm_ibvs", "arm_pbvs", "--seeds", "2", "--set", "stop.duration_s=0.4", "--executor", "warp", "--out", "found"]
-    done = cli(*args, "--no-figures")
-    assert done.code == 0, done.err
-    summaries = [json.loads(path.read_text()) for path in Path("found").rglob("summary.json")]
+def test_compare_by_warp_is_complete_without_films_and_tells_what_it_does_not_draw(command, one_figure: None) -> None:
+    words = "compare", "arm_ibvs", "arm_pbvs", "--seeds", 2, "--set", "stop.duration_s=0.4", "--executor", "warp", "--out", "found"
+    ended = command(*words, "--no-figures")
+    assert ended.code == 0, ended.err
+    summaries = [json.loads(path.read_text()) for path in Path("found/runs").rglob("summary.json")]
     assert len(summaries) == 4
     assert all("mujoco_warp" in one["versions"]["renderer"] for one in summaries)
     assert not list(Path("found").rglob("*.mp4"))
-    assert len(list(Path("found").rglob("end.png"))) == 4  # by rays: OpenGL stays out of a process with Warp
-    refused = cli("compare", "arm_ibvs", "--set", "camera.shadows=true", "--executor", "warp", "--out", "none")
+    assert len(list(Path("found/runs").rglob("end.png"))) == 4  # by rays: OpenGL stays out of a process with Warp
+    refused = command("compare", "arm_ibvs", "--set", "camera.shadows=true", "--executor", "warp", "--out", "none")
     assert refused.code != 0
     assert "camera.shadows" in refused.err

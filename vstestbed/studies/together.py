@@ -67,8 +67,8 @@ class Together:
             for turn in going:  # one after another, each until it waits for its picture or has ended
                 turn.go.release()
                 self._parked.acquire()
-            going = [turn for turn in going if not turn.ended]
-            self._draw(going)
+            if going := [turn for turn in going if not turn.ended]:
+                self._draw(going)
         return [turn.done for turn in turns]
 
     def _draw(self, waiting: Sequence[_Turn]) -> None:
