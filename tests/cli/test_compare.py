@@ -74,7 +74,7 @@ def test_bad_input(command, quick: Path):
         (["quick.yaml", "--vary", "law.gian=1,2"], "--vary: law.gian: is an unknown field; did you mean 'gain'?"),
         (["quick.yaml", "--vary", "law.gain=1", "--vary", "law.gain=2"], "--vary has a field twice"),
         (["ibvs_retreat", "--seeds", "3"], "ibvs_retreat: robot.start.random is missing, and nothing else is random: every seed would"),
-        (["quick.yaml", "--executor", "ray"], "--executor must be local or dask://HOST:PORT, got 'ray'"),
+        (["quick.yaml", "--executor", "ray"], "--executor must be local, warp or dask://HOST:PORT, got 'ray'"),
         (["--resume"], "--resume needs the folder that `vstestbed compare` has made: --out DIR"),
         (["--resume", "--out", "nowhere"], "nowhere: no such folder"),
         (["quick.yaml", "quick.yaml"], "base has a scenario, or a file name, twice"),

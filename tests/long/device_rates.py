@@ -27,7 +27,7 @@ def pictures(worlds: int, size: tuple[int, int]) -> float:
     """Whole pictures a second of so many arms, with packing and copying."""
 
     from vstestbed.sim.base import SceneDescription
-    from vstestbed.sim.render.warp import Shot, WarpRenderer
+    from vstestbed.sim.render.warp import PictureRequest, WarpRenderer
     from vstestbed.sim.scene.scene import Scene
     from vstestbed.studies.together import device
 
@@ -35,9 +35,9 @@ def pictures(worlds: int, size: tuple[int, int]) -> float:
     s = load("arm_ibvs", {"camera.width": width, "camera.height": height})
     stage = Scene(SceneDescription(s.robot, s.camera, s.target, s.world, 0.002))
     stage.place(0.0, s.target.pose.T, *stage.parts.start)
-    asked: list[Shot] = []
+    asked: list[PictureRequest] = []
 
-    def keep(shot: Shot) -> Any:
+    def keep(shot: PictureRequest) -> Any:
         asked.append(shot)
         return device().draw([shot])[0]
 

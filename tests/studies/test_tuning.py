@@ -168,7 +168,7 @@ BAD = [
     (["quick.yaml", "--resume", "--out", "x"], "--resume goes on with what the folder searches"),
     (["--resume", "--out", "x"], "x: no such folder"),
     (["--resume"], "--resume needs the folder that `vstestbed tune` has made: --out DIR"),
-    (["quick.yaml", "--vary", "law.gain=1:2", "--executor", "ray"], "--executor must be local or dask"),
+    (["quick.yaml", "--vary", "law.gain=1:2", "--executor", "ray"], "--executor must be local, warp or dask"),
 ]
 
 

@@ -20,7 +20,7 @@ from vstestbed.sim.render.pictures import drawn_together
 from vstestbed.studies.pools import Done, LocalPool, Request
 
 if TYPE_CHECKING:
-    from vstestbed.sim.render.warp import Device, Shot
+    from vstestbed.sim.render.warp import Device, PictureRequest
 
 TOGETHER = 32
 """Runs of one worker that fly together: of 32 pictures the calls of a device are a few per cent, and so many are lost with a worker."""
@@ -31,7 +31,7 @@ class _Turn:
 
     def __init__(self, task: Callable[[], Any]):
         self.go, self.done = threading.Semaphore(0), Future[Any]()
-        self.asked: Shot | None = None
+        self.asked: PictureRequest | None = None
         self.given: Sequence[Image] | BaseException = ()
         self.ended, self.task = False, task
 
@@ -47,7 +47,7 @@ class Together:
         self._parked = threading.Semaphore(0)
         self._own = threading.local()
 
-    def draw(self, shot: Shot) -> Sequence[Image]:
+    def draw(self, shot: PictureRequest) -> Sequence[Image]:
         """The tiles of a picture that a run asks for: it waits until all others wait, too."""
         turn: _Turn = self._own.turn
         turn.asked = shot

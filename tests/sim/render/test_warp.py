@@ -16,7 +16,7 @@ from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import lamps_at
 from vstestbed.sim.render.rays import BLANK, RayRenderer
-from vstestbed.sim.render.warp import MOST_TILES, PLACES, Shot, WarpRenderer, cut, slots_of
+from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, cut, slots_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.studies.together import device
 
@@ -97,9 +97,9 @@ def test_windows_are_parts_of_the_whole() -> None:
 
 
 def test_a_picture_does_not_depend_on_the_others() -> None:
-    shots: list[Shot] = []
+    shots: list[PictureRequest] = []
 
-    def keep(shot: Shot) -> list[Image]:
+    def keep(shot: PictureRequest) -> list[Image]:
         shots.append(shot)
         return device().draw([shot])[0]
 
@@ -133,9 +133,9 @@ def test_tiles_cover_a_window_once_and_fit(window: Window) -> None:
 
 def test_slots_hold_every_tile_once() -> None:
     stage = stage_of(vs.load("arm_ibvs", {**SMALL, "camera.multisampling": 4}))
-    asked: list[Shot] = []
+    asked: list[PictureRequest] = []
 
-    def keep(shot: Shot) -> list[Image]:
+    def keep(shot: PictureRequest) -> list[Image]:
         asked.append(shot)
         return device().draw([shot])[0]
 

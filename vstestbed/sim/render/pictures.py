@@ -18,7 +18,7 @@ from vstestbed.sim.render.cube_map import drawn_for
 if TYPE_CHECKING:
     from vstestbed.sim.render.opengl import SceneCamera
     from vstestbed.sim.render.rays import RaySceneCamera
-    from vstestbed.sim.render.warp import Shot
+    from vstestbed.sim.render.warp import PictureRequest
     from vstestbed.sim.scene.scene import Scene
 
 T = TypeVar("T")
@@ -29,7 +29,7 @@ class DrawsTogether(Protocol):
 
     name: str
 
-    def draw(self, shot: Shot) -> Sequence[Image]:
+    def draw(self, shot: PictureRequest) -> Sequence[Image]:
         """The tiles of a picture."""
         ...
 

@@ -1,7 +1,7 @@
 """Pictures of many runs drawn together on a device: rays cast by MuJoCo Warp, shaded by the kernels of `warp_kernels`.
 
-The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its picture with a `Shot`; whoever has the
-shots of many runs draws them all by one `Device.draw`.
+The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its picture with a `PictureRequest`;
+whoever has the shots of many runs draws them all by one `Device.draw`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light
 
 
 @dataclass(frozen=True)
-class Shot:
+class PictureRequest:
     """A picture that a run asks for, of which `tiles` are wanted.
 
     stage: the scene in its state, which stays until the picture is drawn, with what identifies its `look` and its paint. T_world_camera:
@@ -56,7 +56,7 @@ class Shot:
     outside: bool
 
 
-Draw = Callable[[Shot], Sequence[Image]]  # draws the tiles of a picture, among those of other runs
+Draw = Callable[[PictureRequest], Sequence[Image]]  # draws the tiles of a picture, among those of other runs
 
 
 def cut(window: Window) -> Iterator[Window]:
@@ -84,7 +84,9 @@ class WarpRenderer(RayRenderer):
         if not tiles:
             return
         lens = repr(panel.lens), panel.R_camera_panel.tobytes(), raster.width, raster.height
-        shot = Shot(self._stage, self._look, self._caster.paint, self._stage.camera_pose(self._eye), raster, lens, tiles, self._outside)
+        shot = PictureRequest(
+            self._stage, self._look, self._caster.paint, self._stage.camera_pose(self._eye), raster, lens, tiles, self._outside
+        )
         for (left, top, right, bottom), drawn in zip(tiles, self._ask(shot), strict=True):
             image[top:bottom, left:right] = drawn
 
@@ -106,10 +108,10 @@ class _Table:
         return wp.array(self._raster.parts().reshape(-1, self.n, 3).astype(np.float32), dtype=wp.vec3)
 
 
-class _Slot:
+class _Filling:
     """What is drawn in a slot: some tiles of one picture. number: the picture's. places: taken up."""
 
-    def __init__(self, number: int, shot: Shot):
+    def __init__(self, number: int, shot: PictureRequest):
         self.number, self.shot, self.places = number, shot, 0
         self.tiles: list[tuple[int, Window, Window]] = []  # first place, pixels with the rim, pixels
 
@@ -129,15 +131,15 @@ class _Slot:
             yield whole[b - top : d - top, a - left : c - left].copy()  # the next tiles are drawn into the same memory
 
 
-def slots_of(number: int, shot: Shot) -> Iterator[_Slot]:
+def slots_of(number: int, shot: PictureRequest) -> Iterator[_Filling]:
     """The slots of a picture, by its number."""
-    rim, slot = int(len(shot.raster.within) > 0), _Slot(number, shot)
+    rim, slot = int(len(shot.raster.within) > 0), _Filling(number, shot)
     for tile in shot.tiles:
         left, top, right, bottom = tile
         grown = max(left - rim, 0), max(top - rim, 0), min(right + rim, shot.raster.width), min(bottom + rim, shot.raster.height)
         if not slot.takes(tile, grown):
             yield slot
-            slot = _Slot(number, shot)
+            slot = _Filling(number, shot)
             slot.takes(tile, grown)
     yield slot
 
@@ -162,12 +164,12 @@ class _World:
         for dtype, names in kinds.items():
             for name in names:
                 setattr(self._rays, name, wp.zeros(shape, dtype=dtype))
-        self._views, self._tiles = wp.zeros(slots, dtype=kernels.View), wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
+        self._views, self._tiles = wp.zeros(slots, dtype=kernels.SlotView), wp.zeros((slots, MOST_TILES), dtype=kernels.Tile)
         self._lamps, self._lights = kernels.Lamps(), [wp.zeros((slots, max(n, 1)), dtype=wp.vec3) for _ in LIGHTS]
         for name, lights in zip(LIGHTS, self._lights, strict=True):
             setattr(self._lamps, name, lights)
 
-    def draw(self, table: _Table, outside: bool, work: Sequence[_Slot]) -> NDArray[np.uint8]:
+    def draw(self, table: _Table, outside: bool, work: Sequence[_Filling]) -> NDArray[np.uint8]:
         """The colours (n, places) of what is in n slots, as many as there are at most, all of pictures with the same rays."""
         self._put(work)
         hidden = (RANGE_GROUP,) if outside else (RANGE_GROUP, LENS_GROUP)
@@ -197,7 +199,7 @@ class _World:
             wp.launch(kernels.add_up, shape, [*lit, count, first, table.n, total])
         wp.launch(kernels.smooth, (slots, most), [count, found, table.n, total, self._drawn])
 
-    def _put(self, work: Sequence[_Slot]) -> None:
+    def _put(self, work: Sequence[_Filling]) -> None:
         """Take the states, views and tiles to the device, in slots from the first on."""
         n, shots = len(work), list({id(slot.shot): slot.shot for slot in work}.values())
         of = {id(shot): i for i, shot in enumerate(shots)}
@@ -224,7 +226,7 @@ class _World:
             wp.copy(there, wp.array(ptr=held.ctypes.data, shape=(held.nbytes // there.strides[-1],), dtype=there.dtype, device="cpu"))
         mjw.refit_bvh(self._model, replace(self._data, nworld=n), self._context)
 
-    def _lit(self, shots: Sequence[Shot]) -> NDArray[np.float32]:
+    def _lit(self, shots: Sequence[PictureRequest]) -> NDArray[np.float32]:
         """The lights of each scene now, in the order of LIGHTS, (5, shots, lights, 3)."""
         found = []
         for shot in shots:
@@ -293,9 +295,9 @@ class Device:
         self.slots = SLOTS["cuda" if device.is_cuda else "cpu"]
         self._worlds, self._tables = dict[bytes, _World](), dict[tuple[object, ...], _Table]()
 
-    def draw(self, shots: Sequence[Shot]) -> list[list[Image]]:
+    def draw(self, shots: Sequence[PictureRequest]) -> list[list[Image]]:
         """The tiles of each picture, those of equal scenes and lenses together."""
-        alike: dict[tuple[bytes, tuple[object, ...], bool], list[_Slot]] = {}
+        alike: dict[tuple[bytes, tuple[object, ...], bool], list[_Filling]] = {}
         for i, shot in enumerate(shots):
             key = shot.look, (*shot.lens, len(shot.raster.within)), shot.outside
             alike.setdefault(key, []).extend(slots_of(i, shot))

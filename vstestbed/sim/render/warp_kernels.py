@@ -25,7 +25,7 @@ class Tile:
 
 
 @wp.struct
-class View:
+class SlotView:
     """Pose of the camera of a slot, and the number of its tiles."""
 
     origin: wp.vec3
@@ -80,7 +80,7 @@ class Rays:
 
 
 @wp.func
-def _tile(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j: int) -> int:
+def _tile(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int) -> int:
     """Number of the tile of place j; -1 for a place beyond all tiles."""
     for k in range(views[w].tiles):
         grown = tiles[w, k].grown
@@ -90,7 +90,7 @@ def _tile(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j:
 
 
 @wp.func
-def _pixel(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int) -> int:
+def _pixel(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), w: int, j: int, width: int) -> int:
     """Number of the pixel of place j in the picture; -1 for a place beyond all tiles."""
     k = _tile(views, tiles, w, j)
     if k < 0:
@@ -101,7 +101,7 @@ def _pixel(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), w: int, j
 
 
 @wp.func
-def _aim(rays: Rays, w: int, j: int, view: View, ray: wp.vec3, apart: float):
+def _aim(rays: Rays, w: int, j: int, view: SlotView, ray: wp.vec3, apart: float):
     """Point place j along a ray in the camera's frame; away from everything where the lens has none."""
     if wp.isnan(ray[0]):
         rays.origin[w, j] = wp.vec3(AWAY, AWAY, AWAY)
@@ -114,7 +114,7 @@ def _aim(rays: Rays, w: int, j: int, view: View, ray: wp.vec3, apart: float):
 
 @wp.kernel
 def aim(
-    views: wp.array(dtype=View),
+    views: wp.array(dtype=SlotView),
     tiles: wp.array2d(dtype=Tile),
     width: int,
     table: wp.array(dtype=wp.vec3),
@@ -131,7 +131,7 @@ def aim(
 
 
 @wp.kernel
-def blind(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), width: int, table: wp.array(dtype=wp.vec3), rays: Rays):
+def blind(views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), width: int, table: wp.array(dtype=wp.vec3), rays: Rays):
     """Mark the pixels that have no ray, which are not the sky."""
     w, j = wp.tid()
     pixel = _pixel(views, tiles, w, j, width)
@@ -141,7 +141,9 @@ def blind(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), width: int
 
 
 @wp.kernel
-def edges(views: wp.array(dtype=View), tiles: wp.array2d(dtype=Tile), rays: Rays, count: wp.array(dtype=int), found: wp.array2d(dtype=int)):
+def edges(
+    views: wp.array(dtype=SlotView), tiles: wp.array2d(dtype=Tile), rays: Rays, count: wp.array(dtype=int), found: wp.array2d(dtype=int)
+):
     """The wanted places of each tile with a neighbour, of eight, that shows another geom: how many, and which."""
     w, j = wp.tid()
     k = _tile(views, tiles, w, j)
@@ -173,7 +175,7 @@ def _edge(count: int, first: int, j: int, n: int) -> int:
 
 @wp.kernel
 def aim_within(
-    views: wp.array(dtype=View),
+    views: wp.array(dtype=SlotView),
     tiles: wp.array2d(dtype=Tile),
     width: int,
     table: wp.array2d(dtype=wp.vec3),
