@@ -29,45 +29,53 @@ from vstestbed.sim.scene.scene import Scene
 # Rendering of a window of the image: with software OpenGL the cost is in the pixels, and a tracker needs few of them.
 
 
-REACH = 0.05  # Margin around the windows, as a share of the image's width: a marker a little outside of its window is still rendered
+REACH = 0.05  # Margin around the windows of a band of rows, as a share of the image's width: a little more of a marker is rendered
+DRAW_PX = 8000
+"""Pixels that take as long as one more draw: windows nearer than that are drawn as one (software OpenGL: .12 ms and 15 ns a pixel)."""
 
 
+FRUSTUM = "frustum_center", "frustum_width", "frustum_bottom", "frustum_top"
 PLANE, LABEL = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_LABEL)
 GEOM, SKYBOX = int(mujoco.mjtObj.mjOBJ_GEOM), int(mujoco.mjtRndFlag.mjRND_SKYBOX)
 
 
 class PartCamera(dm.Camera):
-    """dm_control's camera with a window: only that part of the image is drawn and read back; the rest is black.
+    """dm_control's camera with windows: only those parts of the image are drawn and read back; the rest is black.
 
-    The window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding of single
+    A window is drawn through its own share of the frustum. Vertices land where they do in the whole image, up to the rounding of single
     floats: of the rasteriser's 1/256 px positions one in fifty is off by one.
 
-    window: the part (left, top, right, bottom) [px] of the next image; None for all of it.
+    windows: the parts (left, top, right, bottom) [px] of the next image; None for all of it.
     local: there are no shadows and mirrors, by which a geom changes the image elsewhere as well.
     reads_depth: with the next image, which is a whole one, its depth is read (`depth`).
     """
 
-    window: Window | None = None
+    windows: tuple[Window, ...] | None = None
     local: bool = False
     reads_depth: bool = False
     beyond: tuple[float, float, float, float] | None = None  # a part of the image plane, in pixels, that is drawn in place of the image
-    _drawn: tuple[slice, slice] = (slice(None), slice(None))
+    _drawn: tuple[tuple[slice, slice], ...] = ((slice(None), slice(None)),)
 
     def update(self, scene_option: Any = None) -> None:
-        """Update the scene within the window. Planes are made decoration, which casts no shadow.
+        """Update the scene. Planes are made decoration, which casts no shadow.
 
         Nothing lies below a floor to be shaded, and software OpenGL would speckle it with its own shadow (shadow acne).
         """
         super().update(scene_option)
-        if (part := self.window or self.beyond) is not None:
+        self._geoms = self._scene.ptr.geoms[: self._scene.ptr.ngeom]
+        self._planes = [geom for geom in self._geoms if geom.type == PLANE]
+        for geom in self._planes:
+            geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        if self.windows is None:
+            self._look_at(self.beyond)
+
+    def _look_at(self, part: tuple[float, float, float, float] | None) -> None:
+        """Narrow the frustum to a part of the image, and leave out what is not in it."""
+        if part is not None:
             for camera in self._scene.ptr.camera:
                 _narrow(camera, part, self._width, self._height)
-        geoms = self._scene.ptr.geoms[: self._scene.ptr.ngeom]
-        planes = [geom for geom in geoms if geom.type == PLANE]
-        for geom in planes:
-            geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
         if self.local:
-            self._leave_out(geoms, planes)
+            self._leave_out(self._geoms, self._planes)
 
     def _leave_out(self, geoms: list[Any], planes: list[Any]) -> None:
         """Leave out geoms whose bounding sphere is outside of the frustum, and the sky where a plane fills the image."""
@@ -87,27 +95,41 @@ class PartCamera(dm.Camera):
         self._scene.ptr.flags[SKYBOX] = not filled
 
     def _render_on_gl_thread(self, depth: bool, overlays: Any) -> None:
-        """As dm_control's, within the window. The buffer has the lowest row first, as OpenGL does."""
-        if self.window is None:
-            self._drawn = slice(None), slice(None)
+        """As dm_control's, within the windows. The buffer has the lowest row first, as OpenGL does."""
+        if self.windows is None:
+            self._drawn = ((slice(None), slice(None)),)
             super()._render_on_gl_thread(depth, overlays)
             if not self.reads_depth:
                 return
         contexts = self._physics.contexts
         assert contexts is not None and contexts.mujoco is not None
         context = contexts.mujoco.ptr
-        if self.window is None:
+        if self.windows is None:
             context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR  # floats are finest at 0, where the depths are coarsest
             mujoco.mjr_readPixels(None, self._depth_buffer, self._rect, context)
             return
-        left, top, right, bottom = self.window
+        for part in self._drawn:
+            self._rgb_buffer[part] = 0  # only what was drawn last: the rest is black already
+        self._drawn = tuple(self._draw_part(window, context) for window in self.windows)
+
+    def _draw_part(self, window: Window, context: Any) -> tuple[slice, slice]:
+        """Draw one window; where it is in the buffer. The scene is left as it was."""
+        (left, top, right, bottom), scene = window, self._scene.ptr
+        frustums = [[getattr(camera, name) for name in FRUSTUM] for camera in scene.camera]
+        kinds = [geom.type for geom in self._geoms]
+        self._look_at(window)
         rect = mujoco.MjrRect(0, 0, right - left, bottom - top)
-        mujoco.mjr_render(rect, self._scene.ptr, context)
+        mujoco.mjr_render(rect, scene, context)
         part = np.empty((rect.height, rect.width, 3), np.uint8)
         mujoco.mjr_readPixels(part, None, rect, context)
-        self._rgb_buffer[self._drawn] = 0  # only what was drawn last: the rest is black already
-        self._drawn = slice(self._height - bottom, self._height - top), slice(left, right)
-        self._rgb_buffer[self._drawn] = part
+        where = slice(self._height - bottom, self._height - top), slice(left, right)
+        self._rgb_buffer[where] = part
+        for camera, frustum in zip(scene.camera, frustums, strict=True):
+            for name, value in zip(FRUSTUM, frustum, strict=True):
+                setattr(camera, name, value)
+        for geom, kind in zip(self._geoms, kinds, strict=True):
+            geom.type = kind
+        return where
 
     def depth(self) -> DepthImage:
         """Depth Z (H, W) [m] along the optical axis of the last image drawn with `reads_depth`; inf where nothing was drawn.
@@ -146,6 +168,29 @@ def _narrow(camera: mujoco.MjvGLCamera, window: tuple[float, float, float, float
     camera.frustum_center = first + half * (left + right) / width
     camera.frustum_width = half * (right - left) / width
     camera.frustum_bottom, camera.frustum_top = camera.frustum_top - high * bottom / height, camera.frustum_top - high * top / height
+
+
+def merged(windows: Sequence[Window], width: int, height: int, draw_px: float = DRAW_PX) -> tuple[Window, ...]:
+    """Windows within an image (width x height), of which those are joined that together take no longer to draw than apart.
+
+    draw_px: how many pixels take as long as one more draw.
+    """
+    within = [(max(left, 0), max(top, 0), min(right, width), min(bottom, height)) for left, top, right, bottom in windows]
+    rest, done = [window for window in within if window[0] < window[2] and window[1] < window[3]], list[Window]()
+    while rest:
+        one = rest.pop()
+        for other in rest:
+            both = min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
+            if _area(both) <= _area(one) + _area(other) + draw_px:
+                rest[rest.index(other)] = both
+                break
+        else:
+            done.append(one)
+    return tuple(done)
+
+
+def _area(window: Window) -> int:
+    return (window[2] - window[0]) * (window[3] - window[1])
 
 
 def part_round(windows: Sequence[Window], width: int, height: int) -> Window | None:
@@ -227,21 +272,26 @@ class SceneCamera:
         """Width and height [px]."""
         return self._camera.width, self._camera.height
 
+    @property
+    def local(self) -> bool:
+        """There are no shadows and mirrors, so that a part can be drawn for itself."""
+        return self._camera.local
+
     def full_image(self) -> Image:
         """The image now, shape (H, W, 3) uint8 RGB, as a copy that the caller may keep."""
         return np.ascontiguousarray(self.raw())
 
     def part(self, window: Window) -> Image | None:
         """The image now, valid within a window until the next call; None with shadows and mirrors, where things move elsewhere as well."""
-        return self.raw(window) if self._camera.local else None
+        return self.raw((window,)) if self._camera.local else None
 
-    def raw(self, window: Window | None = None, with_depth: bool = False) -> Image:
+    def raw(self, windows: tuple[Window, ...] | None = None, with_depth: bool = False) -> Image:
         """The image now as a view of dm_control's buffer, which the next call overwrites.
 
-        window: the part to be drawn; the rest is black. None draws the whole image.
+        windows: the parts to be drawn; the rest is black. None draws the whole image.
         with_depth: of a whole image, read its depth as well (`depth`).
         """
-        self._camera.window, self._camera.reads_depth = window, with_depth
+        self._camera.windows, self._camera.reads_depth = windows, with_depth
         return self._camera.render(scene_option=self._option, render_flag_overrides=self._flags)
 
     def depth(self) -> DepthImage:
@@ -322,7 +372,7 @@ class OpenGLRenderer:
     def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """See `Renderer.images`. What is not drawn is black, or None for a whole panel.
 
-        Of a pinhole camera the rectangle around all windows is drawn; of a camera with panels every panel with a window; of any other lens
+        Of a pinhole camera the windows are drawn, near ones as one; of a camera with panels every panel with a window; of any other lens
         the cube's faces that reach into the windows.
         """
         start = time.perf_counter()
@@ -343,22 +393,25 @@ class OpenGLRenderer:
         self.whole = False
         window = part_of_rows(regions, rows, *self._size)
         if self._maps is None:
-            return (self._views[0].raw(window),)
+            return (self._views[0].raw((window,)),)
         part = slice(window[1], window[3]), slice(window[0], window[2])
         at = [axis[part] for axis in self._maps]
         low = [min(max(math.floor(axis.min()), 0), n - 1) for axis, n in zip(at, self._views[0].size, strict=True)]
         high = [max(min(math.floor(axis.max()) + 2, n), begin + 1) for axis, n, begin in zip(at, self._views[0].size, low, strict=True)]
         drawn = low[0], low[1], high[0], high[1]  # what the interpolation reads
         image = np.zeros((self._size[1], self._size[0], 3), np.uint8)
-        source = np.ascontiguousarray(self._views[0].raw(drawn)[drawn[1] : drawn[3], drawn[0] : drawn[2]])
+        source = np.ascontiguousarray(self._views[0].raw((drawn,))[drawn[1] : drawn[3], drawn[0] : drawn[2]])
         moved = [axis - np.float32(begin) for axis, begin in zip(at, drawn[:2], strict=True)]
         image[part] = cv2.remap(source, moved[0], moved[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return (image,)
 
     def _pinhole(self, regions: Regions | None, with_depth: bool = False) -> tuple[Image]:
-        window = part_round(regions[0], *self._size) if regions is not None and self._parts else None
-        self.whole = window is None
-        image = self._views[0].raw(window, with_depth)
+        windows = None
+        if regions is not None and self._parts:
+            # Shadows and mirrors are drawn anew with each part. Without a window there is nothing to be seen in parts.
+            windows = merged(regions[0], *self._size, DRAW_PX if self._views[0].local else math.inf) or None
+        self.whole = windows is None
+        image = self._views[0].raw(windows, with_depth)
         if with_depth:
             lens = self._depth_lens
             image = image if lens is None else np.ascontiguousarray(image)  # the same buffer is drawn into again
@@ -376,7 +429,7 @@ class OpenGLRenderer:
         if rows is not None:
             self.whole = False
             window = part_of_rows(regions, rows, *self._size)
-            drawn = {i: self._views[i].raw(part) for i, part in self._cube.parts(window).items()}
+            drawn = {i: self._views[i].raw((part,)) for i, part in self._cube.parts(window).items()}
             return (self._cube.compose(drawn, (window[1], window[3])),)
         faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
