@@ -48,7 +48,7 @@ class Picture:
         t: time of the exposure [s]. images: one image for each panel, (H, W, 3) uint8 RGB; None for a panel that was not asked for.
         whole: the images are complete; otherwise they may be blank outside of the regions of interest.
         draw_whole: draws the whole picture of the same exposure; None where nobody can.
-        own: of a lens that has panels, the camera's own image, which no detector works on; None unless it was asked for.
+        own: the camera's own image, whole, which no detector works on; None unless it was asked for, or where `images` is it.
         depth: what the depth camera measured (H, W) [m], at the middle of the exposure, NaN in its holes; None without one.
         exposed: its exposure time and gain, which cameras report; None without `camera.exposure`.
     """
@@ -63,7 +63,7 @@ class Picture:
 
     @property
     def image(self) -> Image | None:
-        """The camera's own image if it is complete; None for a lens that has panels, unless it was asked for."""
+        """The camera's own image if it is complete; None for one of which only parts were drawn, or panels, unless it was asked for."""
         return self.images[0] if self.whole and len(self.images) == 1 else self.own
 
     @property

@@ -41,9 +41,7 @@ class Session:
 
     Args:
         scenario: the experiment; ParameterError where it is none.
-        pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes, but for
-            the detectors `tags` and `lines`: what is drawn whole differs from what is drawn in a window by a grey level here and there, a
-            tag's corners by 0.001 px, a line on the floor by 0.06 px in 9 of 1,126 frames of car_line.
+        pictures: take whole pictures (`Frame.image`), also where the detector needs none. The log has the same bytes.
         watch: receive every frame, with the command that was sent.
         plate_m: edge of a square plate in reserve, for `hold_plate` [m]; 0 for none.
     """

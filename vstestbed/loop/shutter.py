@@ -117,7 +117,7 @@ Exposed = tuple[Exposure, Truth]  # a picture in transit to the controller, and 
 
 class CameraClock:
     """The camera on the clock: takes the pictures that its shutter plans, and sends them with their latency (`line`).
-    whole: take whole pictures, whatever the detector's regions of interest are; may be changed at any time. link: may lose pictures.
+    whole: take whole pictures beside what the detector's regions of interest show; may be changed at any time. link: may lose pictures.
     """
 
     def __init__(self, scenario: Scenario | OtherCamera, plant: PlantCamera, whole: bool = False, link: Loses | None = None):
@@ -157,7 +157,7 @@ class CameraClock:
             # It is decided once: all images of an exposure show the same part.
             if self.opening == 0:
                 self._takes_whole = self.whole
-                self.regions = next_regions() if self.line.next_due() is None and self._in_parts and not self.whole else None
+                self.regions = next_regions() if self.line.next_due() is None and self._in_parts else None
             if planned.weights == (1.0,):
                 picture, truth = self.plant.capture(self.regions)
                 if picture is not None and planned.arrives > step:

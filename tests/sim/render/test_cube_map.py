@@ -132,9 +132,9 @@ def renders(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         make(self, stage, camera, *args)
         self.__dict__["name"] = camera
 
-    def counted(self: SceneCamera) -> object:
+    def counted(self: SceneCamera, *args: object) -> object:
         out.append(self.__dict__["name"])
-        return plain(self)
+        return plain(self, *args)
 
     monkeypatch.setattr(SceneCamera, "__init__", named)
     monkeypatch.setattr(SceneCamera, "raw", counted)

@@ -120,19 +120,28 @@ class Cube:
                 out[i] = left, top, min(right + 2, face.width), min(bottom + 2, face.height)
         return out
 
-    def compose(self, drawn: dict[int, Image], rows: tuple[int, int] | None = None) -> Image:
+    def compose(self, drawn: dict[int, Image], windows: Iterable[Window] | None = None) -> Image:
         """The camera's image (H, W, 3) from rendered faces, by index; black where a face is missing or the lens sees nothing.
 
-        rows: the only ones that are composed.
+        windows: the only ones that are composed, of which the faces need hold no more than their `parts`.
         """
         image = np.zeros((*self.owner.shape, 3), np.uint8)
-        for i, face in drawn.items():
-            patch = self.patches[i]
-            part = slice(None) if rows is None else _within(patch.rows, *rows)
-            into, (coarse, rest) = image[patch.rows, patch.columns][part], patch.maps
-            still = np.ascontiguousarray(face)
-            cv2.remap(still, coarse[part], rest[part], cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
+        if windows is None:
+            for i, face in drawn.items():
+                patch = self.patches[i]
+                self._put(image[patch.rows, patch.columns], np.ascontiguousarray(face), *patch.maps)
+            return image
+        for window in windows:
+            for i, (left, top, right, bottom) in self.parts(window).items():
+                patch = self.patches[i]
+                part = _within(patch.rows, window[1], window[3]), _within(patch.columns, window[0], window[2])
+                still, (coarse, rest) = np.ascontiguousarray(drawn[i][top:bottom, left:right]), patch.maps
+                moved = coarse[part] - np.array([left, top], np.int16)
+                self._put(image[patch.rows, patch.columns][part], still, moved, rest[part])
         return image
+
+    def _put(self, into: Image, still: Image, coarse: NDArray[np.int16], rest: NDArray[np.uint16]) -> None:
+        cv2.remap(still, coarse, rest, cv2.INTER_LINEAR, dst=into, borderMode=cv2.BORDER_TRANSPARENT)
 
 
 @lru_cache(maxsize=4)

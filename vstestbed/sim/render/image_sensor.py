@@ -213,11 +213,16 @@ class ImageSensor:
         return Picture(t, images, depth=None if depth is None else depth.clean(self._renderer.depth)).copy()
 
     def with_own(self, picture: Picture) -> Picture:
-        """A picture just taken with the camera's own image: of a lens with panels the present scene, sharp, with the picture's noise."""
+        """A picture just taken with the camera's own image beside the parts, or the panels, that detectors work on: whole, of the same
+        exposure; of a lens with panels the present scene, sharp. It has the picture's noise.
+        """
         if picture.image is not None:
             return picture
+        kept = picture.copy()  # more is drawn into the same memory
+        if len(picture.images) == 1:
+            return replace(kept, own=picture.completed().images[0])
         drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
-        return replace(picture, own=drawn.images[0])
+        return replace(kept, own=drawn.images[0])
 
     def exposure_s(self, t: float) -> float | None:
         """Exposure time of the next picture [s], as the camera will have it at a time t [s]; None where nothing changes its pictures."""

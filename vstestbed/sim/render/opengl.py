@@ -372,13 +372,12 @@ class OpenGLRenderer:
     def images(self, regions: Regions | None = None, with_depth: bool = False, rows: Rows | None = None) -> tuple[Image | None, ...]:
         """See `Renderer.images`. What is not drawn is black, or None for a whole panel.
 
-        Of a pinhole camera the windows are drawn, near ones as one; of a camera with panels every panel with a window; of any other lens
-        the cube's faces that reach into the windows.
+        Of a camera without noise and shadows the windows are drawn, near ones as one. With shadows those of a pinhole camera are drawn as
+        one. Else a pinhole's picture is whole, as is each panel with a window, and each of the cube's faces that reach into the windows.
         """
         start = time.perf_counter()
         if self._panels > 1:
-            self.whole = regions is None or all(regions)
-            images = tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
+            images = self._in_panels(regions)
         elif self._cube is not None:
             images = self._composed(regions, rows)
         elif with_depth:
@@ -387,6 +386,15 @@ class OpenGLRenderer:
             images = self._pinhole(regions) if rows is None else self._band(regions, rows)
         self.spent_s += time.perf_counter() - start
         return images
+
+    def _in_panels(self, regions: Regions | None) -> tuple[Image | None, ...]:
+        """The images of all panels, or of those with a window, of which only the windows are drawn."""
+        if regions is None or not (self._parts and self._views[0].local):
+            self.whole = regions is None or all(regions)
+            return tuple(view.raw() if regions is None or regions[i] else None for i, view in enumerate(self._views))
+        self.whole = False
+        parts = [merged(windows, *view.size) for windows, view in zip(regions, self._views, strict=True)]
+        return tuple(view.raw(windows) if windows else None for windows, view in zip(parts, self._views, strict=True))
 
     def _band(self, regions: Regions | None, rows: Rows) -> tuple[Image]:
         """Rows of the image of a perspective lens, drawn at least in the rectangle around the windows."""
@@ -427,13 +435,22 @@ class OpenGLRenderer:
         """The image of a wide lens, composed of the cube's faces, or of their parts, that the windows or rows need."""
         assert self._cube is not None
         if rows is not None:
-            self.whole = False
-            window = part_of_rows(regions, rows, *self._size)
-            drawn = {i: self._views[i].raw((part,)) for i, part in self._cube.parts(window).items()}
-            return (self._cube.compose(drawn, (window[1], window[3])),)
+            return self._composed_of([part_of_rows(regions, rows, *self._size)])
+        if regions is not None and self._parts and self._views[0].local and (windows := merged(regions[0], *self._size, 0)):
+            return self._composed_of(windows)
         faces = range(len(self._views)) if regions is None else self._cube.needed(regions[0])
         self.whole = len(faces) == len(self._views)
         return (self._cube.compose({i: self._views[i].raw() for i in faces}),)
+
+    def _composed_of(self, windows: Sequence[Window]) -> tuple[Image]:
+        """Windows of the image of a wide lens, of whose faces only what is in them is drawn."""
+        assert self._cube is not None
+        self.whole, of = False, dict[int, list[Window]]()
+        for window in windows:
+            for i, part in self._cube.parts(window).items():
+                of.setdefault(i, []).append(part)
+        drawn = {i: self._views[i].raw(merged(parts, *self._views[i].size)) for i, parts in of.items()}
+        return (self._cube.compose(drawn, windows),)
 
 
 def _resampled(depth: DepthImage, maps: tuple[NDArray[np.float32], NDArray[np.float32]]) -> DepthImage:
