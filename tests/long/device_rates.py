@@ -11,8 +11,10 @@ import multiprocessing
 import resource
 import subprocess
 import time
+from collections.abc import Sequence
 from typing import Any
 
+from vstestbed.camera import Image
 from vstestbed.scenario.load import load, seeded
 from vstestbed.scenario.scenario import Scenario
 
@@ -57,9 +59,20 @@ def fly(given: tuple[str, list[int]]) -> dict[str, Any]:
 
     runs = [seeded(scenario("auto" if kind == "warp" else "rays"), seed) for seed in seeds]
     if kind == "warp":
-        from vstestbed.studies.together import TOGETHER, Together, device
+        from vstestbed.sim.render.warp import Device, PictureRequest
+        from vstestbed.studies.together import TOGETHER, Together
 
-        together = Together(device())
+        class Timed(Device):
+            spent_s = 0.0
+
+            def draw(self, requests: Sequence[PictureRequest]) -> list[list[Image]]:
+                began = time.perf_counter()
+                drawn = super().draw(requests)
+                self.spent_s += time.perf_counter() - began
+                return drawn
+
+        timed = Timed()
+        together = Together(timed)
         began, cpu = time.perf_counter(), time.process_time()
         done = [
             one.result()
@@ -76,6 +89,7 @@ def fly(given: tuple[str, list[int]]) -> dict[str, Any]:
         "frames": sum(len(r.rows) for r in done),
         "wall_s": spent[0],
         "cpu_s": spent[1],
+        "draw_s": timed.spent_s if kind == "warp" else 0.0,
         "rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 
@@ -99,6 +113,7 @@ def flown(kind: str, runs: int, jobs: int) -> dict[int, Any]:
         "wall_s": round(wall, 1),
         "flying_s": round(max(part["wall_s"] for part in found), 1),
         "cpu_s_a_run": round(sum(part["cpu_s"] for part in found) / runs, 3),
+        "drawing_s": round(max(part["draw_s"] for part in found), 1),
         "frames_a_run": round(sum(part["frames"] for part in found) / runs),
         "rss_mb_a_process": round(max(part["rss_mb"] for part in found)),
         "card": used,
