@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,7 @@ from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.loop.session import run
 from vstestbed.scenario.load import seeded
 from vstestbed.sim.render.warp import Device, PictureRequest
-from vstestbed.studies import together
-from vstestbed.studies.pools import Request, WorkerLostError
+from vstestbed.studies.pools import Request, WorkerLostError, pool_of
 from vstestbed.studies.together import Together, TogetherPool, device, must_fly_together
 
 WORLDS, FRAMES = 8, 40
@@ -86,7 +87,7 @@ def test_a_run_does_not_depend_on_those_beside_it(name: str) -> None:
     assert beside[1].outcome is alone.outcome
 
 
-def test_only_one_run_goes_on_at_a_time_and_an_error_is_its_own() -> None:
+def test_runs_go_on_in_turn_and_an_error_is_its_own() -> None:
     inside, most = 0, 0
 
     class Nothing(Device):
@@ -146,20 +147,21 @@ def test_what_a_device_does_not_draw_is_refused_by_its_field(changed: dict, fiel
     assert refused.value.field == field
 
 
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    together.device.cache_clear()
-    monkeypatch.setitem(__import__("sys").modules, "vstestbed.sim.render.warp", None)
-    with pytest.raises(EnvironmentLackError, match=r"MuJoCo Warp is not installed") as lack:
-        device()
+@pytest.mark.parametrize("missing", ["greenlet", "mujoco_warp", "warp"])
+def test_what_is_missing_is_named(missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("vstestbed.studies.together", "vstestbed.sim.render.warp", "vstestbed.sim.render.warp_kernels"):
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(EnvironmentLackError, match=f"MuJoCo Warp is not installed .*{missing}") as lack:
+        pool_of("warp", 1, tmp_path)
     assert "vstestbed[gpu]" in str(lack.value)
-    together.device.cache_clear()
 
 
 def double(n: int, place: str | None = None) -> int:
     if n == 13:
         raise ValueError("thirteen")
     if n == 99:
-        __import__("os")._exit(1)
+        os._exit(1)
     return 2 * n
 
 

@@ -418,8 +418,10 @@ def pool_of(executor: str, workers: int, folder: Path, flown: Callable[[], Itera
     """
     must_be_known(executor)
     if executor == "warp":
-        from vstestbed.studies.together import TogetherPool, must_fly_together
-
+        try:
+            from vstestbed.studies.together import TogetherPool, must_fly_together
+        except ImportError as error:
+            raise EnvironmentLackError(f"MuJoCo Warp is not installed ({error})", "pip install 'vstestbed[gpu]'") from None
         must_fly_together(flown())
         return TogetherPool(workers, folder)
     return LocalPool(workers, folder) if executor == "local" else DaskPool(executor.removeprefix(DASK))

@@ -1,7 +1,8 @@
 """`--executor warp`: runs that fly together in one process, so that a device draws the pictures of all of them at once.
 
-Each run has a thread and only one goes on at a time: until it asks for a picture, when the next one goes on. As all wait, their pictures
-are drawn by one call. What a run computes, and in which order, is what it computes alone: its result does not depend on the others.
+Each run is a coroutine (a greenlet: the loop need not know of it), and goes on until it asks for a picture, when the next one does. As all
+wait, their pictures are drawn by one call. What a run computes, and in which order, is what it computes alone: its result does not depend
+on the others. Imported only where it is asked for: it needs the extra `gpu`.
 """
 
 from __future__ import annotations
@@ -11,29 +12,19 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from greenlet import getcurrent, greenlet
 
 from vstestbed.camera import Image
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.render.pictures import drawn_together
+from vstestbed.sim.render.warp import Device, PictureRequest
 from vstestbed.studies.pools import Done, LocalPool, Request
-
-if TYPE_CHECKING:
-    from vstestbed.sim.render.warp import Device, PictureRequest
 
 TOGETHER = 32
 """Runs of one worker that fly together: of 32 pictures the calls of a device are a few per cent, and so many are lost with a worker."""
-
-
-class _Turn:
-    """A run in its thread. asked: the picture that it waits for; ended: it waits for none any more."""
-
-    def __init__(self, task: Callable[[], Any]):
-        self.go, self.done = threading.Semaphore(0), Future[Any]()
-        self.asked: PictureRequest | None = None
-        self.given: Sequence[Image] | BaseException = ()
-        self.ended, self.task = False, task
 
 
 class Together:
@@ -44,61 +35,51 @@ class Together:
 
     def __init__(self, device: Device):
         self._device, self.name = device, device.name
-        self._parked = threading.Semaphore(0)
-        self._own = threading.local()
 
-    def draw(self, shot: PictureRequest) -> Sequence[Image]:
-        """The tiles of a picture that a run asks for: it waits until all others wait, too."""
-        turn: _Turn = self._own.turn
-        turn.asked = shot
-        self._parked.release()
-        turn.go.acquire()
-        if isinstance(turn.given, BaseException):
-            raise turn.given
-        return turn.given
+    def draw(self, request: PictureRequest) -> Sequence[Image]:
+        """The tiles of a picture that a run asks for: the others go on until each of them waits, too."""
+        current = getcurrent()
+        assert current.parent is not None, "pictures are drawn together for runs that `fly`"
+        return current.parent.switch(request)
 
     def fly(self, tasks: Iterable[Callable[[], Any]]) -> list[Future[Any]]:
         """Do the runs; their results, or what they raised, in the same order."""
-        turns = [_Turn(task) for task in tasks]
-        for turn in turns:
-            threading.Thread(target=self._begin, args=(turn,), daemon=True).start()
-        going = turns
-        while going:
-            for turn in going:  # one after another, each until it waits for its picture or has ended
-                turn.go.release()
-                self._parked.acquire()
-            if going := [turn for turn in going if not turn.ended]:
-                self._draw(going)
-        return [turn.done for turn in turns]
+        done, waiting = list[Future[Any]](), list[tuple[greenlet, PictureRequest]]()
+        for task in tasks:
+            done.append(Future())
+            waiting += self._until_it_waits(greenlet(self._begin), task, done[-1])
+        while waiting:
+            runs, requests = zip(*waiting, strict=True)
+            waiting = []
+            try:
+                drawn = self._device.draw(requests)
+            except Exception as error:  # of the device, or of its memory: each run tells it
+                lack = EnvironmentLackError(f"the device draws no pictures: {error}", "use --executor local")
+                for run in runs:
+                    waiting += self._asked(run, run.throw(lack))
+            else:
+                for run, tiles in zip(runs, drawn, strict=True):
+                    waiting += self._until_it_waits(run, tiles)
+        return done
 
-    def _draw(self, waiting: Sequence[_Turn]) -> None:
-        shots = [turn.asked for turn in waiting if turn.asked is not None]
-        try:
-            for turn, given in zip(waiting, self._device.draw(shots), strict=True):
-                turn.given = given
-        except Exception as error:  # of the device, or of its memory: each run tells it, and none waits for ever
-            for turn in waiting:
-                turn.given = EnvironmentLackError(f"the device draws no pictures: {error}", "use --executor local")
+    def _until_it_waits(self, run: greenlet, *given: Any) -> list[tuple[greenlet, PictureRequest]]:
+        """Let a run go on; what it waits for then, nothing at its end."""
+        return self._asked(run, run.switch(*given))
 
-    def _begin(self, turn: _Turn) -> None:
-        self._own.turn = turn
-        drawn_together.set(self)
-        turn.go.acquire()
+    def _asked(self, run: greenlet, request: PictureRequest) -> list[tuple[greenlet, PictureRequest]]:
+        return [] if run.dead else [(run, request)]
+
+    def _begin(self, task: Callable[[], Any], done: Future[Any]) -> None:
+        drawn_together.set(self)  # in the run's own context
         try:
-            turn.done.set_result(turn.task())
+            done.set_result(task())
         except BaseException as error:
-            turn.done.set_exception(error)
-        turn.ended = True
-        self._parked.release()
+            done.set_exception(error)
 
 
 @cache
 def device() -> Device:
-    """This process's device. Raises EnvironmentLackError: MuJoCo Warp is not installed, or does not work here."""
-    try:
-        from vstestbed.sim.render.warp import Device
-    except ImportError as error:
-        raise EnvironmentLackError(f"MuJoCo Warp is not installed ({error})", "pip install 'vstestbed[gpu]'") from None
+    """This process's device. Raises EnvironmentLackError: Warp does not work here."""
     try:
         return Device()
     except RuntimeError as error:
@@ -170,7 +151,7 @@ class TogetherPool(LocalPool):
 def must_fly_together(scenarios: Iterable[Scenario]) -> None:
     """Refuse what a device cannot draw, before anything runs.
 
-    Raises ParameterError: with the field. EnvironmentLackError: MuJoCo Warp is not installed.
+    Raises ParameterError: with the field. EnvironmentLackError: Warp does not work here.
     """
     device()
     for scenario in scenarios:

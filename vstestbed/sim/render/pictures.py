@@ -29,7 +29,7 @@ class DrawsTogether(Protocol):
 
     name: str
 
-    def draw(self, shot: PictureRequest) -> Sequence[Image]:
+    def draw(self, request: PictureRequest) -> Sequence[Image]:
         """The tiles of a picture."""
         ...
 
