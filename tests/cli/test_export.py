@@ -141,5 +141,7 @@ def test_successes_alone_are_demonstrations(command, place):
         assert ended.code == 0 and "1 of 2 runs are no successes, and are left out" in ended.err
         path = place / f"comparison_{to}" / file
         assert len(pl.read_parquet(path) if to == "lerobot" else pl.read_csv(path)) == 1
+    ended = command("export", place / "run", "--to", "csv", "--task", "reach it", "--out", place / "c")
+    assert ended.code == 2 and "--task" in ended.err and "--to lerobot" in ended.err
     ended = command("export", place / "run", "--to", "csv", "--only", "successes", "--out", place / "c")
     assert ended.code == 2 and "--only" in ended.err and "a comparison's folder" in ended.err

@@ -19,6 +19,8 @@ from tests.shortcuts import one_quick
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError, SessionError
 from vstestbed.core.named_files import bundled_scenarios
 from vstestbed.env.gym_env import GymServo
+from vstestbed.env.lerobot import make_env
+from vstestbed.laws.policy import MOST_PX
 from vstestbed.loop.termination import Termination
 from vstestbed.robots import Mount
 from vstestbed.sim.base import Truth
@@ -89,7 +91,7 @@ def test_a_seed_is_that_of_a_run(name: str) -> None:
 
 
 def frame_markers(run: vs.Recording, n: int) -> np.ndarray:
-    return np.nan_to_num(np.array([[run[f"u_{i}"][0], run[f"v_{i}"][0]] for i in range(n)]))
+    return np.nan_to_num(np.array([[run[f"u_{i}"][0], run[f"v_{i}"][0]] for i in range(n)])).astype(np.float32)
 
 
 def test_episodes_without_a_seed_differ_and_a_seeded_first_one_repeats_them() -> None:
@@ -165,7 +167,7 @@ def act(shown):
     env = GymServo(name, overrides={"law": law})
     shown, _ = env.reset(seed=1)
     for _ in range(3):
-        np.testing.assert_allclose(env.expert(), own["act"](shown), atol=1e-12)
+        np.testing.assert_allclose(env.expert(), own["act"](shown), atol=1e-7)
         shown, *_ = env.step(env.expert())
     env.close()
 
@@ -464,3 +466,74 @@ def test_info_has_what_the_seed_drew(tmp_path: Path) -> None:
     found = [env.reset(seed=seed)[1]["randomised"]["camera.latency_s"] for seed in (1, 2, 1)]
     assert found[0] == found[2] != found[1] and all(0 <= value <= 0.1 for value in found)
     assert found[0] == vs.load("arm_ibvs", drawn, seed=1).resolved.camera.latency_s
+
+
+def test_observations_are_float32_within_the_pictures_borders() -> None:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", overrides={"stop.duration_s": 0.2, "noise.pixel_sigma_px": 500.0})
+    shown, _ = env.reset(seed=1)
+    assert {value.dtype for value in shown.values()} == {np.dtype(np.float32)}
+    space = env.observation_space["markers"]
+    assert (space.low == -0.5).all() and (space.high == [639.5, 479.5]).all()
+    assert np.isin(shown["markers"], [-0.5, 639.5, 479.5]).any()  # what noise puts beyond lies on them
+    assert env.observation_space.contains(shown) and env.action_space.contains(env.unwrapped.expert())
+    env.close()
+    wide = GymServo("ibvs_book", overrides={"detector": {"kind": "oracle", "field_of_view": "unlimited"}})
+    assert (wide.observation_space["markers"].high == MOST_PX).all()
+
+
+def test_pictures_are_scaled_and_the_detector_sees_its_own() -> None:
+    small, own = (
+        gymnasium.make("vstestbed/arm_ibvs-v0", observation="both", overrides={"stop.duration_s": 0.2}, picture_px=size)
+        for size in ((64, 48), None)
+    )
+    (a, _), (b, _) = small.reset(seed=2), own.reset(seed=2)
+    assert a["pixels"].shape == (48, 64, 3) == small.observation_space["pixels"].shape
+    np.testing.assert_array_equal(a["markers"], b["markers"])
+    means = b["pixels"].reshape(48, 10, 64, 10, 3).mean(axis=(1, 3))
+    assert np.abs(a["pixels"] - means).max() <= 1
+    small.close()
+    own.close()
+    with pytest.raises(ParameterError, match="picture_px must be two whole numbers over 0"):
+        GymServo("arm_ibvs", picture_px=(64, 0))
+
+
+def test_an_episode_has_values_of_its_own() -> None:
+    env = gymnasium.make("vstestbed/ibvs_book-v0", overrides={"law.gain": 0.02})
+    plain, _ = env.reset(seed=3)
+    step = env.unwrapped.expert()
+    env.reset(seed=3, options={"overrides": {"law.gain": 0.04}})
+    np.testing.assert_allclose(env.unwrapped.expert(), 2 * step, rtol=1e-5)
+    again, _ = env.reset(seed=3)
+    np.testing.assert_allclose(env.unwrapped.expert(), step)
+    np.testing.assert_array_equal(again["markers"], plain["markers"])
+    with pytest.raises(ParameterError, match="must leave markers, robot, limits and size of pictures"):
+        env.reset(options={"overrides": {"camera.width": 320}})
+    with pytest.raises(ParameterError, match="by name or path"):
+        GymServo(vs.load("ibvs_book")).reset(options={"overrides": {"law.gain": 2.0}})
+    env.close()
+
+
+def test_the_spec_tells_how_long_an_episode_may_be() -> None:
+    env = gymnasium.make("vstestbed/arm_ibvs-v0", overrides={"stop.duration_s": 2.0}, action_repeat=2)
+    assert env.spec.max_episode_steps == env.unwrapped.spec.max_episode_steps == 25
+    assert gymnasium.make(env.spec).spec.max_episode_steps == 25
+    many = gymnasium.make_vec("vstestbed/ibvs_book-v0", num_envs=2, vectorization_mode="vector_entry_point", ideal=True)
+    assert many.spec.max_episode_steps == many.unwrapped._max_episode_steps > 100
+    many.close()
+
+
+def test_lerobots_evaluation_gets_its_environments() -> None:
+    made = make_env(2, False, {"task": "arm_ibvs", "picture_px": (32, 24), "overrides": {"stop.duration_s": 0.2}})
+    envs = made["arm_ibvs"][0]
+    shown, info = envs.reset(seed=[4, 5])
+    assert shown["pixels"].shape == (2, 24, 32, 3) and shown["agent_pos"].shape == (2, 6) and "markers" not in shown
+    assert envs.call("task_description")[0] == vs.load("arm_ibvs").description and envs.call("_max_episode_steps") == (5, 5)
+    assert not info.get("is_success", np.zeros(2)).any()
+    envs.close()
+
+    class Config:
+        task = "ibvs_book"
+        observation = "markers"
+
+    (name,) = make_env(cfg=Config())
+    assert name == "ibvs_book" and next(iter(make_env())) == "arm_ibvs" and next(iter(make_env(cfg="car_pbvs"))) == "car_pbvs"

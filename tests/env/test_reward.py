@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tests.shortcuts import one_quick
-from vstestbed.env.rollout import Reward, RewardKind, Rollout
+from vstestbed.env.rollout import Rollout
+from vstestbed.tasks.reward import Reward, RewardKind
 
 DISCOUNTS = 0.9, 0.95, 0.99, 1.0
 BUNDLED = "arm_ibvs", "arm_pbvs", "omni_ibvs", "car_pbvs", "quadrotor_hover", "arm_track_circle"

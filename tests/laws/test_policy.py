@@ -58,7 +58,7 @@ class TestWhatItSees:
         seen = observed(gone, frame.goal)
         assert {k: v.shape for k, v in seen.items()} == {"markers": (4, 2), "seen": (4,), "goal": (4, 2)}
         assert np.array_equal(seen["seen"], [1, 0, 1, 1]) and np.array_equal(seen["markers"][1], [0, 0])
-        assert np.array_equal(seen["markers"][0], frame.observation.uv[0])
+        assert np.array_equal(seen["markers"][0], frame.observation.uv[0].astype(np.float32))
         seen["goal"][:] = 0
         assert frame.goal.uv.any()
 
@@ -74,7 +74,7 @@ class TestWhatItSees:
             frames = [session.reset(), *(session.step() for _ in range(9))]
         last = frames[-1]
         moved = observed(last.observation, last.goal)["agent_pos"]
-        assert np.array_equal(moved, last.observation.odometry)
+        assert np.array_equal(moved, last.observation.odometry.astype(np.float32))
         assert 0.01 < moved[0] < 0.1 and abs(last.truth.T_world_camera[0, 3] - moved[0]) > 0.1
 
     def test_a_batch_of_ideal_cameras_has_no_sensors_of_its_own(self):

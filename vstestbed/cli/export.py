@@ -43,6 +43,9 @@ def export(
     ],
     out: Annotated[Path | None, typer.Option(metavar="PATH", help="A new file or folder. [default: beside DIR]")] = None,
     only: Annotated[Only, typer.Option("--only", help="Of a comparison all runs, or the successes: demonstrations.")] = "all",
+    task: Annotated[
+        str | None, typer.Option(metavar="TEXT", help="lerobot: what all episodes are to do. [default: the scenario's description]")
+    ] = None,
     start: Annotated[
         float | None, typer.Option(min=0, metavar="SECONDS", help="mcap, rosbag2: what t = 0 is, since 1970. [default: 0]")
     ] = None,
@@ -52,6 +55,8 @@ def export(
     """A run, or a comparison's runs, for other tools: with pictures, calibration, poses and time series."""
     if start is not None and to not in ("mcap", "rosbag2"):
         raise ParameterError.only_for("--start", "--to mcap and rosbag2; the times of other formats begin at 0")
+    if task is not None and to != "lerobot":
+        raise ParameterError.only_for("--task", "--to lerobot")
     from rich.progress import Progress, TimeRemainingColumn
 
     from vstestbed.cli.progress import ProgressBar, show_notes
@@ -75,7 +80,7 @@ def export(
         elif to == "lerobot":
             from vstestbed.report.export.lerobot import write_dataset
 
-            write_dataset(runs, path, bar.were_done, found.within)
+            write_dataset(runs, path, bar.were_done, found.within, task)
         elif to == "rosbag2":
             from vstestbed.ros.bag import write_rosbag2, write_rosbags
 

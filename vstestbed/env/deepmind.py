@@ -64,7 +64,7 @@ class DmServo(dm_env.Environment):
 
     def action_spec(self) -> specs.BoundedArray:  # pyright: ignore[reportIncompatibleMethodOverride] - dm_env's own has no type
         """Shares of the largest velocities along the robot's motions, (n,) in [-1, 1]."""
-        return specs.BoundedArray(self.rollout.action_unit.shape, np.float64, -1.0, 1.0, "action")
+        return specs.BoundedArray(self.rollout.action_unit.shape, np.float32, -1.0, 1.0, "action")
 
     def render(self) -> Image:
         """The scene from outside, (H, W, 3) uint8."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +18,33 @@ from vstestbed.loop.recording import Recording
 from vstestbed.scenario.scenario import Scenario
 
 
+class SpecWithLength:
+    """Gymnasium's `spec` of an environment, with `max_episode_steps`: the scenario's own clock ends an episode, and needs no wrapper."""
+
+    def __get__(self, env: Any, owner: type | None = None) -> Any:
+        return None if env is None else env.__dict__.get("_spec")
+
+    def __set__(self, env: Any, spec: Any) -> None:
+        env.__dict__["_spec"] = None if spec is None else replace(spec, max_episode_steps=env._max_episode_steps)
+
+
 class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
     """A scenario as a Gymnasium environment; observations, actions and info: see `Rollout`, rewards: `Reward`.
 
-    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte (of detector `tags` with pixels see `vstestbed.Session`);
+    `reset(seed=k)` is the run of `vstestbed run --seed k`, byte for byte;
     without a seed, `np_random` draws one (`info["seed"]`), so that episodes differ, and a seeded first reset makes all that follow the
-    same. Keys are LeRobot's: `pixels`, `agent_pos`, `info["is_success"]`, `task_description`, `_max_episode_steps`.
+    same. `reset(options={"overrides": {"world.light.brightness": 0.5}})` changes values by dotted path for one episode. Keys are LeRobot's:
+    `pixels`, `agent_pos`, `info["is_success"]`, `task_description`, `_max_episode_steps`; `spec.max_episode_steps` is that of the clock.
 
     Args:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one.
         render_mode: None, or `rgb_array`, the scene from outside.
-        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, action_repeat, as `Rollout` has them.
+        settings: observation, reward, discount, success_bonus, overrides, end_on_rest, end_on_loss, action_repeat, picture_px, as `Rollout`
+            has them.
     Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones.
     """
 
+    spec = SpecWithLength()  # pyright: ignore[reportAssignmentType] - the base class has a plain attribute
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012 - the base class has it so
 
     def __init__(self, scenario: str | Path | Scenario, *, render_mode: str | None = None, **settings: Any):
@@ -43,12 +57,12 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
         self._max_episode_steps = self._rollout.most_steps
         self.metadata = self.metadata | {"render_fps": self.scenario.camera.rate_hz}
         self.observation_space = _space(self._rollout.bounds())
-        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.action_unit.shape, np.float64)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._rollout.action_unit.shape, np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode: its observation and info. `options` has no effect."""
+        """Begin an episode: its observation and info. options: `overrides`, see `Rollout.reset`; others have no effect."""
         super().reset(seed=seed)
-        step = self._rollout.reset(int(self.np_random.integers(MOST_SEED)) if seed is None else seed)
+        step = self._rollout.reset(int(self.np_random.integers(MOST_SEED)) if seed is None else seed, (options or {}).get("overrides"))
         return step.observation, step.info
 
     def step(self, action: NDArray[Any]) -> Step:
@@ -57,7 +71,7 @@ class GymServo(gymnasium.Env[dict[str, Any], NDArray[Any]]):
 
     def expert(self) -> NDArray[Any]:
         """The action of the scenario's own law for the last frame: see `Rollout.expert`."""
-        return self._rollout.expert()
+        return self._rollout.expert().astype(np.float32)
 
     def recording(self) -> Recording:
         """The episode so far: see `Rollout.recording`."""

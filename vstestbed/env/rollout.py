@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from vstestbed.camera import Image
+from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
 from vstestbed.laws.policy import MOST_PX, action_unit, observed
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
-from vstestbed.report.video.film import Pictures, quality_of, replay_of
+from vstestbed.report.video.film import Pictures, quality_of, replay_of, scaled
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN
@@ -26,72 +26,8 @@ from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.replay import Replay
 from vstestbed.tasks.frame import Frame
 from vstestbed.tasks.judged import JudgedError, in_a_frame
-
-RewardKind = Literal["potential", "negative_error", "sparse"]
-WORST = 1e4  # an error of so many times its limit, or more, or unknown, is the worst (2000 px where .2 px are the goal)
-
-
-def potential(error: JudgedError, view: int = 0, views: int = 1) -> float:
-    """How near a task is to its goal, phi in [0, 1]: 1 at no error, 0 at the worst, or where the error is unknown (markers lost).
-
-        nearness = 1 - ln(1 + |error| / limit) / ln(1 + WORST),  phi = (view + nearness) / views
-
-    Logarithmic: to halve the error has the same worth at 100 px as at 1 px, and pixels, metres and radians are on one scale.
-    """
-    return float(view + nearness(error.value, error.limit)) / views
-
-
-def nearness(error: Any, limit: float) -> Any:
-    """1 at no error, 0 at the worst, or where it is unknown (NaN); errors may be an array."""
-    ratio = np.fmin(np.abs(error) / limit, WORST)  # the other one of NaN and a number
-    return 1.0 - np.log1p(ratio) / math.log1p(WORST)
-
-
-@dataclass(frozen=True)
-class Reward:
-    """What a step is worth.
-
-    `potential`: discount phi' - phi, and `success_bonus` at a success. After the end (termination, not truncation) phi' is 0, so
-    that the sum of the differences depends on the start alone, and the best policy is that of the bonus alone, at a learner's discount
-    equal to this one.
-    `negative_error`: phi' - 1 in [-1, 0] at every step, and the bonus. An end that is no success is charged with the worst error in
-    all n steps that were left, -(discount + ... + discount^n): without this, to give up would cost less than to go to the goal.
-    `sparse`: the bonus alone.
-
-    kind: which of them. discount: gamma, in (0, 1]. success_bonus: reward of a success.
-    Raises ParameterError: another kind, a discount out of its range, a bonus that is not finite.
-
-    Reference: Ng, Harada & Russell 1999, "Policy invariance under reward transformations: theory and application to reward shaping",
-    ICML, pp. 278-287; that phi must be 0 after the end: Grzes 2017, "Reward shaping in episodic reinforcement learning", AAMAS,
-    pp. 565-573; that an end must be worth what an absorbing state in its place would be: Kostrikov, Agrawal, Dwibedi, Levine & Tompson
-    2019, "Discriminator-actor-critic: addressing sample inefficiency and reward bias in adversarial imitation learning", ICLR.
-    """
-
-    kind: RewardKind
-    discount: float = 0.99
-    success_bonus: float = 10.0
-
-    def __post_init__(self) -> None:
-        if self.kind not in get_args(RewardKind):
-            raise ParameterError.choice("reward", get_args(RewardKind), self.kind)
-        if not 0 < self.discount <= 1:
-            raise ParameterError.bound("discount", "over", "0 and at most 1", self.discount)
-        if not math.isfinite(self.success_bonus):
-            raise ParameterError.infinite("success_bonus", self.success_bonus)
-
-    def of_step(self, before: Any, after: Any, terminated: Any, success: Any, left: Any = 0) -> Any:
-        """The reward of a step between two potentials; of many steps by arrays.
-        terminated: the episode has ended, and not by the clock. left: how many steps the episode would still have had.
-        """
-        bonus = self.success_bonus * np.asarray(success)
-        if self.kind == "sparse":
-            return bonus
-        if self.kind == "negative_error":
-            g = self.discount  # the sum g + ... + g^left: a reward of 1 in each of the steps that are left
-            lost = 1.0 * left if g == 1 else g * -np.expm1(left * math.log(g)) / (1.0 - g)
-            return after - 1.0 + bonus - np.where(np.logical_and(terminated, np.logical_not(success)), lost, 0.0)
-        return np.where(terminated, 0.0, self.discount * after) - before + bonus
-
+from vstestbed.tasks.reward import Reward, RewardKind, potential
+from vstestbed.vision import Detector, Oracle
 
 ObservationMode = Literal["markers", "pixels", "both"]
 MOST = 1e6  # bound of `agent_pos`: far beyond any reading in metres, radians or their rates
@@ -99,12 +35,12 @@ MOST_SEED = 2**31 - 1  # largest seed that an episode without a given one draws
 
 
 class Bounds(NamedTuple):
-    """One entry of an observation: its shape, type and bounds."""
+    """One entry of an observation: its shape, type and bounds, numbers or arrays of the shape."""
 
     shape: tuple[int, ...]
     dtype: type
-    low: float
-    high: float
+    low: Any
+    high: Any
 
 
 class Step(NamedTuple):
@@ -117,6 +53,14 @@ class Step(NamedTuple):
     info: dict[str, Any]
 
 
+def marker_bounds(scenario: Scenario, camera: Camera, detector: Detector[Any]) -> Bounds:
+    """Of the markers (N, 2) [px] that a camera's detector finds: the picture's borders, wide ones where its field of view is unlimited."""
+    shape, wide = (scenario.rows, 2), isinstance(detector, Oracle) and detector.field_of_view != "limited"
+    ends = (np.full(2, -MOST_PX), np.full(2, MOST_PX)) if wide else (np.full(2, -0.5), np.array([camera.width, camera.height]) - 0.5)
+    low, high = (np.broadcast_to(end, shape).astype(np.float32) for end in ends)
+    return Bounds(shape, np.float32, low, high)
+
+
 class Rollout:
     """A session as learners want it; the Gymnasium and the dm_env environment are this in their words.
 
@@ -124,7 +68,8 @@ class Rollout:
     changes with via points, descents and paths); `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`), where
     it has any; `pixels` (H, W, 3) uint8. Of further cameras, those of their last pictures, all 0 before the first: `markers_NAME`,
     `seen_NAME`; and `pixels` is then a picture of each by its name, the law's own under `camera`. It is what a law of the scenario gets,
-    and no truth. Mode `markers` has no pixels, `pixels` no markers, `both` has all.
+    and no truth. Mode `markers` has no pixels, `pixels` no markers, `both` has all. Numbers are float32; markers lie within the picture's
+    borders, or where noise has put them beyond, on them.
 
     Action (n,) in [-1, 1]: velocities along the robot's motions as shares of the law's limits, or of 1 m/s and 1 rad/s where it has
     none (`laws.policy.action_unit`); clipped. It has the scenario's latency and the robot's limits.
@@ -141,6 +86,8 @@ class Rollout:
         scenario: path of a YAML file, name of a bundled scenario, or a loaded one. Of a file its plugins are run.
         observation: the mode. reward, discount, success_bonus: of a step, see `Reward`.
         overrides: values by dotted path, as `vstestbed.load`.
+        picture_px: (width, height) of `pixels` [px], to which pictures are scaled, by the mean of pixels where they become fewer; None:
+            their own. The detector works on the camera's own picture.
         end_on_rest: whether a rest away from the goal ends an episode; if not, `stop.rest_after_s` of `scenario` is None.
         end_on_loss: whether a target out of sight ends an episode; if not, `stop.lost_after_s` and `stop.lost_after_m` are None.
         action_repeat: for how many frames an action holds; the reward is that of the step from its first to its last.
@@ -159,6 +106,7 @@ class Rollout:
         end_on_rest: bool = True,
         end_on_loss: bool = True,
         action_repeat: int = 1,
+        picture_px: tuple[int, int] | None = None,
     ):
         if observation not in get_args(ObservationMode):
             raise ParameterError.choice("observation", get_args(ObservationMode), observation)
@@ -166,20 +114,21 @@ class Rollout:
             raise ParameterError.only_for("overrides", "a scenario given by name or path; load it with them")
         if not isinstance(action_repeat, int) or action_repeat < 1:
             raise ParameterError.bound("action_repeat", "a whole number of at least", 1, action_repeat)
-        self.action_repeat = action_repeat
-        given = scenario if isinstance(scenario, Scenario) else load(scenario, overrides)
-        rest = {} if end_on_rest else {"rest_after_s": None}
-        loss = {} if end_on_loss else {"lost_after_s": None, "lost_after_m": None}
-        self.scenario = replace(given, stop=replace(given.stop, **rest, **loss))
+        if picture_px is not None and (len(picture_px) != 2 or not all(isinstance(n, int) and n > 0 for n in picture_px)):
+            raise ParameterError.count("picture_px", "two", "whole numbers over 0, width and height", picture_px)
+        self.action_repeat, self._picture_px = action_repeat, picture_px
+        self._stop = ({} if end_on_rest else {"rest_after_s": None}) | ({} if end_on_loss else {"lost_after_s": None, "lost_after_m": None})
+        self._name, self._overrides = None if isinstance(scenario, Scenario) else scenario, dict(overrides or {})
+        self.scenario = self._stopped(scenario if isinstance(scenario, Scenario) else load(scenario, overrides))
         self._mode, self.reward = observation, Reward(reward, discount, success_bonus)
-        robot, mount = self.scenario.robot, Mount.of(self.scenario.believed_camera.mount.T)
-        self.action_unit = action_unit(self.scenario.law.limits, robot.motion_basis(mount, robot.start_joints()))
+        self.action_unit = action_unit(self.scenario.law.limits, self._basis(self.scenario))
         self._session: Session | None = None
         self._frame: Frame | None = None
         self._replay: Replay | None = None
         self._overview: Pictures | None = None
         self._phi, self._told, self._steps = 0.0, False, 0
         self._randomised: dict[str, Any] = {}
+        self._bounds = self.bounds()
 
     @property
     def most_steps(self) -> int:
@@ -187,24 +136,34 @@ class Rollout:
         frames = math.ceil(self.scenario.stop.duration_s * self.scenario.camera.rate_hz - 1e-9)
         return math.ceil(frames / self.action_repeat)
 
+    def _stopped(self, given: Scenario) -> Scenario:
+        """A scenario with the ends that were asked for."""
+        return replace(given, stop=replace(given.stop, **self._stop))
+
     def bounds(self) -> dict[str, Bounds | dict[str, Bounds]]:
         """The entries of an observation."""
-        n, eyes = self.scenario.rows, self.scenario.eyes
-        found: dict[str, Bounds | dict[str, Bounds]] = {"goal": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX)}
+        s, n = self.scenario, self.scenario.rows
+        found: dict[str, Bounds | dict[str, Bounds]] = {"goal": Bounds((n, 2), np.float32, -MOST_PX, MOST_PX)}
         if self._mode != "pixels":
-            for end in ("", *(f"_{name}" for name in eyes)):
-                found |= {f"markers{end}": Bounds((n, 2), np.float64, -MOST_PX, MOST_PX), f"seen{end}": Bounds((n,), np.float64, 0.0, 1.0)}
+            seen = {"": (s.camera, s.detector)} | {f"_{name}": (eye.camera, eye.detector) for name, eye in s.eyes.items()}
+            for end, by in seen.items():
+                found |= {f"markers{end}": marker_bounds(s, *by), f"seen{end}": Bounds((n,), np.float32, 0.0, 1.0)}
         if self._mode != "markers":
-            cameras = {OWN: self.scenario.camera} | {name: eye.camera for name, eye in eyes.items()}
-            each = {name: Bounds((camera.height, camera.width, 3), np.uint8, 0, 255) for name, camera in cameras.items()}
-            found["pixels"] = each if eyes else each[OWN]
-        if k := len(self.scenario.robot.proprioception_names):
-            found["agent_pos"] = Bounds((k,), np.float64, -MOST, MOST)
+            cameras = {OWN: s.camera} | {name: eye.camera for name, eye in s.eyes.items()}
+            sizes = {name: self._picture_px or (camera.width, camera.height) for name, camera in cameras.items()}
+            each = {name: Bounds((height, width, 3), np.uint8, 0, 255) for name, (width, height) in sizes.items()}
+            found["pixels"] = each if s.eyes else each[OWN]
+        if k := len(s.robot.proprioception_names):
+            found["agent_pos"] = Bounds((k,), np.float32, -MOST, MOST)
         return found
 
-    def reset(self, seed: int) -> Step:
-        """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario without random starts the noise alone."""
-        given, seed = self.scenario, int(seed)  # of numpy, in a vector of environments
+    def reset(self, seed: int, overrides: Mapping[str, object] | None = None) -> Step:
+        """Begin the episode of a seed: the start and the noise of `run --seed`; of a scenario without random starts the noise alone.
+
+        overrides: values by dotted path, of this episode alone. Raises ParameterError: they would change what an observation holds, or
+        the scenario was given loaded; ScenarioError: they have mistakes.
+        """
+        given, seed = self._of_episode(overrides), int(seed)  # of numpy, in a vector of environments
         scenario = given.with_seed(seed) if given.robot.start.random is None else given.randomised(seed)
         self.close()
         self._randomised = values_of(scenario.given)
@@ -213,6 +172,20 @@ class Rollout:
         error, self._phi = self._judged(frame)
         self._told, self._steps = False, 0
         return Step(self._observation(frame), 0.0, False, False, self._info(frame, error))
+
+    def _of_episode(self, overrides: Mapping[str, object] | None) -> Scenario:
+        if not overrides:
+            return self.scenario
+        if self._name is None:
+            raise ParameterError.only_for("options.overrides", "a scenario given by name or path")
+        made = self._stopped(load(self._name, self._overrides | dict(overrides)))
+        same = [(s.rows, s.robot.kind, s.camera.width, s.camera.height, tuple(s.cameras)) for s in (self.scenario, made)]
+        if same[0] != same[1] or not np.array_equal(action_unit(made.law.limits, self._basis(made)), self.action_unit):
+            raise ParameterError("options.overrides", "must leave markers, robot, limits and size of pictures as they are", dict(overrides))
+        return made
+
+    def _basis(self, scenario: Scenario) -> Array:
+        return scenario.robot.motion_basis(Mount.of(scenario.believed_camera.mount.T), scenario.robot.start_joints())
 
     def step(self, action: Array) -> Step:
         """Send the robot the velocities of an action (n,), and simulate until the next picture has arrived.
@@ -287,23 +260,29 @@ class Rollout:
         return numbers
 
     def _observation(self, frame: Frame) -> dict[str, Any]:
-        seen, exposure = frame.observation, self._episode.controller.before
+        seen, exposure, bounds = frame.observation, self._episode.controller.before, self._bounds
         own = self.scenario.robot.proprioception(exposure.reading, seen.odometry)
-        found: dict[str, Any] = observed(replace(seen, proprioception=own if len(own) else None), frame.goal, tuple(self.scenario.cameras))
-        if "agent_pos" in found:
-            found["agent_pos"] = np.clip(found["agent_pos"], -MOST, MOST)
-        if self._mode == "pixels":
-            found = {name: value for name, value in found.items() if not name.startswith(("markers", "seen"))}
+        told = observed(replace(seen, proprioception=own if len(own) else None), frame.goal, tuple(self.scenario.cameras))
+        found: dict[str, Any] = {}
+        for name, value in told.items():
+            if isinstance(within := bounds.get(name), Bounds):
+                found[name] = np.clip(value, within.low, within.high)
+                if name.startswith("markers"):
+                    found[name][told[f"seen{name.removeprefix('markers')}"] == 0] = 0.0
         if self._mode != "markers":
-            found["pixels"] = np.array(frame.image) if not self.scenario.cameras else self._pictures(frame)
+            found["pixels"] = self._picture(frame.image) if not self.scenario.cameras else self._pictures(frame)
         return found
+
+    def _picture(self, image: Image | None) -> Image:
+        assert image is not None  # the session takes whole pictures
+        return np.array(image if self._picture_px is None else scaled(image, self._picture_px))
 
     def _pictures(self, frame: Frame) -> dict[str, Image]:
         """The last picture of each camera by name, black before its first."""
-        found = {OWN: np.array(frame.image)}
+        found = {OWN: self._picture(frame.image)}
         for name, eye in self.scenario.eyes.items():
             image = frame.cameras[name].image if name in frame.cameras else None
-            found[name] = np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8) if image is None else np.array(image)
+            found[name] = self._picture(np.zeros((eye.camera.height, eye.camera.width, 3), np.uint8) if image is None else image)
         return found
 
     def _judged(self, frame: Frame) -> tuple[JudgedError, float]:

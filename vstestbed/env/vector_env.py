@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array, exp
 from vstestbed.core.outcome import Outcome
-from vstestbed.env.rollout import MOST_SEED, Rollout, nearness
+from vstestbed.env.gym_env import SpecWithLength
+from vstestbed.env.rollout import MOST_SEED, Rollout, marker_bounds
 from vstestbed.features.depth import PnP
 from vstestbed.laws.policy import MOST_PX
 from vstestbed.loop.termination import FAR_M
@@ -25,7 +26,7 @@ from vstestbed.studies.basin import left_out
 from vstestbed.studies.batch import FIRST_POSE, BatchSetup, behind, ideal, seen_by, start_of
 from vstestbed.tasks.judged import in_a_frame
 from vstestbed.tasks.monitor import REST
-from vstestbed.vision import Oracle
+from vstestbed.tasks.reward import nearness
 
 GOING, *CODES = None, Outcome.timed_out, Outcome.local_minimum, Outcome.target_lost, Outcome.diverged, Outcome.converged
 OUTCOMES: list[Outcome | None] = [GOING, *CODES]  # an outcome's code is its place
@@ -50,6 +51,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
     Raises ScenarioError: the scenario has mistakes. ParameterError: a setting is none of the possible ones, or the scenario is not ideal.
     """
 
+    spec = SpecWithLength()  # pyright: ignore[reportAssignmentType] - the base class has a plain attribute
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - the base class has it so
 
     def __init__(
@@ -70,7 +72,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
         posed = isinstance(law.depth, PnP) and law.inputs != ("relative",)
         self._needed, self._first = setup.needed, max(setup.needed, FIRST_POSE) if posed else setup.needed
         self._hold, self._rest, self._lost = (setup.frames(s) for s in (stop.converged.hold_s, stop.rest_after, stop.lost_after[0]))
-        self.num_envs = num_envs
+        self.num_envs, self._max_episode_steps = num_envs, rollout.most_steps
         self.single_observation_space, self.single_action_space = self._space(), Box(-1.0, 1.0, self._unit.shape, np.float32)
         self.observation_space, self.action_space = (
             batch_space(s, num_envs) for s in (self.single_observation_space, self.single_action_space)
@@ -165,14 +167,9 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
     def _space(self) -> Dict:
         """Of one environment: pixels within the picture, where the field of view is limited."""
         s, n = self.scenario, len(self.scenario.target.points)
-        limited = isinstance(s.detector, Oracle) and s.detector.field_of_view == "limited"
-        low, high = (
-            (np.full(2, -0.5), np.array([s.camera.width, s.camera.height]) - 0.5)
-            if limited
-            else (np.full(2, -MOST_PX), np.full(2, MOST_PX))
-        )
-        places = Box(np.tile(low, (n, 1)).astype(np.float32), np.tile(high, (n, 1)).astype(np.float32), dtype=np.float32)
-        return Dict({"goal": Box(-MOST_PX, MOST_PX, (n, 2), np.float32), "markers": places, "seen": Box(0.0, 1.0, (n,), np.float32)})
+        _, _, low, high = marker_bounds(s, s.camera, s.detector)
+        goal, seen = Box(-MOST_PX, MOST_PX, (n, 2), np.float32), Box(0.0, 1.0, (n,), np.float32)
+        return Dict({"goal": goal, "markers": Box(low, high, dtype=np.float32), "seen": seen})
 
 
 class _Episodes:

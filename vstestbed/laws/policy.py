@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
 from vstestbed.core.geometry import Array
@@ -23,8 +24,8 @@ from vstestbed.laws.base import Command, Law, TwistLimits
 MOST_PX = 1e6  # bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited
 
 
-def observed(seen: Observation, goal: Goal, cameras: tuple[str, ...] = ()) -> dict[str, Array]:
-    """What a policy sees of one frame, in new arrays of float64.
+def observed(seen: Observation, goal: Goal, cameras: tuple[str, ...] = ()) -> dict[str, NDArray[np.float32]]:
+    """What a policy sees of one frame, in new arrays of float32, which learners work with.
 
     `markers` (N, 2) [px], 0 for a marker that is not seen; `seen` (N,), 1 or 0; `goal` (N, 2), the markers at the goal [px], 0 where
     none would be seen; and where the observation has it, `agent_pos` (k,), what the robot's own sensors tell (`Robot.proprioception`).
@@ -33,15 +34,15 @@ def observed(seen: Observation, goal: Goal, cameras: tuple[str, ...] = ()) -> di
     """
     views = seen.cameras or {}
     others = {name: views[name].seen.uv if name in views else np.full_like(seen.uv, np.nan) for name in cameras or views}
-    found = {"markers": _pixels(seen.uv), "seen": seen.seen.astype(float), "goal": _pixels(goal.uv)}
+    found = {"markers": _pixels(seen.uv), "seen": seen.seen.astype(np.float32), "goal": _pixels(goal.uv)}
     for name, uv in others.items():
-        found |= {f"markers_{name}": _pixels(uv), f"seen_{name}": np.isfinite(uv[:, 0]).astype(float)}
-    return found if seen.proprioception is None else found | {"agent_pos": np.array(seen.proprioception, dtype=float)}
+        found |= {f"markers_{name}": _pixels(uv), f"seen_{name}": np.isfinite(uv[:, 0]).astype(np.float32)}
+    return found if seen.proprioception is None else found | {"agent_pos": np.array(seen.proprioception, dtype=np.float32)}
 
 
-def _pixels(uv: Array) -> Array:
+def _pixels(uv: Array) -> NDArray[np.float32]:
     """Pixels (N, 2) as a new array of finite numbers, 0 for NaN."""
-    return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX)
+    return np.clip(np.nan_to_num(uv, nan=0.0), -MOST_PX, MOST_PX).astype(np.float32)
 
 
 def action_unit(limits: TwistLimits, basis: Array) -> Array:
@@ -54,7 +55,7 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     return np.where(turns, rate, speed)
 
 
-Act = Callable[[Mapping[str, Array]], Any]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
+Act = Callable[[Mapping[str, NDArray[np.float32]]], Any]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
 ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
@@ -66,7 +67,7 @@ class Policy(Law[Act]):
     - a function `act(observation)` without a state;
     - a class, or an object: each run has an instance or a deep copy of its own, whose `reset()`, where it has one, is called first;
       its `act(observation)`, or the instance itself, is called for each frame.
-    The observation is a dict of float64 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
+    The observation is a dict of float32 arrays: `markers`, `seen`, `goal` and, where it is asked for, `agent_pos`
     (`observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
     (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
 
@@ -182,7 +183,7 @@ def _network(path: Path, written: int, agent_pos: bool) -> Act:
             words = f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as float or double{hint}"
             raise ParameterError("file", f"{path.name} {words}")
 
-    def act(observation: Mapping[str, Array]) -> Array:
+    def act(observation: Mapping[str, NDArray[np.float32]]) -> Array:
         given = {i.name: observation[i.name][None].astype(ONNX_KINDS[i.type]) for i in inputs}
         return np.asarray(network.run(None, given)[0], dtype=float)[0]
 

@@ -54,6 +54,12 @@ def frame_at(path: Path, t: float) -> np.ndarray:
     raise AssertionError(f"no frame at {t}")
 
 
+def test_one_text_for_all_episodes(folders: list[Path], tmp_path: Path) -> None:
+    made = write_dataset(opened(folders[:1]), tmp_path / "ds", task="look at the discs")
+    assert pl.read_parquet(made / "meta/tasks.parquet")["task"].to_list() == ["look at the discs"]
+    assert episodes_of(made)[0]["tasks"] == ["look at the discs"]
+
+
 def test_info_describes_what_is_there(dataset: Path) -> None:
     info = info_of(dataset)
     assert info["codebase_version"] == "v3.0" and info["fps"] == 25 and info["robot_type"] == "puma560"

@@ -40,14 +40,15 @@ def test_pictures_and_numbers_are_those_of_the_environment(variant: str, tmp_pat
     for k, frame in enumerate(run.frames()):
         seen = step.observation
         np.testing.assert_array_equal(frame.picture, seen["pixels"])  # noise and all
-        np.testing.assert_array_equal(numbers["markers"][k], seen["markers"].ravel())
+        np.testing.assert_array_equal(numbers["markers"][k].astype(np.float32), seen["markers"].ravel())
         np.testing.assert_array_equal(numbers["seen"][k], seen["seen"])
-        np.testing.assert_array_equal(numbers["goal"][k], seen["goal"].ravel())
-        np.testing.assert_allclose(numbers["observation.state"][k], seen["agent_pos"], atol=1e-12)
+        np.testing.assert_array_equal(numbers["goal"][k].astype(np.float32), seen["goal"].ravel())
+        np.testing.assert_allclose(numbers["observation.state"][k], seen["agent_pos"], atol=1e-7)
         if not (step.terminated or step.truncated):
             action = rollout.expert()
             np.testing.assert_allclose(numbers["action"][k], action, atol=1e-12)
             step = rollout.step(action)
+            np.testing.assert_allclose(numbers["next.reward"][k], step.reward, atol=1e-6)
     rollout.close()
     assert k == len(run.log) - 1 and step.truncated
     assert numbers["next.done"].ravel().tolist() == [False] * k + [True] and not numbers["next.success"].any()

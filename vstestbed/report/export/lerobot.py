@@ -28,6 +28,7 @@ from vstestbed.camera import Image
 from vstestbed.core.errors import ParameterError
 from vstestbed.core.files import make_folder, whole_folder, write_whole
 from vstestbed.core.geometry import Array
+from vstestbed.core.outcome import Outcome
 from vstestbed.core.provenance import vstestbed_version
 from vstestbed.laws.policy import MOST_PX, action_unit
 from vstestbed.loop.columns import TWIST
@@ -36,6 +37,8 @@ from vstestbed.report.export.source import RecordedRun, unit_of_joint
 from vstestbed.report.video.writer import DATASET, VideoWriter
 from vstestbed.robots import Mount
 from vstestbed.scenario.scenario import Scenario
+from vstestbed.tasks.judged import in_a_frame
+from vstestbed.tasks.reward import Reward, potential
 
 # What a LeRobot dataset holds of each frame: the observations, actions and ends of the scenario's environment (`vstestbed.env`).
 #
@@ -68,6 +71,7 @@ def features_of(scenario: Scenario, state: tuple[str, ...]) -> Features:
     if n:
         found |= {"markers": _vector(pixels), "seen": _vector([f"marker_{i}" for i in range(n)]), "goal": _vector(pixels)}
     found["sim_time"] = {"dtype": "float64", "shape": [1], "names": None}
+    found["next.reward"] = {"dtype": "float32", "shape": [1], "names": None}
     found |= {f"next.{name}": {"dtype": "bool", "shape": [1], "names": None} for name in ("done", "success")}
     found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     return found | {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
@@ -93,10 +97,20 @@ def numbers_of(run: RecordedRun) -> tuple[Numbers, tuple[str, ...]]:
     if n:
         uv, goal = (np.stack([log[f"{axis}{at}_{i}"] for i in range(n) for axis in "uv"], axis=1) for at in ("", "_goal"))
         found |= {"markers": _pixels(uv), "seen": np.isfinite(uv[:, ::2]).astype(float), "goal": _pixels(goal)}
-    found |= {"sim_time": log["t"], "next.done": last, "next.success": last & run.success}
+    found |= {"sim_time": log["t"], "next.reward": rewards(run), "next.done": last, "next.success": last & run.success}
     found["timestamp"] = np.arange(frames) / s.camera.rate_hz
     found["frame_index"] = np.arange(frames)
     return {name: values.reshape(frames, -1) for name, values in found.items()}, tuple(state)
+
+
+def rewards(run: RecordedRun) -> Array:
+    """The environment's reward of its default settings from each frame to the next; at the last one, from there to the end."""
+    s, reward, ended = run.scenario, Reward("potential"), run.summary is not None and not Outcome[run.outcome].out_of_time
+    log = {name: run.log[name] for name in ("error_px", *s.own_columns)}
+    rows = [{name: float(values[i]) for name, values in log.items()} for i in range(len(run.log))]
+    phi = [potential(in_a_frame(s.goal.judged, s.stop, row), int(row.get("view", 0)), len(s.goal_views)) for row in rows]
+    last = np.arange(len(phi)) == len(phi) - 1
+    return np.asarray(reward.of_step(np.array(phi), np.append(phi[1:], phi[-1]), last & ended, last & run.success), dtype=float)
 
 
 def actions(scenario: Scenario, log: dict[str, Array]) -> Array:
@@ -189,17 +203,23 @@ ARROW_NOTE = b"ARROW:schema"
 TYPES = {"float32": pl.Float32, "float64": pl.Float64, "int64": pl.Int64, "bool": pl.Boolean}
 
 
-def write_dataset(runs: Iterable[RecordedRun], out: Path, tick: Callable[[], None] = lambda: None, within: Path | None = None) -> Path:
+def write_dataset(
+    runs: Iterable[RecordedRun],
+    out: Path,
+    tick: Callable[[], None] = lambda: None,
+    within: Path | None = None,
+    task: str | None = None,
+) -> Path:
     """Write runs as a dataset, which appears whole or not at all; one run is in memory at a time, and its pictures are not.
 
     Args:
         runs: of one robot, camera and number of markers. out: its folder. tick: called after each frame. within: the folder that the
-            runs' folders are named relative to.
+            runs' folders are named relative to. task: what all episodes are to do, in words; None: each its scenario's description.
 
     ParameterError: the runs differ in what a frame holds. OutputError: `out` holds something already, or cannot be made.
     EnvironmentLackError: pictures cannot be drawn here, no H.264 encoder, no space.
     """
-    with whole_folder(out) as folder, closing(DatasetWriter(folder, within)) as writer:
+    with whole_folder(out) as folder, closing(DatasetWriter(folder, within, task)) as writer:
         for run in runs:
             writer.add(run, tick)
         writer.finish()
@@ -207,10 +227,10 @@ def write_dataset(runs: Iterable[RecordedRun], out: Path, tick: Callable[[], Non
 
 
 class DatasetWriter:
-    """Writes a dataset into a folder episode by episode; within: see `write_dataset`."""
+    """Writes a dataset into a folder episode by episode; within, task: see `write_dataset`."""
 
-    def __init__(self, folder: Path, within: Path | None = None):
-        self._folder, self._within = folder, within
+    def __init__(self, folder: Path, within: Path | None = None, task: str | None = None):
+        self._folder, self._within, self._task = folder, within, task
         self._features: Features | None = None
         self._first: RecordedRun | None = None
         self._tasks: dict[str, int] = {}
@@ -226,7 +246,7 @@ class DatasetWriter:
         """Write a run as the next episode. ParameterError: its frames hold something else than those before."""
         numbers, state = numbers_of(run)
         self._check(run, state)
-        n, task = len(numbers["timestamp"]), run.scenario.description or run.scenario.name
+        n, task = len(numbers["timestamp"]), self._task or run.scenario.description or run.scenario.name
         numbers |= {
             "episode_index": np.full((n, 1), self._episodes),
             "index": np.arange(self._frames, self._frames + n)[:, None],
