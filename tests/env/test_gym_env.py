@@ -507,7 +507,7 @@ def test_an_episode_has_values_of_its_own() -> None:
     np.testing.assert_allclose(env.unwrapped.expert(), step)
     np.testing.assert_array_equal(again["markers"], plain["markers"])
     with pytest.raises(ParameterError, match="must leave markers, robot, limits and size of pictures"):
-        env.reset(options={"overrides": {"camera.width": 320}})
+        env.reset(options={"overrides": {"camera.width": 1100}})
     with pytest.raises(ParameterError, match="by name or path"):
         GymServo(vs.load("ibvs_book")).reset(options={"overrides": {"law.gain": 2.0}})
     env.close()
