@@ -17,6 +17,7 @@ import unicodedata
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -41,18 +42,17 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(path, f"cannot be written ({error.strerror or error})", "choose another place") from error
 
 
-_flushed = True
+_flushed: ContextVar[bool] = ContextVar("_flushed", default=True)
 
 
 @contextmanager
 def unflushed() -> Iterator[None]:
     """Files that are written meanwhile are not flushed to the disk: those of a temporary folder need not outlive a power failure."""
-    global _flushed
-    before, _flushed = _flushed, False
+    before = _flushed.set(False)
     try:
         yield
     finally:
-        _flushed = before
+        _flushed.reset(before)
 
 
 class PartFile:
@@ -65,7 +65,7 @@ class PartFile:
     def keep(self) -> None:
         """Flush the file to the disk, and rename it: it appears whole or not at all, also if the machine loses power."""
         self.file.flush()
-        if _flushed:
+        if _flushed.get():
             os.fsync(self.file.fileno())  # else the rename could reach the disk before the content
         self.file.close()
         self.part.replace(self.path)
