@@ -14,20 +14,23 @@ from functools import cached_property
 from typing import Any
 
 import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp
 from numpy.typing import NDArray
 
 from vstestbed.camera import Camera, Image, Panel, Window
 from vstestbed.core.geometry import Array
-from vstestbed.sim.render import warp_kernels as kernels
 from vstestbed.sim.render.rays import Raster, RayRenderer
 from vstestbed.sim.render.shade import Paint
 from vstestbed.sim.scene.groups import LENS_GROUP, RANGE_GROUP
 from vstestbed.sim.scene.scene import Scene
 
 wp: Any = warp  # whose types are made as it runs
+wp.config.log_level = wp.LOG_ERROR
+import mujoco_warp as mjw  # noqa: E402 - it begins Warp, which would introduce itself on standard output
+
+from vstestbed.sim.render import warp_kernels as kernels  # noqa: E402 - as it
+
 PLACES = 8192  # rays of a slot: pixels of the tiles in it, with their rims
 MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
@@ -288,7 +291,6 @@ class Device:
     """
 
     def __init__(self) -> None:
-        wp.config.quiet = True
         wp.init()
         device = wp.get_preferred_device()
         self.name = f"rays (mujoco_warp {mjw.__version__}, {device.name})"
