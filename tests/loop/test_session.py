@@ -7,7 +7,7 @@ import gc
 import pickle
 import threading
 import weakref
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -50,6 +50,21 @@ def test_its_bytes_are_those_of_a_run_with_and_without_whole_pictures(name: str)
     camera = scenario.camera
     assert all(image is not None and image.shape == (camera.height, camera.width, 3) and image.any() for image in images)
     assert len({id(image) for image in images}) == len(images) > 3
+
+
+TAKEN = {
+    "sharp": {},
+    "blurred": {"timing.exposure_s": 0.01},
+    "noisy": {"noise.image_sigma": 2.0},
+    "row by row": {"camera.readout_s": 0.02},
+}
+
+
+@pytest.mark.parametrize(("name", "taken"), one_quick(*product(("arm_ibvs", "arm_fisheye", "arm_pbvs", "arm_tags", "car_line"), TAKEN)))
+def test_whole_pictures_beside_those_of_the_detector_change_no_byte_of_a_whole_run(name: str, taken: str) -> None:
+    """Were the detector shown them, a pixel at an edge would fall otherwise some frames later."""
+    scenario = vs.load(name, {"stop.duration_s": 8.0, **TAKEN[taken]})
+    assert same(vs.run(scenario, pictures=True), vs.run(scenario))
 
 
 def test_several_are_independent_in_threads_and_interleaved() -> None:

@@ -193,6 +193,7 @@ class ImageSensor:
         self._rows = PixelRows(camera or stage.parts.camera, self._chain.noisy)
         self._exposed: list[Contribution] = []
         self._blur, self._latest = MotionBlur(), list[Change]()
+        self._of_now = True  # whether the last picture is of the scene as it is
 
     @property
     def spent_s(self) -> float:
@@ -204,6 +205,7 @@ class ImageSensor:
         regions = None if self._always_whole else regions
         images = self._render(regions, with_depth=True)
         self._keep_state(0, regions)
+        self._of_now = True
         return self._picture(t, images, self._renderer.whole, [INSTANT])
 
     def clean(self, t: float) -> Picture:
@@ -219,7 +221,7 @@ class ImageSensor:
         if picture.image is not None:
             return picture
         kept = picture.copy()  # more is drawn into the same memory
-        if len(picture.images) == 1:
+        if len(picture.images) == 1 and not self._of_now:
             return replace(kept, own=picture.completed().images[0])
         drawn = self._developed(picture.t, (self._renderer.full_image(),), self._latest)
         return replace(kept, own=drawn.images[0])
@@ -243,6 +245,7 @@ class ImageSensor:
     def developed(self, t: float) -> Picture:
         """The picture of all images added since the last one, with time stamp t [s]; valid as `capture`'s."""
         (blur, exposed), self._blur, self._exposed = (self._blur, self._exposed), MotionBlur(), []
+        self._of_now = False
         return self._picture(t, blur.mean(), blur.whole, exposed)
 
     def _add(self, blur: MotionBlur, contribution: Contribution, regions: Regions | None, with_depth: bool) -> None:
