@@ -16,7 +16,7 @@ from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import lamps_at
 from vstestbed.sim.render.rays import BLANK, RayRenderer
-from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, cut, slots_of
+from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, _kept, cut, slots_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.studies.together import device
 
@@ -145,3 +145,13 @@ def test_slots_hold_every_tile_once() -> None:
     assert [tile for slot in slots for _, _, tile in slot.tiles] == list(windows)
     assert all(slot.places <= PLACES and len(slot.tiles) <= MOST_TILES for slot in slots)
     stage.close()
+
+
+def test_looks_that_were_not_asked_for_longest_go_first() -> None:
+    store, made = {}, []
+
+    def of(key: str) -> str:
+        return _kept(store, key, lambda: made.append(key) or key.upper(), 2)
+
+    assert [of(key) for key in "abac"] == ["A", "B", "A", "C"]
+    assert (made, list(store)) == (["a", "b", "c"], ["a", "c"])

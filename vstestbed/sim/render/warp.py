@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -31,11 +31,13 @@ import mujoco_warp as mjw  # noqa: E402 - it begins Warp, which would introduce 
 
 from vstestbed.sim.render import warp_kernels as kernels  # noqa: E402 - as it
 
+T = TypeVar("T")
 PLACES = 8192  # rays of a slot: pixels of the tiles in it, with their rims
 MOST_TILES = 16  # of a slot
 SIDE = math.isqrt(PLACES) - 2  # of a square tile without its rim [px]
 LIGHTS = "place", "along", "ambient", "diffuse", "specular"  # of `warp_kernels.Lamps`
 SLOTS = {"cpu": 8, "cuda": 256}  # slots that are drawn together, at most
+MOST_LOOKS, MOST_LENSES = 4, 16  # that are kept on the device: a look with its buffers is 150 MB of a card, a lens up to 20
 LOOKS = ("geom_", "mat_", "tex_", "mesh_", "hfield_", "light_")  # prefixes of the arrays of a model that say what its pictures show
 MOVED = ("geom_pos", "geom_quat", "light_pos", "light_dir", "light_pos0", "light_poscom0", "light_dir0", "geom_friction", "geom_margin")
 """Those among them that do not, or whose effect is in the state."""
@@ -306,19 +308,26 @@ class Device:
         drawn: list[list[Image]] = [[] for _ in shots]
         for (look, lens, outside), work in alike.items():
             first = work[0].shot
-            if look not in self._worlds:
-                self._worlds[look] = _World(first.stage, first.paint, self.slots)
-            if lens not in self._tables:
-                self._tables[lens] = _Table(first.raster)
+            world = _kept(self._worlds, look, lambda of=first: _World(of.stage, of.paint, self.slots), MOST_LOOKS)
+            table = _kept(self._tables, lens, lambda of=first: _Table(of.raster), MOST_LENSES)
             for start in range(0, len(work), self.slots):
                 some = work[start : start + self.slots]
-                for slot, colours in zip(some, self._worlds[look].draw(self._tables[lens], outside, some), strict=True):
+                for slot, colours in zip(some, world.draw(table, outside, some), strict=True):
                     drawn[slot.number].extend(slot.images(colours))
         return drawn
 
 
+def _kept(store: dict[Any, T], key: Any, make: Callable[[], T], most: int) -> T:
+    """What a store has of a key, made where it is missing; of more than `most` the one that was asked for longest ago goes."""
+    found = store.pop(key) if key in store else make()
+    store[key] = found
+    if len(store) > most:
+        del store[next(iter(store))]
+    return found
+
+
 def look_of(model: mujoco.MjModel) -> bytes:
-    """What identifies scenes whose pictures show the same shapes, materials, textures and lights; kept with the model."""
+    """What identifies scenes whose pictures show the same shapes, materials, textures and lights."""
     names = [n for n in dir(model) if n.startswith(LOOKS) and n not in MOVED]
     found = hashlib.blake2b(digest_size=16)
     for name in names:

@@ -1,18 +1,16 @@
 """Kernels of pictures drawn on a device: rays of tiles, the edges among their hits, and `shade`'s colours, by Warp.
 
 A launch works on W slots of C places each: a slot holds some tiles of one picture, a place one of their pixels, or one of the rays through
-an edge's pixel. Imported only where Warp is wanted; `# noqa: ANN` since Warp reads the annotations as types of its own.
+an edge's pixel.
 """
 
 from __future__ import annotations
-
-from typing import Any
 
 import warp as wp
 
 NO_RAY, SKY = -2, -1
 AWAY = 1e9  # where rays of places without a pixel begin [m]: they meet no box of a scene
-BOX, DIRECTIONAL, SPOT = 6, 1, 0  # as `mjtGeom` and `mjtLightType` have them
+DIRECTIONAL, SPOT = 1, 0  # as `mjtLightType` has them
 
 
 @wp.struct
@@ -400,6 +398,3 @@ def smooth(
         for channel in range(3):
             mean[channel] = wp.uint8((2 * total[w, edge, channel] + n) // (2 * n))
         out[w, found[w, edge]] = mean
-
-
-Kernel = Any
