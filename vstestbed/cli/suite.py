@@ -1,0 +1,49 @@
+"""The command `suite`: the same tasks for any law. Heavy imports are inside the function."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vstestbed.cli.ending import INTERRUPTED
+
+
+def suite(
+    law: Annotated[
+        str | None,
+        typer.Argument(metavar="[LAW_FILE]", help="A law of your own: a plugin with one law, or a YAML file with law and plugins."),
+    ] = None,
+    name: Annotated[str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")] = "VS-1",
+    quick: Annotated[bool, typer.Option("--quick", help="Two starts of each of a task's lists.")] = False,
+    alone: Annotated[bool, typer.Option("--alone", help="Fly LAW_FILE alone, without the suite's own laws.")] = False,
+    word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
+    executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no words.")] = False,
+) -> None:
+    """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its interval."""
+    from vstestbed.cli.progress import Counter, show_notes
+    from vstestbed.core.files import make_folder, new_folder
+    from vstestbed.studies.comparison import must_be_known
+    from vstestbed.studies.suite import opened, overall, write_scores
+
+    must_be_known(executor)
+    entry = opened(law, name, quick, word, alone)
+    show_notes(not quiet)
+    folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
+    entry.mark(folder)
+    try:
+        with Counter(entry.total, 0, not quiet) as counter:
+            runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    found = write_scores(folder, entry, runs)
+    if quiet:
+        return
+    lines = [f"{place}. {one}: mean rank {rank:.2f} over {tasks} tasks" for place, (one, rank, tasks) in enumerate(overall(found), 1)]
+    lines += [f"{one} takes no part in {task}: {why}" for (one, task), why in entry.blank.items()]
+    typer.echo("\n".join([*lines, f"  results   {folder} (open report.html)"]), err=True)
