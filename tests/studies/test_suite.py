@@ -117,6 +117,14 @@ def test_scores_are_successes_restricted_means_and_ranks_with_intervals() -> Non
     assert overall(list(found.values())) == [("fast", 1.0, 1), ("slow", 2.0, 1), ("fails", 3.0, 1)]
 
 
+def test_a_run_that_crashed_counts_as_the_longest_and_a_start_that_is_missing_for_none() -> None:
+    table = rows({"a": [2.0, 4.0, 6.0], "b": [3.0, 5.0, 20.0]})
+    crashed = table.with_columns(pl.when((pl.col("law") == "a") & (pl.col("start") == "0")).then(None).otherwise("time_s").alias("time_s"))
+    assert [s.time_s.mean for s in scores(crashed)] == [10.0, pytest.approx(28 / 3)]
+    missing = table.filter(~((pl.col("law") == "a") & (pl.col("start") == "2")))
+    assert [s.time_s.mean for s in scores(missing)] == [3.0, 4.0] and [s.rate.n for s in scores(missing)] == [2, 3]
+
+
 def test_equal_laws_share_their_place_and_close_ones_have_wide_ranks() -> None:
     rng = np.random.default_rng(2)
     a, noise = rng.uniform(1, 9, 30), rng.normal(0, 1, 30)

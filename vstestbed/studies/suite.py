@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -220,9 +219,8 @@ def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
     laws = runs["law"].unique(maintain_order=True).to_list()
     times = runs.pivot("law", index="start", values="time_s", aggregate_function="first").select(laws).to_numpy().T.astype(float)
     reached = runs.pivot("law", index="start", values="success", aggregate_function="first").select(laws).to_numpy().T.astype(float)
-    known = np.isfinite(times).all(axis=0)  # starts that every law has flown
-    worst = np.nanmax(times) if np.isfinite(times).any() else math.nan
-    times = np.where(np.isnan(times), worst, times) if not known.any() else times[:, known]
+    flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
+    times = np.where(np.isnan(times), np.nanmax(times, initial=0.0), times)[:, flown]  # one that crashed counts as the longest
     mean, low, high = _resampled(times)
     rank, best, last = _ranks(times)
     for i, law in enumerate(laws):
