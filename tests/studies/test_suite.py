@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -158,3 +159,37 @@ def test_a_changed_plan_has_another_hash(own: str, tmp_path: Path) -> None:
     assert opened(None, own).about["sha256"] != first
     suite = TaskSuite(laws={"p": {"kind": "ibvs"}}, tasks={"t": SuiteTask(plan="plan.yaml")})
     assert SuiteEntry(suite, Path(own), suite.laws).plan("t") is not None
+
+
+@pytest.mark.process
+def test_a_submission_is_checked_by_a_drawn_part_and_a_false_number_is_found(command, own: str, tmp_path: Path) -> None:
+    assert command("suite", str(tmp_path / "mine.yaml"), "--suite", own, "--jobs", 1, "--out", "found").code == 0
+    ended = command("submit", "found")
+    assert ended.code == 0 and Path("found.zip").is_file()
+    with zipfile.ZipFile("found.zip") as packed:
+        assert sorted(packed.namelist()) == ["environment.json", "law/mine.yaml", "runs.csv", "scores.csv", "suite.json"]
+        inside = {name: packed.read(name) for name in packed.namelist()}
+    inside["suite.json"] = inside["suite.json"].replace(b'"own"', json.dumps(own).encode())  # a suite by its file, for this test
+    rows = pl.read_csv(inside["runs.csv"])
+    for name, runs, code in (
+        ("true.zip", rows, 0),
+        ("false.zip", rows.with_columns(time_s=pl.col("time_s") / 2), 3),
+        ("short.zip", rows.filter(pl.col("start") == ""), 3),
+    ):
+        with zipfile.ZipFile(name, "w") as packed:
+            for inner, content in (inside | {"runs.csv": runs.write_csv().encode()}).items():
+                packed.writestr(inner, content)
+        ended = command("suite", "--check", name, "--jobs", 1, "--out", f"again_{name}")
+        assert ended.code == code, ended.err
+        assert ("1 of 1 runs that were flown again agree" in ended.err) == (code == 0)
+    (tmp_path / "plan.yaml").write_text(PLAN + "\n")
+    ended = command("suite", "--check", "true.zip", "--out", "later")
+    assert ended.code == 2 and "is of another" in ended.err
+    Path("no.zip").write_bytes(b"PK")
+    assert "is no submission" in command("suite", "--check", "no.zip", "--out", "never").err
+    assert "own laws alone" in command("submit", _plain_suite(command, own)).err
+
+
+def _plain_suite(command, own: str) -> str:
+    assert command("suite", "--suite", own, "--quick", "--jobs", 1, "--out", "plain").code == 0
+    return "plain"

@@ -23,7 +23,7 @@ from vstestbed.cli.export import export
 from vstestbed.cli.robots import calibrate, excite, identify
 from vstestbed.cli.ros import replay, ros
 from vstestbed.cli.studies import basin, bench, gain_limit, grade, sweep, tune
-from vstestbed.cli.suite import suite
+from vstestbed.cli.suite import submit, suite
 from vstestbed.cli.tools import Json, Plugins, ScenarioName, Settings, load_scenario
 from vstestbed.core.errors import NOTHING_RAN, ParameterError, RunFolderError
 from vstestbed.core.shares import STOPS
@@ -221,7 +221,7 @@ def report(
 COMMANDS: dict[str, Callable[..., None]] = {
     command.__name__.rstrip("_").replace("_", "-"): command
     for command in (
-        *(run, render, report, export, compare, suite, tune, basin, gain_limit, sweep, ros, replay, calibrate, excite, identify),
+        *(run, render, report, export, compare, suite, submit, tune, basin, gain_limit, sweep, ros, replay, calibrate, excite, identify),
         *(tools.live, tools.new, tools.list_, tools.schema, tools.describe, tools.doctor, tools.optical_flow, bench, grade),
     )
 }

@@ -1,4 +1,4 @@
-"""The command `suite`: the same tasks for any law. Heavy imports are inside the function."""
+"""The commands `suite` and `submit`: the same tasks for any law. Heavy imports are inside the functions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from vstestbed.cli.ending import INTERRUPTED
+from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED
 
 
 def suite(
@@ -19,6 +19,7 @@ def suite(
     quick: Annotated[bool, typer.Option("--quick", help="Two starts of each of a task's lists.")] = False,
     alone: Annotated[bool, typer.Option("--alone", help="Fly LAW_FILE alone, without the suite's own laws.")] = False,
     word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
+    check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly a drawn tenth of a submission again: do they agree?")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on.")] = None,
@@ -31,6 +32,9 @@ def suite(
     from vstestbed.studies.suite import opened, overall, write_scores
 
     must_be_known(executor)
+    if check is not None:
+        _check(check, new_folder(Path("runs") / "suite", out, "give a new one"), jobs)
+        return
     entry = opened(law, name, quick, word, alone)
     show_notes(not quiet)
     folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
@@ -47,3 +51,27 @@ def suite(
     lines = [f"{place}. {one}: mean rank {rank:.2f} over {tasks} tasks" for place, (one, rank, tasks) in enumerate(overall(found), 1)]
     lines += [f"{one} takes no part in {task}: {why}" for (one, task), why in entry.blank.items()]
     typer.echo("\n".join([*lines, f"  results   {folder} (open report.html)"]), err=True)
+
+
+def _check(file: Path, folder: Path, jobs: int | None) -> None:
+    """Say whether a submission agrees with what is flown here; exit 3 where it does not."""
+    from vstestbed.studies.submission import check
+
+    found = check(file, folder, jobs)
+    agree = found.runs - len(found.otherwise)
+    typer.echo("\n".join([*found.otherwise, f"{agree} of {found.runs} runs that were flown again agree"]), err=True)
+    if found.otherwise:
+        raise typer.Exit(NOT_REACHED)
+
+
+def submit(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A suite's folder, with a law of your own.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The file. [default: DIR.zip]")] = None,
+) -> None:
+    """Pack a suite's results with the law, the versions and the machine into one file, which `suite --check` flies again in part."""
+    from vstestbed.core.files import must_be_new
+    from vstestbed.studies.submission import pack
+
+    path = out or folder.with_name(f"{folder.resolve().name}.zip")
+    must_be_new(path, "give a new file with --out")
+    typer.echo(str(pack(folder, path)), err=True)

@@ -19,7 +19,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError, VstestbedError
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
@@ -107,6 +107,7 @@ class SuiteEntry:
     """A suite that is to be flown.
 
     laws: blocks by name. plugins: that they need. quick: few starts of each task. word: draws the random starts, None for the plans' own.
+    file: of the law of one's own, None without one.
     """
 
     suite: TaskSuite
@@ -115,6 +116,7 @@ class SuiteEntry:
     plugins: tuple[str, ...] = ()
     quick: bool = False
     word: str | None = None
+    file: str | None = None
     blank: dict[tuple[str, str], str] = field(default_factory=dict)  # why a law takes no part in a task, by law and task
 
     def plan(self, task: str) -> Comparison | None:
@@ -149,7 +151,8 @@ class SuiteEntry:
         few, drawn = ("the first starts of each list", self.quick), (f"random starts from {self.first_seed} on", self.word is not None)
         starts = [words for words, said in (few, drawn) if said] or ["all starts"]
         laws = {name: dict(law) for name, law in self.laws.items()}
-        return {"suite": self.path.stem, "sha256": fingerprint(self.suite, self.path), "starts": ", ".join(starts), "laws": laws}
+        said = {"suite": self.path.stem, "sha256": fingerprint(self.suite, self.path), "starts": ", ".join(starts), "laws": laws}
+        return said | {"quick": self.quick, "word": self.word, "file": None if self.file is None else Path(self.file).name}
 
     def mark(self, out: Path) -> None:
         """Write `suite.json` into the folder, or see that it is of the same suite. Raises ParameterError: it is of another."""
@@ -157,6 +160,9 @@ class SuiteEntry:
         if place.is_file() and json.loads(place.read_text(encoding="utf-8")) != about:
             raise ParameterError("--out", "holds another suite, or the same with other laws or starts; give a new folder", str(out))
         write_whole(place, json.dumps(about, indent=1) + "\n")
+        sources: list[str] = [*([] if self.file is None else [self.file]), *self.plugins]
+        for source in dict.fromkeys(sources):
+            write_whole(make_folder(out / "law") / Path(source).name, Path(source).read_bytes())
 
     @property
     def first_seed(self) -> int:
@@ -180,13 +186,13 @@ class SuiteEntry:
             there = (out / task / "comparison.yaml").is_file()
             with prepared([], {}, out / task, there, {}, self.plugins if there else (), False, requested=plan) as (runner, comparison):
                 table = carry_out(runner, comparison, jobs, executor, on_done, figures=False)
-            tables.append(_rows(table, comparison, task))
+            tables.append(rows_of(table, comparison, task))
         if not tables:
             raise ParameterError("LAW_FILE", f"takes part in no task: {next(iter(self.blank.values()))}")
         return pl.concat(tables)
 
 
-def _rows(table: pl.DataFrame, comparison: Comparison, task: str) -> pl.DataFrame:
+def rows_of(table: pl.DataFrame, comparison: Comparison, task: str) -> pl.DataFrame:
     """Of a task's runs: task, law, start, whether it reached the goal, and the time to it, of a failure its limit."""
     parts = [name for name in (*comparison.cases, TASK) if name in table.columns and name != LAW]
     start = pl.concat_str([pl.col(name).cast(pl.String) for name in (*parts, "seed")], separator=" ")
@@ -362,4 +368,4 @@ def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | 
         laws = {own: block} if alone else laws | {own: block}
     elif alone:
         raise ParameterError.needs("--alone", "a law of your own", why="LAW_FILE")
-    return SuiteEntry(suite, path, laws, plugins, quick, word)
+    return SuiteEntry(suite, path, laws, plugins, quick, word, file)

@@ -1,0 +1,113 @@
+"""A submission to the suite: one file with a law, its results and where they were flown; and a drawn part of it flown again."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import zipfile
+from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import polars as pl
+
+from vstestbed.core.errors import RunFolderError
+from vstestbed.core.files import make_folder, write_whole
+from vstestbed.studies.comparison.folder import table_of
+from vstestbed.studies.comparison.plan import Job, Jobs, controllers
+from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
+from vstestbed.studies.comparison.runs import Runner
+from vstestbed.studies.pools import pool_of, workers
+from vstestbed.studies.suite import SuiteEntry, opened, rows_of
+
+ABOUT, RUNS, LAW_FOLDER = "suite.json", "runs.csv", "law"
+SHARE = 0.1  # of the runs of the law that is checked
+
+
+class Checked(NamedTuple):
+    """Runs that were flown again: how many, and in words those that ended otherwise."""
+
+    runs: int
+    otherwise: tuple[str, ...]
+
+
+def pack(folder: Path, out: Path) -> Path:
+    """Pack a suite's folder into one file: what was flown, the law's files, each run, the scores, versions and machine.
+    Raises RunFolderError: the folder has no finished suite, or the law's file is not a law of one's own.
+    """
+    for name in (ABOUT, RUNS, "scores.csv"):
+        if not (folder / name).is_file():
+            raise RunFolderError(folder, f"has no {name}", "`vstestbed suite LAW_FILE --out DIR` makes one")
+    law = sorted((folder / LAW_FOLDER).rglob("*")) if (folder / LAW_FOLDER).is_dir() else []
+    if not law:
+        raise RunFolderError(folder, "has the suite's own laws alone", "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`")
+    files = [folder / ABOUT, folder / RUNS, folder / "scores.csv", *(path for path in law if path.is_file())]
+    with zipfile.ZipFile(out, "x", zipfile.ZIP_DEFLATED) as packed:
+        for path in files:
+            packed.write(path, path.relative_to(folder).as_posix())
+        packed.writestr("environment.json", json.dumps(environment(), indent=1) + "\n")
+    return out
+
+
+def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, str, pl.DataFrame]:
+    """The suite of a submission with its law alone, that law's name, and its runs as they were handed in. Its code is run.
+    Raises RunFolderError: it is no submission, or of another suite than this one.
+    """
+    try:
+        with zipfile.ZipFile(file) as packed:
+            names = [name for name in packed.namelist() if name.startswith(f"{LAW_FOLDER}/")]
+            about, given = json.loads(packed.read(ABOUT)), pl.read_csv(packed.read(RUNS))
+            for name in names:  # by its last part alone: a name in an archive may lead anywhere
+                write_whole(make_folder(into) / Path(name).name, packed.read(name))
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
+        raise RunFolderError(file, f"is no submission ({error})", "`vstestbed submit DIR` makes one") from error
+    main = str(into / Path(about["file"]).name)
+    entry = opened(main, about["suite"], about["quick"], about["word"], alone=True)
+    if entry.about["sha256"] != about["sha256"]:
+        raise RunFolderError(file, f"is of another {about['suite']} than this version has", "check it with the version that it names")
+    name = next(iter(entry.laws))
+    return entry, name, given.filter(pl.col("law") == name)
+
+
+def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None) -> Checked:
+    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the time to the goal.
+
+    folder: where they are flown. seed: of what is drawn; None: nobody knows it before. Errors: as of `unpacked` and `compare`.
+    """
+    entry, _, given = unpacked(file, folder / LAW_FOLDER)
+    rng, otherwise, n = np.random.default_rng(secrets.randbits(63) if seed is None else seed), list[str](), 0
+    for task, plan in entry.plans.items():
+        every = list(Jobs(controllers(plan), plan.seeds, plan.first_seed))
+        drawn = [every[i] for i in sorted(rng.choice(len(every), max(1, round(SHARE * len(every))), replace=False).tolist())]
+        again = rows_of(_flown(make_folder(folder / task), drawn, jobs, entry), plan, task)
+        n += len(again)
+        both = again.join(given.cast({"start": pl.String}), on=["task", "start"], how="left", suffix="_given")
+        otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row)]
+    return Checked(n, tuple(otherwise))
+
+
+def _flown(folder: Path, drawn: list[Job], jobs: int | None, entry: SuiteEntry) -> pl.DataFrame:
+    scenarios: Iterable[Job] = drawn
+    with closing(pool_of("local", workers(jobs, len(drawn)), folder)) as pool:
+        Runner(folder, drawn).run(pool)
+    return table_of(folder, scenarios)
+
+
+def _agrees(row: dict[str, object]) -> bool:
+    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the time that was handed in."""
+    given, again = row["time_s_given"], row["time_s"]
+    if row["success_given"] is None or row["success"] != row["success_given"]:
+        return False
+    if not isinstance(given, float) or not isinstance(again, float):
+        return given == again
+    return abs(given - again) <= max(LEAST, TOLERANCE * max(abs(given), abs(again)))
+
+
+def _words(row: dict[str, object]) -> str:
+    def said(success: object, time: object) -> str:
+        return "is not there" if success is None else f"{'reached' if success else 'failed'} ({time} s)"
+
+    given, again = said(row["success_given"], row["time_s_given"]), said(row["success"], row["time_s"])
+    return f"{row['task']} {row['start']}: handed in {given}, flown again {again}"
