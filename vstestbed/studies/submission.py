@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import secrets
 import zipfile
-from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
@@ -44,31 +44,33 @@ def pack(folder: Path, out: Path) -> Path:
     if not law:
         raise RunFolderError(folder, "has the suite's own laws alone", "fly a law of your own: `vstestbed suite LAW_FILE --out DIR`")
     files = [folder / ABOUT, folder / RUNS, folder / "scores.csv", *(path for path in law if path.is_file())]
-    with zipfile.ZipFile(out, "x", zipfile.ZIP_DEFLATED) as packed:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
         for path in files:
             packed.write(path, path.relative_to(folder).as_posix())
         packed.writestr("environment.json", json.dumps(environment(), indent=1) + "\n")
+    write_whole(out, content.getvalue())
     return out
 
 
-def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, str, pl.DataFrame]:
-    """The suite of a submission with its law alone, that law's name, and its runs as they were handed in. Its code is run.
+def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
+    """The suite of a submission with its law alone, and its runs as they were handed in. Its code is run.
     Raises RunFolderError: it is no submission, or of another suite than this one.
     """
     try:
         with zipfile.ZipFile(file) as packed:
             names = [name for name in packed.namelist() if name.startswith(f"{LAW_FOLDER}/")]
             about, given = json.loads(packed.read(ABOUT)), pl.read_csv(packed.read(RUNS))
+            named = Path(about["file"]).name, about["suite"], about["quick"], about["word"], about["sha256"]
             for name in names:  # by its last part alone: a name in an archive may lead anywhere
                 write_whole(make_folder(into) / Path(name).name, packed.read(name))
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
         raise RunFolderError(file, f"is no submission ({error})", "`vstestbed submit DIR` makes one") from error
-    main = str(into / Path(about["file"]).name)
-    entry = opened(main, about["suite"], about["quick"], about["word"], alone=True)
-    if entry.about["sha256"] != about["sha256"]:
-        raise RunFolderError(file, f"is of another {about['suite']} than this version has", "check it with the version that it names")
-    name = next(iter(entry.laws))
-    return entry, name, given.filter(pl.col("law") == name)
+    main, suite, quick, word, sha256 = named
+    entry = opened(str(into / main), suite, quick, word, alone=True)
+    if entry.about["sha256"] != sha256:
+        raise RunFolderError(file, f"is of another {suite} than this version has", "check it with the version that it names")
+    return entry, given.filter(pl.col("law").is_in(list(entry.laws)))
 
 
 def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None) -> Checked:
@@ -76,23 +78,22 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
 
     folder: where they are flown. seed: of what is drawn; None: nobody knows it before. Errors: as of `unpacked` and `compare`.
     """
-    entry, _, given = unpacked(file, folder / LAW_FOLDER)
+    entry, given = unpacked(file, folder / LAW_FOLDER)
     rng, otherwise, n = np.random.default_rng(secrets.randbits(63) if seed is None else seed), list[str](), 0
     for task, plan in entry.plans.items():
         every = list(Jobs(controllers(plan), plan.seeds, plan.first_seed))
         drawn = [every[i] for i in sorted(rng.choice(len(every), max(1, round(SHARE * len(every))), replace=False).tolist())]
-        again = rows_of(_flown(make_folder(folder / task), drawn, jobs, entry), plan, task)
+        again = rows_of(_flown(make_folder(folder / task), drawn, jobs), plan, task)
         n += len(again)
         both = again.join(given.cast({"start": pl.String}), on=["task", "start"], how="left", suffix="_given")
         otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row)]
     return Checked(n, tuple(otherwise))
 
 
-def _flown(folder: Path, drawn: list[Job], jobs: int | None, entry: SuiteEntry) -> pl.DataFrame:
-    scenarios: Iterable[Job] = drawn
+def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
     with closing(pool_of("local", workers(jobs, len(drawn)), folder)) as pool:
         Runner(folder, drawn).run(pool)
-    return table_of(folder, scenarios)
+    return table_of(folder, drawn)
 
 
 def _agrees(row: dict[str, object]) -> bool:

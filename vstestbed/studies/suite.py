@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -153,6 +154,14 @@ class SuiteEntry:
         laws = {name: dict(law) for name, law in self.laws.items()}
         said = {"suite": self.path.stem, "sha256": fingerprint(self.suite, self.path), "starts": ", ".join(starts), "laws": laws}
         return said | {"quick": self.quick, "word": self.word, "file": None if self.file is None else Path(self.file).name}
+
+    @property
+    def command(self) -> str:
+        """The command that flies it."""
+        name = self.path.stem if self.path.parent == folder("scenarios") / "suite" else str(self.path)
+        words = [*([] if self.file is None else [self.file]), *([] if name == NAME else ["--suite", name]), *["--quick"] * self.quick]
+        alone = ["--alone"] if self.file is not None and len(self.laws) == 1 else []
+        return shlex.join(["vstestbed", "suite", *words, *alone, *([] if self.word is None else ["--word", self.word])])
 
     def mark(self, out: Path) -> None:
         """Write `suite.json` into the folder, or see that it is of the same suite. Raises ParameterError: it is of another."""
@@ -313,7 +322,7 @@ def _write_page(out: Path, entry: SuiteEntry, found: Sequence[Score]) -> None:
         "intervals, mean time to the goal in which a failure counts its limit, and ranks by it with bootstrap intervals over starts, which "
         "all laws share; the mean of the ranks stands beside its parts."
     )
-    write_page(out, "study.html", f"Suite {entry.path.stem}", about=about, plots=plots, tables=tables, command="vstestbed suite")
+    write_page(out, "study.html", f"Suite {entry.path.stem}", about=about, plots=plots, tables=tables, command=entry.command)
 
 
 def _drawn_ranks(found: Sequence[Score]) -> str:

@@ -16,7 +16,7 @@ from vstestbed.robots.base import longest_step
 from vstestbed.sim.base import SceneDescription
 from vstestbed.sim.render.image_sensor import lamps_at
 from vstestbed.sim.render.rays import BLANK, RayRenderer
-from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, _kept, cut, slots_of
+from vstestbed.sim.render.warp import MOST_TILES, PLACES, PictureRequest, WarpRenderer, _kept, cut, look_of, slots_of
 from vstestbed.sim.scene.scene import Scene
 from vstestbed.studies.together import device
 
@@ -116,6 +116,19 @@ def test_a_picture_does_not_depend_on_the_others() -> None:
         for (left, top, right, bottom), tile in zip(shot.tiles, tiles, strict=True):
             np.testing.assert_array_equal(tile, whole[top:bottom, left:right])
     assert not np.array_equal(alone[0], alone[1])
+    for stage in stages:
+        stage.close()
+
+
+def test_the_same_scene_by_other_samples_of_its_textures_is_another_look() -> None:
+    stages = [stage_of(vs.load("arm_picture", {**SMALL, "camera.anisotropy": n})) for n in (1, 8)]
+    drawn, cast = (
+        [pixels(make(stage).images()) for stage in stages] for make in (renderer, lambda stage: RayRenderer(stage, stage.parts.camera))
+    )
+    assert look_of(stages[0]) != look_of(stages[1])
+    for one, other in zip(drawn, cast, strict=True):
+        assert np.mean(np.abs(one - other).max(axis=1) <= 1) > SAME
+    assert not np.array_equal(*drawn)
     for stage in stages:
         stage.close()
 

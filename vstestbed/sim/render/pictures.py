@@ -35,7 +35,7 @@ class DrawsTogether(Protocol):
 
 
 drawn_together: ContextVar[DrawsTogether | None] = ContextVar("drawn_together", default=None)
-"""Of a run that flies with others, in its thread: what draws its pictures, whatever `camera.renderer` says."""
+"""Of a run that flies with others, in its own context: what draws its pictures, whatever `camera.renderer` says."""
 FILM_RAYS = 4  # rays for each pixel of the outside view at the edge of an object, two each way
 
 

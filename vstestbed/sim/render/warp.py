@@ -1,7 +1,7 @@
 """Pictures of many runs drawn together on a device: rays cast by MuJoCo Warp, shaded by the kernels of `warp_kernels`.
 
 The same tiles, lenses, materials and antialiasing as `rays`, in single floats. A run asks for its picture with a `PictureRequest`;
-whoever has the shots of many runs draws them all by one `Device.draw`.
+whoever has those of many runs draws them all by one `Device.draw`.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class WarpRenderer(RayRenderer):
 
     def __init__(self, stage: Scene, camera: Camera, draw: Draw, name: str, noisy: bool = False, share: float = 1.0, eye: str = "eye"):
         super().__init__(stage, camera, noisy, share, eye)
-        self.name, self._ask, self._outside, self._look = name, draw, stage.parts.stands(eye), look_of(stage.model)
+        self.name, self._ask, self._outside, self._look = name, draw, stage.parts.stands(eye), look_of(stage)
 
     def _fill(self, image: Image, raster: Raster, panel: Panel, windows: tuple[Window, ...]) -> None:
         tiles = tuple(tile for window in windows for tile in cut(window) if window[0] < window[2] and window[1] < window[3])
@@ -326,10 +326,11 @@ def _kept(store: dict[Any, T], key: Any, make: Callable[[], T], most: int) -> T:
     return found
 
 
-def look_of(model: mujoco.MjModel) -> bytes:
-    """What identifies scenes whose pictures show the same shapes, materials, textures and lights."""
+def look_of(stage: Scene) -> bytes:
+    """What identifies scenes whose pictures show the same shapes, materials, textures and lights, by as many samples of a texture."""
+    model = stage.model
     names = [n for n in dir(model) if n.startswith(LOOKS) and n not in MOVED]
-    found = hashlib.blake2b(digest_size=16)
+    found = hashlib.blake2b(str(stage.parts.camera.anisotropy).encode(), digest_size=16)
     for name in names:
         found.update(np.ascontiguousarray(getattr(model, name)).tobytes())
     return found.digest()
