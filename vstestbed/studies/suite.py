@@ -1,4 +1,4 @@
-"""The suite: frozen tasks on which any law is flown, and how laws score and rank on them.
+"""The suite: the same tasks for any law, and how laws score and rank on them.
 
 A task is a comparison without laws; the suite's laws, and a law of one's own, are its cases. What a law cannot take part in is left blank,
 with the sentence that refused it, and counts neither for nor against it. Runs, tables and statistics are those of `compare`.
@@ -318,7 +318,7 @@ def _write_page(out: Path, entry: SuiteEntry, found: Sequence[Score]) -> None:
         )
     ]
     about = (
-        f"{suite.description}. {entry.about['starts'].capitalize()}; frozen files {entry.about['sha256'][:12]}. Successes with Wilson "
+        f"{suite.description}. {entry.about['starts'].capitalize()}; files {entry.about['sha256'][:12]}. Successes with Wilson "
         "intervals, mean time to the goal in which a failure counts its limit, and ranks by it with bootstrap intervals over starts, which "
         "all laws share; the mean of the ranks stands beside its parts."
     )
