@@ -20,6 +20,10 @@ def suite(
     alone: Annotated[bool, typer.Option("--alone", help="Fly LAW_FILE alone, without the suite's own laws.")] = False,
     word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
     check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly a drawn tenth of a submission again: do they agree?")] = None,
+    shard: Annotated[str | None, typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR.")] = None,
+    merge: Annotated[
+        list[Path] | None, typer.Option("--merge", metavar="DIR", help="Put shards together: the folder of one; repeat it for each.")
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one a core]")] = None,
     executor: Annotated[str, typer.Option(metavar="WHERE", help="local, warp (a graphics card), or dask://HOST:PORT.")] = "local",
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; one that is there goes on.")] = None,
@@ -28,24 +32,31 @@ def suite(
     """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its interval."""
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.core.files import make_folder, new_folder
-    from vstestbed.studies.comparison import must_be_known
-    from vstestbed.studies.suite import opened, overall, write_scores
+    from vstestbed.report.scores import overall
+    from vstestbed.studies.comparison import Shard, must_be_known
+    from vstestbed.studies.suite import opened
 
     must_be_known(executor)
     if check is not None:
         _check(check, new_folder(Path("runs") / "suite", out, "give a new one"), jobs)
         return
-    entry = opened(law, name, quick, word, alone)
+    entry, share = opened(law, name, quick, word, alone), None if shard is None else Shard.read(shard)
     show_notes(not quiet)
     folder = make_folder(out if out is not None and out.exists() else new_folder(Path("runs") / "suite", out, "give a new one"))
     entry.mark(folder)
-    try:
-        with Counter(entry.total, 0, not quiet) as counter:
-            runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say)
-    except KeyboardInterrupt:
-        typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    found = write_scores(folder, entry, runs)
+    if merge:
+        runs = entry.merged(merge, folder, (lambda words: None) if quiet else lambda words: typer.echo(f"{words} ...", err=True))
+    else:
+        try:
+            with Counter(entry.total // (share.of if share else 1), 0, not quiet) as counter:
+                runs = entry.fly(folder, jobs, executor, counter.run_done, counter.say, share)
+        except KeyboardInterrupt:
+            typer.echo(f"interrupted; go on with the same command and --out {folder}", err=True)
+            raise typer.Exit(INTERRUPTED) from None
+    if share is not None:
+        typer.echo(f"shard {share} is in {folder}; `vstestbed suite ... --merge DIR --merge DIR` puts all together", err=True)
+        return
+    found = entry.write(folder, runs)
     if quiet:
         return
     lines = [f"{place}. {one}: mean rank {rank:.2f} over {tasks} tasks" for place, (one, rank, tasks) in enumerate(overall(found), 1)]

@@ -37,9 +37,9 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
 
     `gymnasium.make_vec(id, num_envs, vectorization_mode="vector_entry_point")`. Observations `markers` (n, N, 2), `seen` (n, N) and `goal`
     (n, N, 2) are those of `Rollout` in float32, with the picture's borders as bounds; actions (n, 6), rewards as there. Infos are arrays:
-    `is_success`, `outcome` ("" while an episode goes on), `error` [px], `t` [s], `seed`. An environment that has ended begins its next
-    episode with the next step (`AutoresetMode.NEXT_STEP`); `reset(seed=k)` gives environment i the seed k + i, and later episodes the seeds
-    that `GymServo` draws.
+    `is_success`, `outcome` ("" while an episode goes on), `error` [px], `t` [s], `seed`, and `truth` with `T_camera_target`, which a
+    learner may look at and a policy may not. An environment that has ended begins its next episode with the next step
+    (`AutoresetMode.NEXT_STEP`); `reset(seed=k)` gives environment i the seed k + i, and later episodes the seeds that `GymServo` draws.
 
     A target counts as lost where fewer markers are in sight than the scenario's law needs: the law itself is not asked.
 
@@ -161,6 +161,7 @@ class GymServos(VectorEnv[dict[str, Any], NDArray[Any], NDArray[Any]]):
             "error": error,
             "t": runs.frame * self.scenario.camera.period,
             "seed": runs.seed.copy(),
+            "truth": {"T_camera_target": runs.T.copy()},
         }
         return told | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in told}
 

@@ -7,7 +7,7 @@ import json
 import secrets
 import zipfile
 from contextlib import closing
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from vstestbed.studies.comparison.plan import Job, Jobs, controllers
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
 from vstestbed.studies.comparison.runs import Runner
 from vstestbed.studies.pools import pool_of, workers
-from vstestbed.studies.suite import SuiteEntry, opened, rows_of
+from vstestbed.studies.suite import SuiteEntry, opened
 
 ABOUT, RUNS, LAW_FOLDER = "suite.json", "runs.csv", "law"
 SHARE = 0.1  # of the runs of the law that is checked
@@ -59,11 +59,14 @@ def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
     """
     try:
         with zipfile.ZipFile(file) as packed:
-            names = [name for name in packed.namelist() if name.startswith(f"{LAW_FOLDER}/")]
+            names = [PurePosixPath(name) for name in packed.namelist() if name.startswith(f"{LAW_FOLDER}/")]
+            if away := [name for name in names if ".." in name.parts or not name.name or "\\" in str(name)]:
+                raise ValueError(f"{away[0]} leads out of its folder")
             about, given = json.loads(packed.read(ABOUT)), pl.read_csv(packed.read(RUNS))
             named = Path(about["file"]).name, about["suite"], about["quick"], about["word"], about["sha256"]
-            for name in names:  # by its last part alone: a name in an archive may lead anywhere
-                write_whole(make_folder(into) / Path(name).name, packed.read(name))
+            for name in names:
+                place = into / name.relative_to(LAW_FOLDER)
+                write_whole(make_folder(place.parent) / place.name, packed.read(str(name)))
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile, pl.exceptions.PolarsError) as error:
         raise RunFolderError(file, f"is no submission ({error})", "`vstestbed submit DIR` makes one") from error
     main, suite, quick, word, sha256 = named
@@ -74,7 +77,7 @@ def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
 
 
 def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None) -> Checked:
-    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the time to the goal.
+    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the task's number.
 
     folder: where they are flown. seed: of what is drawn; None: nobody knows it before. Errors: as of `unpacked` and `compare`.
     """
@@ -83,7 +86,7 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
     for task, plan in entry.plans.items():
         every = list(Jobs(controllers(plan), plan.seeds, plan.first_seed))
         drawn = [every[i] for i in sorted(rng.choice(len(every), max(1, round(SHARE * len(every))), replace=False).tolist())]
-        again = rows_of(_flown(make_folder(folder / task), drawn, jobs), plan, task)
+        again = entry.rows_of(_flown(make_folder(folder / task), drawn, jobs), plan, task)
         n += len(again)
         both = again.join(given.cast({"start": pl.String}), on=["task", "start"], how="left", suffix="_given")
         otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row)]
@@ -97,8 +100,8 @@ def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:
 
 
 def _agrees(row: dict[str, object]) -> bool:
-    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the time that was handed in."""
-    given, again = row["time_s_given"], row["time_s"]
+    """Whether a run that was flown again has the outcome and, within the tolerance of `compare --again`, the number that was handed in."""
+    given, again = row["value_given"], row["value"]
     if row["success_given"] is None or row["success"] != row["success_given"]:
         return False
     if not isinstance(given, float) or not isinstance(again, float):
@@ -107,8 +110,8 @@ def _agrees(row: dict[str, object]) -> bool:
 
 
 def _words(row: dict[str, object]) -> str:
-    def said(success: object, time: object) -> str:
-        return "is not there" if success is None else f"{'reached' if success else 'failed'} ({time} s)"
+    def said(success: object, value: object) -> str:
+        return "is not there" if success is None else f"{'reached' if success else 'failed'} ({value})"
 
-    given, again = said(row["success_given"], row["time_s_given"]), said(row["success"], row["time_s"])
+    given, again = said(row["success_given"], row["value_given"]), said(row["success"], row["value"])
     return f"{row['task']} {row['start']}: handed in {given}, flown again {again}"

@@ -9,36 +9,38 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from vstestbed.core.errors import ParameterError, VstestbedError
 from vstestbed.core.files import make_folder, write_whole
-from vstestbed.core.geometry import Array
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
-from vstestbed.report.canvas import new_figure, panels, publish, style
-from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, success_rate
-from vstestbed.report.marks import LINE_COLORS
-from vstestbed.report.pages import write_page
-from vstestbed.scenario.plugins import load_plugins
+from vstestbed.report.scores import Score, TaskOfSuite, write_scores
+from vstestbed.scenario.plugins import absolute_files, load_plugins
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
-from vstestbed.studies.comparison import carry_out, prepared
+from vstestbed.studies.comparison import carry_out, merge, prepared
+from vstestbed.studies.comparison.folder import ComparisonTable
 from vstestbed.studies.comparison.plan import TASK, Comparison, Jobs, changed, controllers, read_comparison
+from vstestbed.studies.comparison.record import needed_files
 from vstestbed.studies.comparison.runs import OnDone
+from vstestbed.studies.comparison.shards import Shard
+from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
 LAW = "law"  # the axis of the laws in each comparison
-RESAMPLES = 2000  # of the starts, for intervals of means and ranks
 QUICK_STARTS = 2  # of each of a plan's start tables with `--quick`
+HOW = (
+    "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
+    "bootstrap intervals over starts, which all laws share. The mean of the ranks stands beside its parts. Beyond chance is what both say: "
+    "the paired test against the best mean, after Holm's correction over the task's laws, and the interval of the difference."
+)
 HIDDEN_FROM, HIDDEN_SEEDS = 1_000_000, 900_000_000  # the random starts that a word draws; those of the plans are the first
 
 
@@ -49,10 +51,29 @@ class SuiteTask:
     Args:
         plan: file of its comparison, beside the suite's; e.g. `arm.yaml`.
         asks: what it asks of a law, in words.
+        metric: by which laws are ranked: a number of a run's summary, of which less is better.
+        worst: the number of a run that ended early, and the largest that counts, in the summary's unit; null: what the summary says; e.g.
+            `0.2`.
     """
 
     plan: str
     asks: str = ""
+    metric: str = "time_to_goal_s"
+    worst: float | None = None
+
+
+@spec
+class SuiteLaw:
+    """A law as it flies the tasks.
+
+    Args:
+        law: its block, as a scenario has it.
+        tasks: by task, what differs there: values of the block by name, or, for a task that it does not fly, why, in words; e.g. `{craft:
+            {gain: 0.3}}`.
+    """
+
+    law: dict[str, Any]
+    tasks: Mapping[str, dict[str, Any] | str] = field(default_factory=dict[str, dict[str, Any] | str])
 
 
 @spec
@@ -61,12 +82,12 @@ class TaskSuite:
 
     Args:
         description: one line.
-        laws: blocks `law` by name: the first rows of each table.
+        laws: by name: the first rows of each table.
         tasks: by name.
     """
 
     description: str = ""
-    laws: dict[str, dict[str, Any]]
+    laws: dict[str, SuiteLaw]
     tasks: dict[str, SuiteTask]
 
 
@@ -85,40 +106,48 @@ def fingerprint(suite: TaskSuite, path: Path) -> str:
     return found.hexdigest()
 
 
-def law_of_file(file: str) -> tuple[str, dict[str, Any], tuple[str, ...]]:
-    """Name, block and plugins of a law of one's own: a YAML file with `law` (and `plugins`), or a plugin with one law, as it is by default.
+def law_of_file(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
+    """Name, law and plugins of a law of one's own: a YAML file with `law` (and `tasks`, `plugins`), or a plugin with one law, as it is by
+    default.
     Raises ParameterError: it has none, or several. PluginError, ScenarioError: it cannot be read.
     """
     path = Path(file)
     if path.suffix in (".yaml", ".yml"):
-        plain, _ = plain_mapping(text_of(path), file, "a law's file needs law")
-        if not isinstance(law := plain.get("law"), dict):
-            raise ParameterError("LAW_FILE", "must have a block law, as a scenario has it", file)
-        return path.stem, law, tuple(str(path.parent / name) for name in plain.get("plugins", ()))
+        plain, marks = plain_mapping(text_of(path), file, "a law's file needs law")
+        plugins = plain.pop("plugins", None) or ()
+        return path.stem, build(SuiteLaw, plain, marks, file), tuple(str(path.parent / name) for name in plugins)
     before = set(LAWS.members)
     (plugin,) = load_plugins([file])
     own = [kind for kind in LAWS.members if kind not in before or LAWS.members[kind].__module__ == path.stem]
     if len(own) != 1:
         raise ParameterError("LAW_FILE", "must add one law; of several, name one in a YAML file with law and plugins", own or file)
-    return path.stem, {"kind": own[0]}, (plugin,)
+    return path.stem, SuiteLaw(law={"kind": own[0]}), (plugin,)
 
 
 @dataclass(frozen=True)
 class SuiteEntry:
     """A suite that is to be flown.
 
-    laws: blocks by name. plugins: that they need. quick: few starts of each task. word: draws the random starts, None for the plans' own.
+    laws: by name. plugins: that they need. quick: few starts of each task. word: draws the random starts, None for the plans' own.
     file: of the law of one's own, None without one.
     """
 
     suite: TaskSuite
     path: Path
-    laws: Mapping[str, Mapping[str, Any]]
+    laws: Mapping[str, SuiteLaw]
     plugins: tuple[str, ...] = ()
     quick: bool = False
     word: str | None = None
     file: str | None = None
     blank: dict[tuple[str, str], str] = field(default_factory=dict)  # why a law takes no part in a task, by law and task
+
+    def block(self, name: str, task: str) -> dict[str, Any] | str:
+        """The block of a law in a task, with its files by their whole names, or why it does not fly it."""
+        law = self.laws[name]
+        if isinstance(other := law.tasks.get(task, {}), str):
+            return other
+        place = self.path if name in self.suite.laws else Path(self.file or "")
+        return absolute_files({**({} if "kind" in other else law.law), **other}, place.absolute().parent)
 
     def plan(self, task: str) -> Comparison | None:
         """The comparison of a task, of the laws that take part in it; None where none does. Those that do not are noted in `blank`."""
@@ -127,13 +156,16 @@ class SuiteEntry:
         fields |= {"limit" if own.tasks else "seeds": QUICK_STARTS} if self.quick else {}
         own = changed(own, None, **fields, **({} if own.tasks else {"first_seed": self.first_seed}))
         cases: dict[str, dict[str, Any]] = {}
-        for name, law in self.laws.items():
+        for name in self.laws:
+            if isinstance(block := self.block(name, task), str):
+                self.blank[name, task] = block
+                continue
             try:
-                controllers(changed(own, cases={LAW: {name: {"law": dict(law)}}} | own.cases))
+                controllers(changed(own, cases={LAW: {name: {"law": block}}} | own.cases))
             except VstestbedError as error:
-                self.blank[name, task] = str(error).splitlines()[0]
+                self.blank[name, task] = str(error).splitlines()[0].replace(f"{self.path.parent}/", "")
             else:
-                cases[name] = {"law": dict(law)}
+                cases[name] = {"law": block}
         return changed(own, cases={LAW: cases} | own.cases) if cases else None
 
     @cached_property
@@ -151,7 +183,7 @@ class SuiteEntry:
         """What is flown, in plain values: name, hash of the frozen files, laws, starts."""
         few, drawn = ("the first starts of each list", self.quick), (f"random starts from {self.first_seed} on", self.word is not None)
         starts = [words for words, said in (few, drawn) if said] or ["all starts"]
-        laws = {name: dict(law) for name, law in self.laws.items()}
+        laws = {name: {"law": dict(own.law), "tasks": dict(own.tasks)} for name, own in self.laws.items()}
         said = {"suite": self.path.stem, "sha256": fingerprint(self.suite, self.path), "starts": ", ".join(starts), "laws": laws}
         return said | {"quick": self.quick, "word": self.word, "file": None if self.file is None else Path(self.file).name}
 
@@ -164,14 +196,23 @@ class SuiteEntry:
         return shlex.join(["vstestbed", "suite", *words, *alone, *([] if self.word is None else ["--word", self.word])])
 
     def mark(self, out: Path) -> None:
-        """Write `suite.json` into the folder, or see that it is of the same suite. Raises ParameterError: it is of another."""
+        """Write `suite.json` into the folder, and the law's files with those that they need into `law/`, or see that it is of the same
+        suite.
+        Raises ParameterError: it is of another; or a file of the law is not beside the law's file, or below it.
+        """
         place, about = out / "suite.json", self.about
         if place.is_file() and json.loads(place.read_text(encoding="utf-8")) != about:
             raise ParameterError("--out", "holds another suite, or the same with other laws or starts; give a new folder", str(out))
         write_whole(place, json.dumps(about, indent=1) + "\n")
-        sources: list[str] = [*([] if self.file is None else [self.file]), *self.plugins]
-        for source in dict.fromkeys(sources):
-            write_whole(make_folder(out / "law") / Path(source).name, Path(source).read_bytes())
+        if self.file is None:
+            return
+        main = Path(self.file).absolute()
+        blocks = [self.block(main.stem, task) for task in self.suite.tasks]
+        for path in needed_files([main, *map(Path, self.plugins)], blocks):
+            if not path.is_relative_to(main.parent):
+                raise ParameterError("LAW_FILE", f"needs {path}, which must be in the folder of {main.name}, or below it", self.file)
+            copy = out / "law" / path.relative_to(main.parent)
+            write_whole(make_folder(copy.parent) / copy.name, path.read_bytes())
 
     @property
     def first_seed(self) -> int:
@@ -187,183 +228,53 @@ class SuiteEntry:
         executor: str = "local",
         on_done: OnDone = lambda job, summary: None,
         say: Callable[[str], None] = lambda words: None,
+        shard: Shard | None = None,
     ) -> pl.DataFrame:
-        """Fly all tasks, each into a folder of `out`, going on with what is there; one row a run. Errors as of `compare`."""
+        """Fly all tasks, each into a folder of `out`, going on with what is there; one row a run. shard: only this share of each task.
+        Errors as of `compare`.
+        """
         tables = []
         for task, plan in self.plans.items():
             say(task)
             there = (out / task / "comparison.yaml").is_file()
-            with prepared([], {}, out / task, there, {}, self.plugins if there else (), False, requested=plan) as (runner, comparison):
+            again = self.plugins if there else ()
+            with prepared([], {}, out / task, there, {}, again, False, requested=plan, shard=shard) as (runner, comparison):
                 table = carry_out(runner, comparison, jobs, executor, on_done, figures=False)
-            tables.append(rows_of(table, comparison, task))
+            tables.append(self.rows_of(table, comparison, task))
+        return self._joined(tables)
+
+    def merged(self, places: Sequence[Path], out: Path, say: Callable[[str], None] = lambda words: None) -> pl.DataFrame:
+        """The runs of shards, each task's put together in a folder of `out`; one row a run. Errors as of `compare --merge`."""
+        tables = []
+        for task, plan in self.plans.items():
+            say(task)
+            tables.append(self.rows_of(merge([place / task for place in places], out / task, figures=False), plan, task))
+        return self._joined(tables)
+
+    def _joined(self, tables: Sequence[pl.DataFrame]) -> pl.DataFrame:
         if not tables:
             raise ParameterError("LAW_FILE", f"takes part in no task: {next(iter(self.blank.values()))}")
         return pl.concat(tables)
 
+    def rows_of(self, table: pl.DataFrame | ComparisonTable, comparison: Comparison, task: str) -> pl.DataFrame:
+        """Of a task's runs: task, law, start, whether it reached the goal, and the task's number in its unit of display; of a failure the
+        worst.
+        """
+        one, parts = self.suite.tasks[task], [name for name in (*comparison.cases, TASK) if name in table.columns and name != LAW]
+        start = pl.concat_str([pl.col(name).cast(pl.String) for name in (*parts, "seed")], separator=" ")
+        number = (pl.col(one.metric) if one.metric in table.columns else pl.lit(None)).cast(pl.Float64, strict=False)
+        success = pl.col("success").cast(pl.Boolean)
+        if one.worst is not None:  # a run that ended early is no better than the worst that lasted
+            lasted = success.fill_null(False) | (pl.col("outcome") == "timed_out")
+            number = pl.when(lasted).then(pl.min_horizontal(number, one.worst)).otherwise(one.worst)
+        named = pl.lit(task).alias("task"), pl.col(LAW).alias("law"), start.alias("start")
+        return table.select(*named, success, (number * Metric.named(one.metric).scale).alias("value"))
 
-def rows_of(table: pl.DataFrame, comparison: Comparison, task: str) -> pl.DataFrame:
-    """Of a task's runs: task, law, start, whether it reached the goal, and the time to it, of a failure its limit."""
-    parts = [name for name in (*comparison.cases, TASK) if name in table.columns and name != LAW]
-    start = pl.concat_str([pl.col(name).cast(pl.String) for name in (*parts, "seed")], separator=" ")
-    time = pl.col("time_to_goal_s").cast(pl.Float64, strict=False)
-    named = pl.lit(task).alias("task"), pl.col(LAW).alias("law"), start.alias("start")
-    return table.select(*named, pl.col("success").cast(pl.Boolean), time.alias("time_s"))
-
-
-@dataclass(frozen=True)
-class Score:
-    """How a law did in a task.
-
-    rate: of success, with its Wilson interval. time_s: restricted mean time to the goal, a failure at its limit, with its bootstrap
-    interval over starts. rank: 1 is the best by that time, with the interval of the same bootstrap, in which all laws share the starts.
-    """
-
-    task: str
-    law: str
-    rate: IntervalEstimate
-    time_s: IntervalEstimate
-    rank: IntervalEstimate
-
-
-def scores(runs: pl.DataFrame) -> list[Score]:
-    """The scores of all laws in all tasks, in the order of the table."""
-    return [score for task in runs["task"].unique(maintain_order=True) for score in _of_task(runs.filter(pl.col("task") == task), task)]
-
-
-def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
-    laws = runs["law"].unique(maintain_order=True).to_list()
-    times = runs.pivot("law", index="start", values="time_s", aggregate_function="first").select(laws).to_numpy().T.astype(float)
-    reached = runs.pivot("law", index="start", values="success", aggregate_function="first").select(laws).to_numpy().T.astype(float)
-    flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
-    times = np.where(np.isnan(times), np.nanmax(times, initial=0.0), times)[:, flown]  # one that crashed counts as the longest
-    mean, low, high = _resampled(times)
-    rank, best, last = _ranks(times)
-    for i, law in enumerate(laws):
-        done = reached[i][np.isfinite(reached[i])]
-        yield Score(
-            task,
-            law,
-            success_rate(int(done.sum()), len(done)),
-            IntervalEstimate(mean[i], low[i], high[i], times.shape[1]),
-            IntervalEstimate(rank[i], best[i], last[i], times.shape[1]),
-        )
-
-
-def _starts(n: int) -> NDArray[np.intp]:
-    """Resamples of n starts, the same for all laws (RESAMPLES, n)."""
-    return np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
-
-
-def _ends(samples: Array) -> tuple[Array, Array]:
-    tail = 50 * (1 - CONFIDENCE)
-    low, high = np.percentile(samples, [tail, 100 - tail], axis=0)
-    return low, high
-
-
-def _resampled(times: Array) -> tuple[Array, Array, Array]:
-    """Means of each law's times (laws, starts), with the ends of their intervals."""
-    return times.mean(axis=1), *_ends(times[:, _starts(times.shape[1])].mean(axis=2).T)
-
-
-def _ranks(times: Array) -> tuple[Array, Array, Array]:
-    """Ranks of the laws by their mean time (laws, starts), ties sharing the mean of their places, with the ends of their intervals."""
-    from scipy.stats import rankdata
-
-    means = times[:, _starts(times.shape[1])].mean(axis=2).T
-    return rankdata(times.mean(axis=1)), *_ends(rankdata(means, axis=1))
-
-
-def overall(found: Sequence[Score]) -> list[tuple[str, float, int]]:
-    """Law, mean of its ranks, and in how many tasks it took part; the best first. It stands beside its parts, never for them."""
-    by_law: dict[str, list[float]] = {}
-    for score in found:
-        by_law.setdefault(score.law, []).append(score.rank.mean)
-    return sorted(((law, float(np.mean(ranks)), len(ranks)) for law, ranks in by_law.items()), key=lambda row: row[1])
-
-
-def write_scores(out: Path, entry: SuiteEntry, runs: pl.DataFrame) -> list[Score]:
-    """Write `runs.csv`, `scores.csv`, `scores.tex` and `report.html` into a suite's folder; the scores."""
-    found = scores(runs)
-    table = pl.DataFrame(
-        [
-            {"task": s.task, "law": s.law, "reached": round(s.rate.mean * s.rate.n), "runs": s.rate.n}
-            | {
-                f"{name}_{end}": value
-                for name in ("rate", "time_s", "rank")
-                for end, value in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)
-            }
-            for s in found
-        ]
-    )
-    write_whole(out / "runs.csv", runs.write_csv())
-    write_whole(out / "scores.csv", table.write_csv())
-    write_whole(out / "scores.tex", latex(entry, found))
-    _write_page(out, entry, found)
-    return found
-
-
-def _write_page(out: Path, entry: SuiteEntry, found: Sequence[Score]) -> None:
-    by, ranked, suite = {(s.law, s.task): s for s in found}, overall(found), entry.suite
-    heads = ["law", "mean rank", *suite.tasks]
-    lines = [[law, f"{rank:.2f} of {tasks} tasks", *(_cell(by.get((law, task))) for task in suite.tasks)] for law, rank, tasks in ranked]
-    asked = [[task, one.asks, str(len({s.law for s in found if s.task == task}))] for task, one in suite.tasks.items()]
-    blanks = [[law, task, why] for (law, task), why in entry.blank.items()]
-    tables = [("Scores", heads, lines), ("Tasks", ["task", "what it asks of a law", "laws"], asked)]
-    tables += [("Without part", ["law", "task", "why"], blanks)] if blanks else []
-    plots = [
-        (
-            "Ranks",
-            _drawn_ranks(found),
-            "Rank by the restricted mean time in each task, 1 is the best, with 95 % bootstrap intervals over starts.",
-        )
-    ]
-    about = (
-        f"{suite.description}. {entry.about['starts'].capitalize()}; files {entry.about['sha256'][:12]}. Successes with Wilson "
-        "intervals, mean time to the goal in which a failure counts its limit, and ranks by it with bootstrap intervals over starts, which "
-        "all laws share; the mean of the ranks stands beside its parts."
-    )
-    write_page(out, "study.html", f"Suite {entry.path.stem}", about=about, plots=plots, tables=tables, command=entry.command)
-
-
-def _drawn_ranks(found: Sequence[Score]) -> str:
-    tasks, order = list(dict.fromkeys(s.task for s in found)), [law for law, _, _ in overall(found)]
-    with style():
-        drawn = new_figure(0.22 * len(order) + 0.7, 1.4 * len(tasks) + 1.2)
-        for axes, task in zip(panels(drawn, len(tasks), len(tasks), sharey=True), tasks, strict=True):
-            for s in (s for s in found if s.task == task):
-                y = order.index(s.law)
-                axes.plot([s.rank.low, s.rank.high], [y, y], color=LINE_COLORS[0], lw=1.2)
-                axes.plot(s.rank.mean, y, "o", color=LINE_COLORS[0], ms=4)
-            axes.set_title(task)
-            axes.set_xlabel("rank")
-            axes.set_xlim(0.5, len(order) + 0.5)
-            axes.set_xticks(range(1, len(order) + 1, 2))
-            axes.set_yticks(range(len(order)), order)
-            axes.set_ylim(len(order) - 0.5, -0.5)
-        return publish(drawn, "ranks", "Ranks of the laws in each task")
-
-
-def _cell(score: Score | None) -> list[str]:
-    """A score in words: successes, time, rank, each with its interval; blank for a law that took no part."""
-    if score is None:
-        return ["-"]
-    rate, time_s, rank = score.rate, score.time_s, score.rank
-    return [
-        f"{round(rate.mean * rate.n)} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)",
-        f"{time_s.mean:.1f} s ({time_s.low:.1f} to {time_s.high:.1f})",
-        f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",
-    ]
-
-
-def latex(entry: SuiteEntry, found: Sequence[Score]) -> str:
-    """The table of a paper: laws by tasks, successes and restricted mean time."""
-    by = {(s.law, s.task): s for s in found}
-    tasks = list(entry.suite.tasks)
-    lines = [r"\begin{tabular}{l" + "r" * len(tasks) + "}", " & ".join(["law", *tasks]) + r" \\ \hline"]
-    for law, _, _ in overall(found):
-        words = [f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.time_s.mean:.1f} s" if (s := by.get((law, t))) else "--" for t in tasks]
-        lines.append(" & ".join([law.replace("_", r"\_"), *words]) + r" \\")
-    return "\n".join([*lines, r"\end{tabular}", ""])
+    def write(self, out: Path, runs: pl.DataFrame) -> list[Score]:
+        """Write scores and page into the suite's folder; the scores."""
+        about = f"{self.suite.description}. {self.about['starts'].capitalize()}; files {self.about['sha256'][:12]}. {HOW}"
+        tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in self.suite.tasks.items()}
+        return write_scores(out, runs, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
 
 
 def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False) -> SuiteEntry:
@@ -371,10 +282,10 @@ def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | 
     suite, path = read_suite(name)
     laws, plugins = dict(suite.laws), tuple[str, ...]()
     if file is not None:
-        own, block, plugins = law_of_file(file)
+        own, law, plugins = law_of_file(file)
         if own in laws:
             raise ParameterError.twice("LAW_FILE", "a law of the suite", own)
-        laws = {own: block} if alone else laws | {own: block}
+        laws = {own: law} if alone else laws | {own: law}
     elif alone:
         raise ParameterError.needs("--alone", "a law of your own", why="LAW_FILE")
     return SuiteEntry(suite, path, laws, plugins, quick, word, file)

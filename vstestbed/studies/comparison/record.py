@@ -12,7 +12,7 @@ import platform
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -173,14 +173,21 @@ def _bundled(path: Path) -> bool:
     return any(path.resolve().is_relative_to(folder(name).resolve()) for name in ("models", "scenarios"))
 
 
-def _closure(source: Path) -> dict[Path, str]:
-    """A file and those that it needs, each with the place of its copy: in a folder of the source's own, with the layout that they have."""
-    found, waiting = dict.fromkeys([source.absolute()]), [source.absolute()]
+def needed_files(sources: Iterable[Path], values: Any = ()) -> list[Path]:
+    """Files, those that plain values of a scenario name absolutely, and those that they need (see `keep`); of vstestbed's own none."""
+    waiting = [path.absolute() for path in (*sources, *_in_values(values)) if not _bundled(path)]
+    found = dict.fromkeys(waiting)
     while waiting:
         for path in _needed(waiting.pop()):
             if path not in found and is_there(path):
                 found[path] = None
                 waiting.append(path)
+    return list(found)
+
+
+def _closure(source: Path) -> dict[Path, str]:
+    """A file and those that it needs, each with the place of its copy: in a folder of the source's own, with the layout that they have."""
+    found = needed_files([source])
     root = Path(os.path.commonpath([path.parent for path in found]))
     word = f"{source.stem}_{hashlib.sha256(str(source).encode()).hexdigest()[:6]}"
     return {path: (Path(FILES) / word / path.relative_to(root)).as_posix() for path in found}

@@ -1,0 +1,85 @@
+"""Scores of a suite: successes, means and ranks with intervals, what is beyond chance, profiles, the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from vstestbed.report.scores import TaskOfSuite, overall, profile, scores, write_scores
+from vstestbed.tasks.metrics import Metric
+
+
+def rows(times: dict[str, list[float]], limit: float = 20.0) -> pl.DataFrame:
+    return pl.DataFrame(
+        [
+            {"task": "t", "law": law, "start": str(i), "success": value < limit, "value": value}
+            for law, values in times.items()
+            for i, value in enumerate(values)
+        ]
+    )
+
+
+def test_scores_are_successes_restricted_means_and_ranks_with_intervals() -> None:
+    rng = np.random.default_rng(1)
+    hard = rng.uniform(0, 5, 40)  # how hard a start is, the same for all
+    found = {s.law: s for s in scores(rows({"slow": list(6 + hard), "fast": list(1 + hard), "fails": [20.0] * 30 + list(1 + hard[30:])}))}
+    assert [found[law].rate[:1] + found[law].rate[3:4] for law in found] == [(1.0, 40), (1.0, 40), (0.25, 40)]
+    low, high = found["fails"].rate[1:3]
+    assert low == pytest.approx(0.1419, abs=1e-3) and high == pytest.approx(0.4019, abs=1e-3)  # Wilson's of 10 in 40
+    assert found["fast"].value.mean == pytest.approx(1 + hard.mean())
+    se = hard.std() / np.sqrt(40)
+    np.testing.assert_allclose(
+        [found["fast"].value.low, found["fast"].value.high], 1 + hard.mean() + np.array([-1.96, 1.96]) * se, atol=0.15
+    )
+    # paired starts: 5 s between them are beyond doubt though times spread as much
+    assert {law: s.rank[:3] for law, s in found.items()} == {"slow": (2, 2, 2), "fast": (1, 1, 1), "fails": (3, 3, 3)}
+    assert overall(list(found.values())) == [("fast", 1.0, 1), ("slow", 2.0, 1), ("fails", 3.0, 1)]
+
+
+def test_a_run_that_crashed_counts_as_the_longest_and_a_start_that_is_missing_for_none() -> None:
+    table = rows({"a": [2.0, 4.0, 6.0], "b": [3.0, 5.0, 20.0]})
+    crashed = table.with_columns(pl.when((pl.col("law") == "a") & (pl.col("start") == "0")).then(None).otherwise("value").alias("value"))
+    assert [s.value.mean for s in scores(crashed)] == [10.0, pytest.approx(28 / 3)]
+    missing = table.filter(~((pl.col("law") == "a") & (pl.col("start") == "2")))
+    assert [s.value.mean for s in scores(missing)] == [3.0, 4.0] and [s.rate.n for s in scores(missing)] == [2, 3]
+
+
+def test_equal_laws_share_their_place_and_close_ones_have_wide_ranks() -> None:
+    rng = np.random.default_rng(2)
+    a, noise = rng.uniform(1, 9, 30), rng.normal(0, 1, 30)
+    found = {s.law: s for s in scores(rows({"a": list(a), "same": list(a), "near": list(a + noise - noise.mean())}))}
+    assert found["a"].rank.mean == found["same"].rank.mean
+    assert found["near"].rank.low < found["near"].rank.high
+
+
+def test_behind_beyond_chance_is_said_of_paired_starts_and_corrected_for_the_number_of_laws() -> None:
+    rng = np.random.default_rng(3)
+    hard, noise = rng.uniform(0, 5, 20), rng.normal(0, 0.5, (8, 20))
+    laws = {"best": list(1 + hard), "worse": list(2 + hard + noise[0]), "close": list(1.01 + hard + noise[1])}
+    found = {s.law: s for s in scores(rows(laws))}
+    assert {law: s.behind for law, s in found.items()} == {"best": False, "worse": True, "close": False}
+    assert found["best"].gap.mean == 0 and np.isnan(found["best"].gap.p)
+    assert found["worse"].gap.mean == pytest.approx(1 + noise[0].mean()) and found["worse"].gap.low > 0
+    many = scores(rows(laws | {f"c{i}": list(1.3 + hard + 2 * noise[2 + i % 6]) for i in range(6)}))
+    of_more = next(s for s in many if s.law == "worse")
+    assert of_more.gap.p > found["worse"].gap.p  # the same differences, of more tests
+
+
+def test_a_profile_is_of_ratios_to_the_best_law_of_each_start() -> None:
+    found = profile(rows({"a": [1.0, 4.0, 20.0], "b": [2.0, 2.0, 20.0]}))
+    np.testing.assert_allclose(found["a"], [1, 2, np.inf])
+    np.testing.assert_allclose(found["b"], [1, 2, np.inf])
+
+
+def test_page_and_tables_name_units_blanks_and_chances(tmp_path: Path) -> None:
+    table = rows({"slow": [6.0, 7, 8, 9, 10, 11, 12], "fast": [1.0, 2, 3, 4, 5, 6, 7]})
+    tasks = {"t": TaskOfSuite(Metric.named("tracking_rms_m"), "to follow")}
+    write_scores(tmp_path, table, tasks, {("odd", "t"): "it has no wheels"}, "Suite X", "About it", "vstestbed suite")
+    text = (tmp_path / "report.html").read_text()
+    assert all(words in text for words in ("Beyond chance", "1 of 1", "it has no wheels", "to follow", "Profile", "rank 1 (1 to 1)"))
+    assert r"fast & 7/7, 4 m \\" in (tmp_path / "scores.tex").read_text()
+    scored = pl.read_csv(tmp_path / "scores.csv")
+    assert scored["gap_mean"].to_list() == [5.0, 0.0] and scored["metric"][0] == "Camera from its goal, RMS [m]"

@@ -1,0 +1,259 @@
+"""How laws score and rank on the tasks of a suite: tables, figures and page, each number with its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from vstestbed.core.files import write_whole
+from vstestbed.core.geometry import Array
+from vstestbed.report.canvas import new_figure, panels, publish, style
+from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, holm, paired_difference, success_rate
+from vstestbed.report.marks import LINE_COLORS, RULE, line_color
+from vstestbed.report.pages import write_page
+from vstestbed.tasks.metrics import Metric
+
+RESAMPLES = 2000  # of the starts, for intervals of means and ranks
+FARTHEST = 10.0  # right end of the profile: times the best law's number
+COLOURED = 5  # laws that the profile draws in colours
+
+
+@dataclass(frozen=True)
+class TaskOfSuite:
+    """A task as its scores show it: the metric by which laws are ranked, less is better, and what it asks of a law."""
+
+    metric: Metric
+    asks: str = ""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a law did in a task.
+
+    rate: of success, with its Wilson interval. value: mean of the task's metric, a failure at the task's limit, with its bootstrap interval
+    over starts. rank: 1 is the best by that mean, with the interval of the same bootstrap, in which all laws share the starts. gap: how far
+    the mean is from the best law's, with the p-value of the paired test after Holm's correction over the task's laws.
+    """
+
+    task: str
+    law: str
+    rate: IntervalEstimate
+    value: IntervalEstimate
+    rank: IntervalEstimate
+    gap: IntervalEstimate
+
+    @property
+    def behind(self) -> bool:
+        """Whether the law is behind the best one beyond chance: by the test and by the interval."""
+        return self.gap.p < 1 - CONFIDENCE and self.gap.low > 0
+
+
+def scores(runs: pl.DataFrame) -> list[Score]:
+    """The scores of all laws in all tasks, in the order of the table; runs: `task`, `law`, `start`, `success`, `value`, one row a run."""
+    return [score for task in runs["task"].unique(maintain_order=True) for score in _of_task(runs.filter(pl.col("task") == task), task)]
+
+
+def _by_start(runs: pl.DataFrame, name: str, laws: Sequence[str]) -> Array:
+    """A column as (laws, starts), NaN where a law has not flown, or has no number."""
+    return runs.pivot("law", index="start", values=name, aggregate_function="first").select(laws).to_numpy().T.astype(float)
+
+
+def _of_task(runs: pl.DataFrame, task: str) -> Iterator[Score]:
+    laws = runs["law"].unique(maintain_order=True).to_list()
+    reached, values = _by_start(runs, "success", laws), _by_start(runs, "value", laws)
+    flown = np.isfinite(reached).all(axis=0)  # starts that every law has flown
+    values = np.where(np.isnan(values), np.nanmax(values, initial=0.0), values)[:, flown]  # one that crashed counts as the worst
+    mean, low, high = _resampled(values)
+    rank, best, last = _ranks(values)
+    n, first = values.shape[1], int(np.argmin(mean))
+    gaps = [paired_difference(own, values[first]) for own in values]
+    adjusted = holm([gap.p if i != first else float("nan") for i, gap in enumerate(gaps)])
+    for i, law in enumerate(laws):
+        done = reached[i][np.isfinite(reached[i])]
+        yield Score(
+            task,
+            law,
+            success_rate(int(done.sum()), len(done)),
+            IntervalEstimate(mean[i], low[i], high[i], n),
+            IntervalEstimate(rank[i], best[i], last[i], n),
+            gaps[i]._replace(p=adjusted[i]),
+        )
+
+
+def _starts(n: int) -> NDArray[np.intp]:
+    """Resamples of n starts, the same for all laws (RESAMPLES, n)."""
+    return np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
+
+
+def _ends(samples: Array) -> tuple[Array, Array]:
+    tail = 50 * (1 - CONFIDENCE)
+    low, high = np.percentile(samples, [tail, 100 - tail], axis=0)
+    return low, high
+
+
+def _resampled(values: Array) -> tuple[Array, Array, Array]:
+    """Means of each law's values (laws, starts), with the ends of their intervals."""
+    return values.mean(axis=1), *_ends(values[:, _starts(values.shape[1])].mean(axis=2).T)
+
+
+def _ranks(values: Array) -> tuple[Array, Array, Array]:
+    """Ranks of the laws by their mean (laws, starts), ties sharing the mean of their places, with the ends of their intervals."""
+    from scipy.stats import rankdata
+
+    means = values[:, _starts(values.shape[1])].mean(axis=2).T
+    return rankdata(values.mean(axis=1)), *_ends(rankdata(means, axis=1))
+
+
+def overall(found: Sequence[Score]) -> list[tuple[str, float, int]]:
+    """Law, mean of its ranks, and in how many tasks it took part; the best first. It stands beside its parts, never for them."""
+    by_law: dict[str, list[float]] = {}
+    for score in found:
+        by_law.setdefault(score.law, []).append(score.rank.mean)
+    return sorted(((law, float(np.mean(ranks)), len(ranks)) for law, ranks in by_law.items()), key=lambda row: row[1])
+
+
+def profile(runs: pl.DataFrame) -> dict[str, Array]:
+    """Of each law how many times the best law's number it had, sorted, of all starts of the tasks that it flew; infinity for a failure.
+
+    The share of starts up to a factor is the law's performance profile: Dolan & More 2002, doi:10.1007/s101070100263.
+    """
+    best = pl.col("value").filter("success").min().over("task", "start")
+    ratio = pl.when("success").then((pl.col("value") + 1e-9) / (best + 1e-9)).otherwise(float("inf"))
+    known = runs.select("law", ratio=ratio).with_columns(pl.col("ratio").fill_null(float("inf")))
+    return {str(law): np.sort(part["ratio"].to_numpy()) for (law,), part in known.group_by("law", maintain_order=True)}
+
+
+def write_scores(
+    out: Path,
+    runs: pl.DataFrame,
+    tasks: Mapping[str, TaskOfSuite],
+    blank: Mapping[tuple[str, str], str],
+    heading: str,
+    about: str,
+    command: str,
+) -> list[Score]:
+    """Write `runs.csv`, `scores.csv`, `scores.tex` and `report.html` into a suite's folder; the scores.
+
+    tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about, command: of the page.
+    """
+    found = scores(runs)
+    write_whole(out / "runs.csv", runs.write_csv())
+    write_whole(out / "scores.csv", _table(found, tasks).write_csv())
+    write_whole(out / "scores.tex", latex(found, tasks))
+    ranked, by = overall(found), {(s.law, s.task): s for s in found}
+    lines = [
+        [law, f"{rank:.2f} of {n} tasks", *(_cell(by.get((law, task)), one) for task, one in tasks.items())] for law, rank, n in ranked
+    ]
+    tables = [
+        ("Scores", ["law", "mean rank", *tasks], lines),
+        ("Beyond chance", ["task", "best mean", "not behind beyond chance", "behind"], _chances(found, tasks)),
+        ("Tasks", ["task", "what it asks of a law", "ranked by", "laws"], _asked(found, tasks)),
+    ]
+    if blank:
+        tables.append(("Without part", ["law", "task", "why"], [[law, task, why] for (law, task), why in blank.items()]))
+    of_ranks = "Rank by the mean of each task's number, 1 is the best, with 95 % bootstrap intervals over starts; no mark: not flown."
+    of_profile = "Share of all starts on which a law needed at most so many times the number of the best law there; a failure never does."
+    plots = [("Ranks", _drawn_ranks(found), of_ranks), ("Profile", _drawn_profile(runs, [law for law, _, _ in ranked]), of_profile)]
+    write_page(out, "study.html", heading, about=about, plots=plots, tables=tables, command=command)
+    return found
+
+
+def _table(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> pl.DataFrame:
+    """The scores as a table, a row a law and task, numbers in the metric's unit of display."""
+    rows = []
+    for s in found:
+        row: dict[str, Any] = {"task": s.task, "law": s.law, "metric": tasks[s.task].metric.label, "reached": round(s.rate.mean * s.rate.n)}
+        row["runs"] = s.rate.n
+        for name in ("rate", "value", "rank", "gap"):
+            row |= {f"{name}_{end}": number for end, number in zip(("mean", "low", "high"), getattr(s, name)[:3], strict=True)}
+        rows.append(row | {"gap_p": s.gap.p})
+    return pl.DataFrame(rows).with_columns(pl.selectors.float().fill_nan(None))
+
+
+def _chances(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[list[str]]:
+    """Of each task: the law with the best mean, those that are not behind it beyond chance, and how many are."""
+    lines = []
+    for task in tasks:
+        if of_task := sorted((s for s in found if s.task == task), key=lambda s: s.value.mean):
+            close = [s.law for s in of_task[1:] if not s.behind]
+            lines.append([task, of_task[0].law, ", ".join(close) or "-", f"{sum(s.behind for s in of_task)} of {len(of_task) - 1}"])
+    return lines
+
+
+def _asked(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> list[list[str]]:
+    return [[task, one.asks, one.metric.label, str(len({s.law for s in found if s.task == task}))] for task, one in tasks.items()]
+
+
+def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
+    """A score in words: successes, number, rank, each with its interval; blank for a law that took no part."""
+    if score is None:
+        return ["-"]
+    rate, value, rank, unit = score.rate, score.value, score.rank, task.metric.unit
+    return [
+        f"{round(rate.mean * rate.n)} of {rate.n} ({100 * rate.low:.0f} to {100 * rate.high:.0f} %)",
+        f"{value.mean:.3g} {unit} ({value.low:.3g} to {value.high:.3g})",
+        f"rank {rank.mean:.3g} ({rank.low:.3g} to {rank.high:.3g})",
+    ]
+
+
+def _drawn_ranks(found: Sequence[Score]) -> str:
+    tasks, order = list(dict.fromkeys(s.task for s in found)), [law for law, _, _ in overall(found)]
+    across = min(len(tasks), 5)
+    down = -(-len(tasks) // across)
+    with style():
+        drawn = new_figure((0.2 * len(order) + 0.7) * down, 1.4 * across + 1.2)
+        for axes, task in zip(panels(drawn, len(tasks), across, sharey=True), tasks, strict=True):
+            for s in (s for s in found if s.task == task):
+                y = order.index(s.law)
+                axes.plot([s.rank.low, s.rank.high], [y, y], color=LINE_COLORS[0], lw=1.2)
+                axes.plot(s.rank.mean, y, "o", color=LINE_COLORS[0], ms=4)
+            axes.set_title(task)
+            axes.set_xlabel("rank")
+            axes.set_xlim(0.5, len(order) + 0.5)
+            axes.set_xticks(range(1, len(order) + 1, 3))
+            axes.set_yticks(range(len(order)), order)
+            axes.set_ylim(len(order) - 0.5, -0.5)
+        return publish(drawn, "ranks", "Ranks of the laws in each task")
+
+
+def _drawn_profile(runs: pl.DataFrame, order: Sequence[str]) -> str:
+    curves = profile(runs)
+    with style():
+        drawn = new_figure(3.2, 7.0)
+        (axes,) = panels(drawn, 1, 1)
+        for i, law in reversed(list(enumerate(order))):
+            ratios = curves[law]
+            share = np.arange(1, len(ratios) + 1) / len(ratios)
+            look: dict[str, Any] = {"color": line_color(i), "label": law} if i < COLOURED else {"color": RULE, "lw": 0.8}
+            axes.step([1.0, *np.clip(ratios, 1, 2 * FARTHEST)], [0.0, *share], where="post", **look)
+        axes.set_xscale("log")
+        axes.set_xlim(1, FARTHEST)
+        axes.set_ylim(0, 1)
+        axes.set_xticks([1, 2, 5, 10], ["1", "2", "5", "10"])
+        axes.minorticks_off()
+        axes.set_xlabel("times the best law's number")
+        axes.set_ylabel("share of the starts")
+        handles, names = axes.get_legend_handles_labels()
+        axes.legend(
+            handles[::-1], names[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="the others are grey" * (len(order) > COLOURED)
+        )
+        return publish(drawn, "profile", "Performance profile of the laws over all starts")
+
+
+def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
+    """The table of a paper: laws by tasks, successes and the mean of each task's number."""
+    by = {(s.law, s.task): s for s in found}
+    lines = [r"\begin{tabular}{l" + "r" * len(tasks) + "}", " & ".join(["law", *tasks]) + r" \\ \hline"]
+    for law, _, _ in overall(found):
+        words = [
+            f"{round(s.rate.mean * s.rate.n)}/{s.rate.n}, {s.value.mean:.3g} {one.metric.unit}" if (s := by.get((law, t))) else "--"
+            for t, one in tasks.items()
+        ]
+        lines.append(" & ".join([law.replace("_", r"\_"), *words]) + r" \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
