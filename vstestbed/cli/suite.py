@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vstestbed.cli.ending import INTERRUPTED, NOT_REACHED
+
+if TYPE_CHECKING:
+    from vstestbed.report.scores import Score
 
 
 def suite(
@@ -17,7 +21,9 @@ def suite(
     ] = None,
     name: Annotated[str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")] = "VS-1",
     quick: Annotated[bool, typer.Option("--quick", help="Two starts of each of a task's lists.")] = False,
-    alone: Annotated[bool, typer.Option("--alone", help="Fly LAW_FILE alone, without the suite's own laws.")] = False,
+    alone: Annotated[
+        bool, typer.Option("--alone", help="Fly LAW_FILE alone; the suite's own laws stand beside it with the runs that are kept.")
+    ] = False,
     word: Annotated[str | None, typer.Option(metavar="WORD", help="Draw the random starts by a word that was not known before.")] = None,
     check: Annotated[Path | None, typer.Option(metavar="FILE", help="Fly a drawn tenth of a submission again: do they agree?")] = None,
     shard: Annotated[str | None, typer.Option(metavar="I/N", help="Fly the share I of N of each task, into its own DIR.")] = None,
@@ -32,7 +38,6 @@ def suite(
     """Fly the suite's tasks by its laws and yours: successes, times and ranks, each with its interval."""
     from vstestbed.cli.progress import Counter, show_notes
     from vstestbed.core.files import make_folder, new_folder
-    from vstestbed.report.scores import overall
     from vstestbed.studies.comparison import Shard, must_be_known
     from vstestbed.studies.suite import opened
 
@@ -59,9 +64,16 @@ def suite(
     found = entry.write(folder, runs)
     if quiet:
         return
-    lines = [f"{place}. {one}: mean rank {rank:.2f} over {tasks} tasks" for place, (one, rank, tasks) in enumerate(overall(found), 1)]
+    lines = [*_ranking(found)]
     lines += [f"{one} takes no part in {task}: {why}" for (one, task), why in entry.blank.items()]
     typer.echo("\n".join([*lines, f"  results   {folder} (open report.html)"]), err=True)
+
+
+def _ranking(found: Sequence[Score]) -> Iterator[str]:
+    from vstestbed.report.scores import overall
+
+    for place, (law, rank, tasks) in enumerate(overall(found), 1):
+        yield f"{place}. {law}: mean rank {rank:.2f} over {tasks} tasks"
 
 
 def _check(file: Path, folder: Path, jobs: int | None) -> None:
@@ -70,7 +82,8 @@ def _check(file: Path, folder: Path, jobs: int | None) -> None:
 
     found = check(file, folder, jobs)
     agree = found.runs - len(found.otherwise)
-    typer.echo("\n".join([*found.otherwise, f"{agree} of {found.runs} runs that were flown again agree"]), err=True)
+    lines = [*found.otherwise, f"{agree} of {found.runs} runs that were flown again agree", *_ranking(found.scores)]
+    typer.echo("\n".join([*lines, f"  results   {folder} (open report.html: the runs as they were handed in)"]), err=True)
     if found.otherwise:
         raise typer.Exit(NOT_REACHED)
 

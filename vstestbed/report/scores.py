@@ -138,12 +138,11 @@ def write_scores(
     about: str,
     command: str,
 ) -> list[Score]:
-    """Write `runs.csv`, `scores.csv`, `scores.tex` and `report.html` into a suite's folder; the scores.
+    """Write `scores.csv`, `scores.tex` and `report.html` into a suite's folder; the scores.
 
     tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about, command: of the page.
     """
     found = scores(runs)
-    write_whole(out / "runs.csv", runs.write_csv())
     write_whole(out / "scores.csv", _table(found, tasks).write_csv())
     write_whole(out / "scores.tex", latex(found, tasks))
     ranked, by = overall(found), {(s.law, s.task): s for s in found}

@@ -15,6 +15,7 @@ import polars as pl
 
 from vstestbed.core.errors import RunFolderError
 from vstestbed.core.files import make_folder, write_whole
+from vstestbed.report.scores import Score
 from vstestbed.studies.comparison.folder import table_of
 from vstestbed.studies.comparison.plan import Job, Jobs, controllers
 from vstestbed.studies.comparison.record import LEAST, TOLERANCE, environment
@@ -27,10 +28,13 @@ SHARE = 0.1  # of the runs of the law that is checked
 
 
 class Checked(NamedTuple):
-    """Runs that were flown again: how many, and in words those that ended otherwise."""
+    """Runs that were flown again: how many, and in words those that ended otherwise; the law's scores, beside the suite's own, as handed
+    in.
+    """
 
     runs: int
     otherwise: tuple[str, ...]
+    scores: list[Score]
 
 
 def pack(folder: Path, out: Path) -> Path:
@@ -77,7 +81,8 @@ def unpacked(file: Path, into: Path) -> tuple[SuiteEntry, pl.DataFrame]:
 
 
 def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = None) -> Checked:
-    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the task's number.
+    """Fly a drawn tenth of a submission's runs again, at least one of each task, and compare them: outcome, and the task's number. Writes
+    the page of the runs as they were handed in.
 
     folder: where they are flown. seed: of what is drawn; None: nobody knows it before. Errors: as of `unpacked` and `compare`.
     """
@@ -90,7 +95,8 @@ def check(file: Path, folder: Path, jobs: int | None = None, seed: int | None = 
         n += len(again)
         both = again.join(given.cast({"start": pl.String}), on=["task", "start"], how="left", suffix="_given")
         otherwise += [_words(row) for row in both.iter_rows(named=True) if not _agrees(row)]
-    return Checked(n, tuple(otherwise))
+    shown = given.cast({"start": pl.String, "value": pl.Float64})
+    return Checked(n, tuple(otherwise), entry.write(folder, shown) if len(shown) else [])
 
 
 def _flown(folder: Path, drawn: list[Job], jobs: int | None) -> pl.DataFrame:

@@ -23,6 +23,7 @@ from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
 from vstestbed.laws import LAWS
 from vstestbed.report.scores import Score, TaskOfSuite, write_scores
+from vstestbed.scenario.load import find
 from vstestbed.scenario.plugins import absolute_files, load_plugins
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison import carry_out, merge, prepared
@@ -99,11 +100,22 @@ def read_suite(name: str = NAME) -> tuple[TaskSuite, Path]:
 
 
 def fingerprint(suite: TaskSuite, path: Path) -> str:
-    """What identifies the frozen tasks: SHA-256 of the suite's file and of its plans."""
-    found = hashlib.sha256()
-    for file in (path, *(path.parent / task.plan for task in suite.tasks.values())):
-        found.update(file.read_bytes())
+    """What identifies the frozen tasks: SHA-256 of the suite's file and plans, and of the scenarios and lists of starts that they name."""
+    found = hashlib.sha256(path.read_bytes())
+    for plan in dict.fromkeys(path.parent / task.plan for task in suite.tasks.values()):
+        comparison = read_comparison(plan)
+        starts = [Path(task.file) for task in comparison.tasks.values() if task.file is not None]
+        for file in (plan, *map(find, comparison.base), *starts):
+            found.update(file.read_bytes())
     return found.hexdigest()
+
+
+def kept_runs(suite: TaskSuite, path: Path) -> pl.DataFrame | None:
+    """The runs of the suite's own laws that are kept beside its file; None where none are, or where they are of other tasks."""
+    place = path.with_suffix(".csv")
+    if not is_there(place) or place.read_text(encoding="utf-8").splitlines()[0] != f"# {fingerprint(suite, path)}":
+        return None
+    return pl.read_csv(place, comment_prefix="#", schema_overrides={"start": pl.String, "value": pl.Float64})
 
 
 def law_of_file(file: str) -> tuple[str, SuiteLaw, tuple[str, ...]]:
@@ -271,10 +283,15 @@ class SuiteEntry:
         return table.select(*named, success, (number * Metric.named(one.metric).scale).alias("value"))
 
     def write(self, out: Path, runs: pl.DataFrame) -> list[Score]:
-        """Write scores and page into the suite's folder; the scores."""
+        """Write scores and page into the suite's folder; the scores. Beside a law that was flown alone stand the suite's own, with the kept
+        runs from the same starts.
+        """
+        kept = None if self.laws.keys() & self.suite.laws.keys() else kept_runs(self.suite, self.path)
+        shown = runs if kept is None else pl.concat([runs, kept.join(runs, on=["task", "start"], how="semi")])
         about = f"{self.suite.description}. {self.about['starts'].capitalize()}; files {self.about['sha256'][:12]}. {HOW}"
         tasks = {name: TaskOfSuite(Metric.named(task.metric), task.asks) for name, task in self.suite.tasks.items()}
-        return write_scores(out, runs, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
+        write_whole(out / "runs.csv", runs.write_csv())
+        return write_scores(out, shown, tasks, self.blank, f"Suite {self.path.stem}", about, self.command)
 
 
 def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | None = None, alone: bool = False) -> SuiteEntry:
