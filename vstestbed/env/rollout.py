@@ -13,10 +13,11 @@ import numpy as np
 from vstestbed.camera import Camera, Image
 from vstestbed.core.errors import ParameterError, SessionError
 from vstestbed.core.geometry import Array
+from vstestbed.imaging.chain import scaled
 from vstestbed.laws.policy import MOST_PX, action_unit, observed
 from vstestbed.loop.recording import Recording
 from vstestbed.loop.session import Session
-from vstestbed.report.video.film import Pictures, quality_of, replay_of, scaled
+from vstestbed.report.video.film import Pictures, quality_of, replay_of
 from vstestbed.report.video.overlay import FilmFrame
 from vstestbed.robots import Mount
 from vstestbed.scenario.cameras import OWN

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from vstestbed.core.geometry import DepthImage, Image, Images
+from vstestbed.core.lazy import cv2
 from vstestbed.imaging.exposure import SKIP, ExposureControl, ExposureLoop, ExposureSetting
 from vstestbed.imaging.optics import LensEffects
 from vstestbed.imaging.sensor import NO_DRIFT, Drift, Floats, ImageNoise, SensorNoise, plain
@@ -122,3 +123,12 @@ class Chain:
     def clean(self, t: float, images: Images, depth: DepthImage | None) -> Images:
         """A picture as the mean of many at rest; what later pictures will be is not changed by it."""
         return self.imaging.clean(t, images, depth) if self.imaging else images
+
+
+def scaled(image: Image, size: tuple[int, int]) -> Image:
+    """The image at a size (width, height); itself if it has that size."""
+    if image.shape[1::-1] == size:
+        return image
+    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import copy
 import inspect
+import math
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge, Le
 from numpy.typing import NDArray
 
 from vstestbed.core.errors import EnvironmentLackError, ParameterError
@@ -19,7 +22,9 @@ from vstestbed.core.named_files import absolute_file, is_there, line_of, load_fi
 from vstestbed.core.spec import spec
 from vstestbed.features.depth import AtGoal, Depth
 from vstestbed.features.observation import Goal, Observation
+from vstestbed.imaging.chain import scaled
 from vstestbed.laws.base import Command, Law, TwistLimits
+from vstestbed.laws.photometric import NO_PICTURE, luminance
 
 MOST_PX = 1e6  # bound of the pixels that a policy sees [px]: an oracle's are anywhere when its field of view is unlimited
 
@@ -55,8 +60,8 @@ def action_unit(limits: TwistLimits, basis: Array) -> Array:
     return np.where(turns, rate, speed)
 
 
-Act = Callable[[Mapping[str, NDArray[np.float32]]], Any]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
-ONNX_KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+Act = Callable[[Mapping[str, NDArray[Any]]], Any]  # from what a policy sees to an action (n,) in [-1, 1]; None where it has none
+ONNX_KINDS: dict[str, Any] = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(uint8)": np.uint8}
 
 
 @spec
@@ -71,10 +76,14 @@ class Policy(Law[Act]):
     (`observed`). An ONNX network has inputs of some of these names, with a batch dimension of 1 before them, and the action
     (1, n) as its first output; it runs in one thread. An action that is None or, while a marker is not seen, zero orders rest.
 
+    With `picture_px` it sees `pixels` and `goal_pixels` (H, W, 3) in place of markers: the picture, and that of the goal, RGB in whole
+    numbers of 8 bits, scaled as an environment with `picture_px` scales them. The run is then judged by grey levels, as of `photometric`.
+
     An action of 1 is the law's limit of speed or rate, without one 1 m/s or 1 rad/s (`action_unit`).
 
     Args:
         file: the policy. To load a scenario runs the code of it.
+        picture_px: (width, height) of the pictures that it sees [px]; null: it sees markers; e.g. `[96, 72]`.
         agent_pos: show it what the robot's own sensors tell (`Robot.proprioception`): an arm's joints, a vehicle's odometry.
         depth: source of depth for tasks that need a pose; the policy does not see it.
         limits: largest speed and rate of the commanded twist.
@@ -82,6 +91,7 @@ class Policy(Law[Act]):
 
     kind: Literal["policy"] = "policy"
     file: str
+    picture_px: tuple[Annotated[int, Ge(1), Le(4096)], Annotated[int, Ge(1), Le(4096)]] | None = None
     agent_pos: bool = False
     depth: Depth = AtGoal()
     limits: TwistLimits = TwistLimits()
@@ -93,22 +103,29 @@ class Policy(Law[Act]):
         if not re.search(r"\.onnx$|\.py:\w+$", self.file):
             raise ParameterError.form("file", "FILE.py:NAME, such as my.py:act, or FILE.onnx", self.file)
         object.__setattr__(self, "file", absolute_file(self.file, Path.cwd()))  # frozen; a run remembers where its policy is
-        _loaded(self.file, self.agent_pos)
+        _loaded(self.file, self._sees)
+
+    @property
+    def _sees(self) -> tuple[str, ...]:
+        """The names of what it sees."""
+        views = ("markers", "seen", "goal") if self.picture_px is None else ("pixels", "goal_pixels")
+        return (*views, "agent_pos") if self.agent_pos else views
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """The fields of an Observation that it looks at."""
-        return ("uv", "proprioception") if self.agent_pos else ("uv",)
+        view = "uv" if self.picture_px is None else "image"
+        return (view, "proprioception") if self.agent_pos else (view,)
 
     def markers_needed(self, basis: Array) -> int:
-        """One: what a policy can do with fewer markers than the robot has motions is its own matter."""
-        return 1
+        """One, with pictures none: what a policy can do with fewer markers than the robot has motions is its own matter."""
+        return 1 if self.picture_px is None else 0
 
     def init(self, goal: Goal) -> Act:
         """The policy itself: a copy of its own for each run, where it has a state.
         Raises ParameterError: its class or its `reset` raises, or it has no `act`.
         """
-        made: Any = _loaded(self.file, self.agent_pos)
+        made: Any = _loaded(self.file, self._sees)
         try:
             if inspect.isclass(made):
                 made = made()
@@ -126,7 +143,10 @@ class Policy(Law[Act]):
 
     def step(self, state: Act, observation: Observation, goal: Goal, basis: Array) -> tuple[Act, Command]:
         """One frame: ask the policy. Raises ParameterError: the action is not n numbers."""
-        given = state(observed(observation, goal))
+        seen, error_grey = self._seen(observation, goal)
+        if seen is None:
+            return state, Command.rest(basis, NO_PICTURE)
+        given = state(seen)
         if given is None:
             return state, Command.rest(basis, "the policy gave no action")
         try:
@@ -139,17 +159,34 @@ class Policy(Law[Act]):
             raise ParameterError.returned("law.file", f"act of {Path(self.file).name}", f"{n} numbers for this robot's motions", found)
         if not action.any() and not observation.seen.all():
             return state, Command.rest(basis, "the policy rests while a marker is out of sight")
-        return state, self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
+        command = self.limits.command(action_unit(self.limits, basis) * np.clip(action, -1.0, 1.0), basis)
+        return state, replace(command, error_grey=error_grey)
+
+    def _seen(self, observation: Observation, goal: Goal) -> tuple[dict[str, NDArray[Any]] | None, float]:
+        """What it sees of a frame, None without a picture, and the RMS difference of the pictures' luminance [grey levels].
+        Raises ParameterError: the goal has no picture.
+        """
+        own = observed(observation, goal)
+        if self.picture_px is None:
+            return own, math.nan
+        if goal.image is None:
+            raise ParameterError.missing("goal.image", "this policy compares with it; give goal_images to the Controller")
+        if observation.image is None:
+            return None, math.nan
+        pictures = [scaled(sight.image, self.picture_px) for sight in (observation.image, goal.image)]
+        here, there = map(luminance, pictures)
+        pixels = dict(zip(("pixels", "goal_pixels"), pictures, strict=True))
+        return pixels | ({"agent_pos": own["agent_pos"]} if "agent_pos" in own else {}), float(np.sqrt(np.mean((here - there) ** 2)))
 
 
-def _loaded(file: str, agent_pos: bool) -> Any:
+def _loaded(file: str, sees: tuple[str, ...]) -> Any:
     """The function, class or object that `Policy.file` names."""
     source, _, name = file.rpartition(":")
     path = Path(file if file.endswith(".onnx") else source)
     if not is_there(path):
         raise ParameterError("file", f"{path} is not there; give the place of {path.name}")
     if file.endswith(".onnx"):
-        return _network(path, path.stat().st_mtime_ns, agent_pos)
+        return _network(path, path.stat().st_mtime_ns, sees)
     try:
         found = getattr(load_file(path), name, None)
     except KeyboardInterrupt:
@@ -163,7 +200,7 @@ def _loaded(file: str, agent_pos: bool) -> Any:
 
 
 @lru_cache(maxsize=16)
-def _network(path: Path, written: int, agent_pos: bool) -> Act:
+def _network(path: Path, written: int, known: tuple[str, ...]) -> Act:
     """The network of an ONNX file that was last written at a time [ns], as a function of what a policy sees."""
     try:
         import onnxruntime
@@ -175,12 +212,11 @@ def _network(path: Path, written: int, agent_pos: bool) -> Act:
         network = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # the runtime's exceptions have no common class of their own
         raise ParameterError.unreadable("file", " ".join(str(error).split())[:120], "an ONNX network", str(path)) from error
-    known = ("markers", "seen", "goal", *(("agent_pos",) if agent_pos else ()))
     inputs = network.get_inputs()
     for wanted in inputs:
         if wanted.name not in known or wanted.type not in ONNX_KINDS:
             hint = "; agent_pos needs law.agent_pos: true" if wanted.name == "agent_pos" else ""
-            words = f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as float or double{hint}"
+            words = f"wants {wanted.name!r} as {wanted.type}; a policy sees {', '.join(known)} as float, double or uint8{hint}"
             raise ParameterError("file", f"{path.name} {words}")
 
     def act(observation: Mapping[str, NDArray[np.float32]]) -> Array:

@@ -11,9 +11,10 @@ import numpy as np
 import viser
 
 from vstestbed.core.geometry import Array, inverse, pose_from, quaternion_wxyz, rotation_from_quaternion, transform
+from vstestbed.imaging.chain import scaled
 from vstestbed.live.run import PICTURE_S, Sample
 from vstestbed.report.marks import AXIS_COLORS, LINE_COLORS
-from vstestbed.report.video.film import Pictures, scaled
+from vstestbed.report.video.film import Pictures
 from vstestbed.report.video.outside import GOAL, OWN, frustum_corners
 from vstestbed.report.video.writer import Image
 from vstestbed.scenario.scenario import Scenario

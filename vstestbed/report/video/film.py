@@ -18,8 +18,8 @@ import numpy as np
 from vstestbed.camera import Camera
 from vstestbed.core.files import write_whole
 from vstestbed.core.geometry import inverse
-from vstestbed.core.lazy import cv2
 from vstestbed.core.outcome import Outcome, Verdict
+from vstestbed.imaging.chain import scaled
 from vstestbed.loop.log_file import Log
 from vstestbed.loop.recording import read_summary
 from vstestbed.report.video.outside import Outside, inset_share
@@ -262,15 +262,6 @@ class Film:
     def abort(self) -> None:
         """Discard the film, unless it is finished."""
         self._writer.abort()
-
-
-def scaled(image: Image, size: tuple[int, int]) -> Image:
-    """The image at a size (width, height); itself if it has that size."""
-    if image.shape[1::-1] == size:
-        return image
-    # the mean of pixels where they become fewer, as INTER_AREA has it; it would show blocks where they become more
-    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), np.uint8)
 
 
 def error_in_words(scenario: Scenario, values: dict[str, float]) -> str:
