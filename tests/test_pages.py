@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 import typer.main
 from typer.testing import CliRunner
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 import vstestbed as vs
 from docs.build.kept import FOLDER, Kept, place_of
 from docs.build.render import REPOSITORY, SOURCES, pages, rendered
+from docs.build.suite import PLACE, Suite
 from tests.scenario.schemas import whole_schema
 from vstestbed.cli.app import program
 from vstestbed.cli.tools import settings_of
@@ -129,3 +131,14 @@ def test_every_page_is_in_the_index_and_has_a_way_back() -> None:
 def test_the_first_pages_are_short() -> None:
     for page, lines in (("README.md", 160), ("docs/README.md", 100)):
         assert len((REPOSITORY / page).read_text(encoding="utf-8").splitlines()) <= lines
+
+
+def test_the_suite_s_scores_are_those_of_its_kept_runs():
+    found = {(s.law, s.task): s for s in Suite().scores}
+    there = pl.read_csv(PLACE / "scores.csv")
+    assert len(there) == len(found)
+    for row in there.iter_rows(named=True):
+        score = found[row["law"], row["task"]]
+        assert (row["reached"], row["runs"]) == (round(score.rate.mean * score.rate.n), score.rate.n)
+        assert row["value_mean"] == pytest.approx(score.value.mean) and row["rank_mean"] == score.rank.mean
+    assert all((PLACE / name).stat().st_size for name in ("report.html", "ranks.png", "profile.png", "scores.tex", "cns.csv"))

@@ -21,6 +21,7 @@ import yaml
 import vstestbed as vs
 from docs.build import parameters
 from docs.build.kept import Kept, Row
+from docs.build.suite import Suite
 from vstestbed.core.named_files import bundled_comparisons, bundled_scenarios
 from vstestbed.loop.columns import column_texts
 from vstestbed.report.comparison.grid import ALL, ERROR, Grid, real
@@ -63,7 +64,7 @@ def rendered(page: Path, kept: Kept) -> str:
     made.globals.update(geom=parameters.geom, joint=parameters.joint, actuator=parameters.actuator, mass=parameters.mass)
     made.globals.update(preset=parameters.preset, gain_of=gain_of)
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
-    made.globals.update(table_columns=RUN_COLUMNS.items)
+    made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite))
     made.filters.update(judged=judged, g=parameters.plain)
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
     made.filters.update(
@@ -78,6 +79,7 @@ def rendered(page: Path, kept: Kept) -> str:
         effects=effects,
         same_starts=same_starts,
         in_reach=in_reach,
+        interval=interval,
     )
     return made.get_template(page.as_posix()).render()
 
@@ -96,6 +98,12 @@ def _bundled() -> list[vs.Scenario]:
 def comparisons() -> list[tuple[str, str]]:
     """Name and description of the bundled comparisons."""
     return [(name, yaml.safe_load(file.read_text(encoding="utf-8")).get("description", "")) for name, file in bundled_comparisons().items()]
+
+
+def interval(found: IntervalEstimate, places: int = 2, sign: bool = False, scale: float = 1.0) -> str:
+    """An estimate with its 95 % interval: `1.20 (1.05 to 1.36)`."""
+    words = [f"{scale * value:{'+' if sign else ''}.{places}f}" for value in found[:3]]
+    return f"{words[0]} ({words[1]} to {words[2]})"
 
 
 def gain_of(comparison: str, law: str) -> float:

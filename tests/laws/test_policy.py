@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import vstestbed as vs
+import vstestbed.env
 from tests.examples import policy as example
 from tests.laws.onnx_file import DOUBLE, linear
 from vstestbed.core.errors import EnvironmentLackError, ParameterError, ScenarioError
+from vstestbed.imaging.chain import scaled
 from vstestbed.laws.base import TwistLimits
 from vstestbed.laws.policy import Policy, action_unit, observed
 from vstestbed.scenario.dump import dump
@@ -214,6 +216,72 @@ class TestWhereItIs:
         read = read_comparison(tmp_path / "out" / PLAN)
         assert read.axes["law.file"] == (f"{mine}:act", f"{mine}:Smooth")
         assert vs.load(read.base[0]).law.file == f"{mine}:act"
+
+
+SEES = """import numpy as np
+
+
+class Sees:
+    def __init__(self):
+        self.all = []
+
+    def act(self, o):
+        self.all.append(o)
+        here, there = (o[name].astype(float).mean(axis=(0, 1)) for name in ("pixels", "goal_pixels"))
+        return np.r_[0, 0, 0.1, 0, 0, 0.001 * (here - there).sum()]
+"""
+
+
+SMALL = {"camera.width": 160, "camera.height": 120, "stop.duration_s": 0.2}
+
+
+class TestPictures:
+    def made(self, tmp_path: Path, **law: object) -> vs.Scenario:
+        file = written(tmp_path, SEES) + ":Sees"
+        return vs.load("camera_photometric", SMALL | {"law": {"kind": "policy", "file": file, "picture_px": [40, 30]} | law})
+
+    def test_it_sees_this_picture_and_the_goal_s_as_an_environment_scales_them(self, tmp_path: Path):
+        s = self.made(tmp_path)
+        with vs.Session(s, pictures=True) as session:
+            frames = [session.reset(3), session.step()]
+            law, goal = s.law, frames[0].goal
+            act = law.init(goal)
+            _, command = law.step(act, frames[1].observation, goal, np.eye(6))
+        (seen,) = act.__self__.all
+        assert set(seen) == {"pixels", "goal_pixels"} and seen["pixels"].shape == (30, 40, 3) and seen["pixels"].dtype == np.uint8
+        mean = frames[1].observation.image.image.reshape(30, 4, 40, 4, 3).mean(axis=(1, 3))  # 4 x 4 pixels each
+        assert np.abs(seen["pixels"] - mean).max() <= 0.5 + 1e-9
+        env = vs.env.make("camera_photometric", overrides=SMALL, observation="pixels", picture_px=(40, 30))
+        assert np.array_equal(env.reset(seed=3)[0]["pixels"], scaled(frames[0].observation.image.image, (40, 30)))
+        y = [seen[name] @ np.array([0.299, 0.587, 0.114]) for name in ("pixels", "goal_pixels")]
+        assert command.error_grey == pytest.approx(np.sqrt(np.mean((y[0] - y[1]) ** 2)), abs=0.5)
+
+    def test_a_run_is_judged_by_grey_levels(self, tmp_path: Path):
+        run = vs.run(self.made(tmp_path))
+        assert (run["error_grey"] > 5).all() and run.summary()["judged_unit"] == "grey levels"
+        near = vs.run(
+            vs.load(
+                "camera_photometric",
+                SMALL | {"law": self.made(tmp_path).law, "stop.converged.error_grey": 200, "stop.converged.hold_s": 0.1},
+            )
+        )
+        assert near.outcome.name == "converged"
+
+    def test_without_a_picture_it_rests_and_without_the_goal_s_it_says_so(self, tmp_path: Path):
+        s = self.made(tmp_path)
+        with vs.Session(s, pictures=True) as session:
+            frame = session.reset()
+        act = s.law.init(frame.goal)
+        _, command = s.law.step(act, replace(frame.observation, image=None), frame.goal, np.eye(6))
+        assert command.rest_reason == "the law has no picture"
+        with pytest.raises(ParameterError, match=r"goal\.image is missing"):
+            s.law.step(act, frame.observation, replace(frame.goal, image=None), np.eye(6))
+
+    def test_a_network_takes_pixels(self, tmp_path: Path):
+        pytest.importorskip("onnxruntime", reason="the extra vstestbed[policy]")
+        (tmp_path / "net.onnx").write_bytes(linear(np.eye(8, 6)))
+        with pytest.raises(ParameterError, match=r"wants 'markers' .*; a policy sees pixels, goal_pixels as"):
+            Policy(file=str(tmp_path / "net.onnx"), picture_px=(40, 30))
 
 
 HOMES = "HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "TMPDIR"

@@ -11,7 +11,18 @@ import polars as pl
 import pytest
 
 from vstestbed.core.errors import ParameterError, PluginError, ScenarioError
-from vstestbed.studies.suite import NAME, SuiteEntry, SuiteLaw, SuiteTask, TaskSuite, law_of_file, opened, read_suite
+from vstestbed.studies.suite import (
+    NAME,
+    SuiteEntry,
+    SuiteLaw,
+    SuiteTask,
+    TaskSuite,
+    fingerprint,
+    kept_runs,
+    law_of_file,
+    opened,
+    read_suite,
+)
 
 LAW = "law: {kind: pbvs, gain: 1.5}\n"
 PLAN = """base: [ibvs_book]
@@ -224,3 +235,28 @@ def test_a_policy_is_handed_in_with_its_weights_and_modules_in_their_folders(com
             for inner, content in (inside_it | more).items():
                 packed.writestr(inner, content)
         assert words in command("suite", "--check", name, "--jobs", 1, "--out", f"again_{name}").err
+
+
+@pytest.mark.process
+def test_beside_a_law_flown_alone_stand_the_kept_runs_of_the_same_starts(command, own: str, tmp_path: Path) -> None:
+    assert command("suite", "--suite", own, "--jobs", 1, "--out", "whole").code == 0
+    runs = Path("whole/runs.csv").read_text()
+    Path(own).with_suffix(".csv").write_text(f"# {fingerprint(*read_suite(own))}\n{runs}")
+    words = "suite", str(tmp_path / "mine.yaml"), "--suite", own, "--alone", "--quick", "--jobs", 1
+    assert command(*words, "--out", "beside").code == 0
+    scored = pl.read_csv("beside/scores.csv")
+    assert sorted(scored["law"]) == ["mine", "points"] and scored["runs"].to_list() == [4, 4]  # of its quick starts alone
+    assert pl.read_csv("beside/runs.csv")["law"].unique().to_list() == ["mine"]  # what is handed in is what was flown
+    (tmp_path / "plan.yaml").write_text(PLAN.replace("20}}", "25}}"))  # other tasks: the kept runs are none of theirs
+    assert command(*words, "--out", "alone").code == 0
+    assert pl.read_csv("alone/scores.csv")["law"].to_list() == ["mine"]
+
+
+def test_the_kept_runs_of_vs_1_are_of_its_tasks_and_laws() -> None:
+    suite, path = read_suite()
+    kept = kept_runs(suite, path)
+    assert kept is not None, "the tasks have changed: vstestbed suite --out flown; python -m docs.build.suite flown/runs.csv"
+    entry = opened(None)
+    wanted = {(task, law) for task, plan in entry.plans.items() for law in plan.cases["law"]}
+    assert set(kept.select("task", "law").unique().iter_rows()) == wanted and len(kept) == entry.total
+    assert not kept.select("task", "law", "start").is_duplicated().any()

@@ -11,7 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from vstestbed.core.files import write_whole
+from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.geometry import Array
 from vstestbed.report.canvas import new_figure, panels, publish, style
 from vstestbed.report.comparison.statistics import CONFIDENCE, IntervalEstimate, holm, paired_difference, success_rate
@@ -19,6 +19,7 @@ from vstestbed.report.marks import LINE_COLORS, RULE, line_color
 from vstestbed.report.pages import write_page
 from vstestbed.tasks.metrics import Metric
 
+FIGURES = "figures"  # the page's figures for a paper
 RESAMPLES = 2000  # of the starts, for intervals of means and ranks
 FARTHEST = 10.0  # right end of the profile: times the best law's number
 COLOURED = 5  # laws that the profile draws in colours
@@ -138,7 +139,7 @@ def write_scores(
     about: str,
     command: str,
 ) -> list[Score]:
-    """Write `scores.csv`, `scores.tex` and `report.html` into a suite's folder; the scores.
+    """Write `scores.csv`, `scores.tex`, `figures/` and `report.html` into a suite's folder; the scores.
 
     tasks: by name. blank: why a law takes no part in a task, by law and task. heading, about, command: of the page.
     """
@@ -158,7 +159,11 @@ def write_scores(
         tables.append(("Without part", ["law", "task", "why"], [[law, task, why] for (law, task), why in blank.items()]))
     of_ranks = "Rank by the mean of each task's number, 1 is the best, with 95 % bootstrap intervals over starts; no mark: not flown."
     of_profile = "Share of all starts on which a law needed at most so many times the number of the best law there; a failure never does."
-    plots = [("Ranks", _drawn_ranks(found), of_ranks), ("Profile", _drawn_profile(runs, [law for law, _, _ in ranked]), of_profile)]
+    place = make_folder(out / FIGURES)
+    plots = [
+        ("Ranks", _drawn_ranks(found, place), of_ranks),
+        ("Profile", _drawn_profile(runs, [law for law, _, _ in ranked], place), of_profile),
+    ]
     write_page(out, "study.html", heading, about=about, plots=plots, tables=tables, command=command)
     return found
 
@@ -201,10 +206,10 @@ def _cell(score: Score | None, task: TaskOfSuite) -> list[str]:
     ]
 
 
-def _drawn_ranks(found: Sequence[Score]) -> str:
+def _drawn_ranks(found: Sequence[Score], place: Path) -> str:
     tasks, order = list(dict.fromkeys(s.task for s in found)), [law for law, _, _ in overall(found)]
-    across = min(len(tasks), 5)
-    down = -(-len(tasks) // across)
+    down = -(-len(tasks) // 6)
+    across = -(-len(tasks) // down)
     with style():
         drawn = new_figure((0.2 * len(order) + 0.7) * down, 1.4 * across + 1.2)
         for axes, task in zip(panels(drawn, len(tasks), across, sharey=True), tasks, strict=True):
@@ -218,10 +223,10 @@ def _drawn_ranks(found: Sequence[Score]) -> str:
             axes.set_xticks(range(1, len(order) + 1, 3))
             axes.set_yticks(range(len(order)), order)
             axes.set_ylim(len(order) - 0.5, -0.5)
-        return publish(drawn, "ranks", "Ranks of the laws in each task")
+        return publish(drawn, "ranks", "Ranks of the laws in each task", place)
 
 
-def _drawn_profile(runs: pl.DataFrame, order: Sequence[str]) -> str:
+def _drawn_profile(runs: pl.DataFrame, order: Sequence[str], place: Path) -> str:
     curves = profile(runs)
     with style():
         drawn = new_figure(3.2, 7.0)
@@ -242,7 +247,7 @@ def _drawn_profile(runs: pl.DataFrame, order: Sequence[str]) -> str:
         axes.legend(
             handles[::-1], names[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="the others are grey" * (len(order) > COLOURED)
         )
-        return publish(drawn, "profile", "Performance profile of the laws over all starts")
+        return publish(drawn, "profile", "Performance profile of the laws over all starts", place)
 
 
 def latex(found: Sequence[Score], tasks: Mapping[str, TaskOfSuite]) -> str:
