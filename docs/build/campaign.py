@@ -112,7 +112,7 @@ def _kept(command: str) -> list[Row]:
 
 def _key(row: Row) -> str:
     """What tells a run from the others: scenario, varied values and start."""
-    return json.dumps({name: value for name, value in row.items() if name in _named(row)}, sort_keys=True)
+    return json.dumps({name: _plain(value) for name, value in row.items() if name in _named(row)}, sort_keys=True)
 
 
 def _labelled(row: Row, job: Job) -> Row:
@@ -126,11 +126,16 @@ def _named(row: Row) -> list[str]:
     return [name for name in names[: names.index("outcome")] if name not in ("folder", AMOUNT)]
 
 
+def _plain(value: object) -> object:
+    """As a table has it: 0 and 0.0 are one value."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    return value if isinstance(value, str | bool) else json.dumps(value)
+
+
 def _key_of(job: Job) -> str:
-    values: dict[str, Any] = {
-        path: value if isinstance(value, int | float | str) else json.dumps(value) for path, value in job.controller.values.items()
-    }
-    return json.dumps({"scenario": job.controller.scenario.name} | values | {"seed": job.seed}, sort_keys=True)
+    values: dict[str, Any] = {path: _plain(value) for path, value in job.controller.values.items()}
+    return json.dumps({"scenario": job.controller.scenario.name} | values | {"seed": _plain(job.seed)}, sort_keys=True)
 
 
 if __name__ == "__main__":

@@ -65,6 +65,7 @@ def rendered(page: Path, kept: Kept) -> str:
     made.globals.update(preset=parameters.preset, gain_of=gain_of)
     made.globals.update(log_columns=column_texts, summary_numbers=lambda: (*KNOWN.values(), *own_metrics().values()))
     made.globals.update(table_columns=RUN_COLUMNS.items, suite=functools.cache(Suite))
+    made.globals.update(grey_kb=(REPOSITORY / "scenarios" / "policies" / "grey.npz").stat().st_size / 1e3)
     made.filters.update(judged=judged, g=parameters.plain)
     made.filters.update(n=number, where=where, reached=reached, typical=typical, worst=worst, least=least, range=span, median=median)
     made.filters.update(
