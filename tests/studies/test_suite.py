@@ -80,7 +80,7 @@ def test_the_bundled_suite_is_whole_and_every_law_of_it_takes_part() -> None:
     entry = opened(None, quick=True)
     took = {task: list(plan.cases["law"]) for task, plan in entry.plans.items()}
     assert list(took) == list(suite.tasks) and all(took[t] == list(suite.laws) for t in ("ideal", "arm", "border", "tracking", "realism"))
-    assert took["poster"] == took["boxes"] == ["points", "points_mean", "polar", "spherical", "pose", "hybrid"]
+    assert took["poster"] == took["boxes"] == ["points", "points_mean", "polar", "spherical", "pose", "hybrid", "qp", "predictive"]
     assert entry.blank["recurrent", "craft"] == "it was trained for six motions of the camera"
     assert entry.blank["partitioned", "base"].startswith("base.yaml:") and "six directions" in entry.blank["partitioned", "base"]
     assert len(entry.blank) == 12 * 11 - sum(map(len, took.values()))
