@@ -189,6 +189,9 @@ def test_a_law_differs_by_task_or_says_why_it_does_not_fly_one(own: str, tmp_pat
     (tmp_path / "mine.yaml").write_text(LAW + "tasks: {only: it is tired}\n")
     entry = opened(str(tmp_path / "mine.yaml"), own)
     assert list(entry.plans["only"].cases["law"]) == ["points"] and entry.blank["mine", "only"] == "it is tired"
+    (tmp_path / "mine.yaml").write_text(LAW + "tasks: {onyl: it is tired}\n")
+    with pytest.raises(ParameterError, match=r"mine: tasks must be tasks of the suite; .*only.*got 'onyl'"):
+        opened(str(tmp_path / "mine.yaml"), own)
 
 
 def test_a_failure_counts_the_worst_that_a_task_names(own: str) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 import polars as pl
 
-from vstestbed.core.errors import ParameterError, VstestbedError
+from vstestbed.core.errors import ParameterError, VstestbedError, nearest
 from vstestbed.core.files import make_folder, write_whole
 from vstestbed.core.named_files import folder, is_there
 from vstestbed.core.spec import spec
@@ -305,4 +305,7 @@ def opened(file: str | None, name: str = NAME, quick: bool = False, word: str | 
         laws = {own: law} if alone else laws | {own: law}
     elif alone:
         raise ParameterError.needs("--alone", "a law of your own", why="LAW_FILE")
+    if unknown := [(law, task) for law, one in laws.items() for task in one.tasks if task not in suite.tasks]:
+        law, task = unknown[0]
+        raise ParameterError(f"{law}: tasks", f"must be tasks of the suite; {nearest(task, suite.tasks)}", task)
     return SuiteEntry(suite, path, laws, plugins, quick, word, file)
