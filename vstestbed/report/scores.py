@@ -158,7 +158,7 @@ def write_scores(
     if blank:
         tables.append(("Without part", ["law", "task", "why"], [[law, task, why] for (law, task), why in blank.items()]))
     of_ranks = "Rank by the mean of each task's number, 1 is the best, with 95 % bootstrap intervals over starts; no mark: not flown."
-    of_profile = "Share of all starts on which a law needed at most so many times the number of the best law there; a failure never does."
+    of_profile = "Of the starts that a law flew: on which share it needed at most so many times the best law's number; a failure never."
     place = make_folder(out / FIGURES)
     plots = [
         ("Ranks", _drawn_ranks(found, place), of_ranks),

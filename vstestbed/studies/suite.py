@@ -28,7 +28,7 @@ from vstestbed.scenario.plugins import absolute_files, load_plugins
 from vstestbed.scenario.yaml_marks import build, plain_mapping, text_of
 from vstestbed.studies.comparison import carry_out, merge, prepared
 from vstestbed.studies.comparison.folder import ComparisonTable
-from vstestbed.studies.comparison.plan import TASK, Comparison, Jobs, changed, controllers, read_comparison
+from vstestbed.studies.comparison.plan import TASK, Comparison, Jobs, Variants, changed, controllers, read_comparison
 from vstestbed.studies.comparison.record import needed_files
 from vstestbed.studies.comparison.runs import OnDone
 from vstestbed.studies.comparison.shards import Shard
@@ -173,7 +173,7 @@ class SuiteEntry:
                 self.blank[name, task] = block
                 continue
             try:
-                controllers(changed(own, cases={LAW: {name: {"law": block}}} | own.cases))
+                controllers(changed(own, cases={LAW: {name: {"law": block}}} | own.cases, tasks={}, limit=None, seeds=None))
             except VstestbedError as error:
                 self.blank[name, task] = str(error).splitlines()[0].replace(f"{self.path.parent}/", "")
             else:
@@ -188,7 +188,7 @@ class SuiteEntry:
     @property
     def total(self) -> int:
         """How many runs it has."""
-        return sum(len(Jobs(controllers(plan), plan.seeds, plan.first_seed)) for plan in self.plans.values())
+        return sum(len(Jobs(Variants(plan), plan.seeds, plan.first_seed)) for plan in self.plans.values())
 
     @property
     def about(self) -> dict[str, Any]:
