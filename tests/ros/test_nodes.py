@@ -219,3 +219,25 @@ def test_readings_stand_in_the_order_of_their_times_once():
     senses.hear("joint_states", m.readings(100.0, robot, vs.Reading(np.ones(6), np.ones(6)))["joint_states"])
     senses.hear("joint_states", m.readings(0.0, robot, vs.Reading(np.zeros(6), np.ones(6)))["joint_states"])  # the robot was started again
     assert senses.at().q[0] == 0
+
+
+@pytest.mark.parametrize("pace", ["wall", "lockstep"])
+def test_what_the_robot_tells_while_it_waits_it_tells_without_its_lock(pace):
+    """Who hears a reading may be about to command: with the lock held, each would wait for the other for ever."""
+    scenario = vs.load("arm_ibvs", {"detector": "oracle", "stop.duration_s": 0.2})
+    wire = Wire("vstestbed_robot")
+    node, free = RobotNode(scenario, wire, pace=pace, watchdog_s=0.05), []
+
+    def heard(message):
+        def take():
+            free.append(node._news.acquire(timeout=1.0))
+            node._news.release()
+
+        thread = threading.Thread(target=take)
+        thread.start()
+        thread.join(2)
+
+    wire.subscribe("/joint_states", m.JOINTS, heard)
+    node._heard = True  # a command came before, and then none any more
+    node.fly(scenario.resolved)
+    assert len(free) > 5 and all(free)

@@ -206,15 +206,19 @@ class RobotNode:
                 self._voice.frame(episode, frame)
 
     def _wait(self, due: float) -> Array | None:
-        """The twist for the frame that was told; None for rest. due: when the next picture is due [s]."""
+        """The twist for the frame that was told; None for rest. due: when the next picture is due [s]. What it tells meanwhile it tells
+        without the lock: who hears it may be about to command.
+        """
+        v = self._by_the_clock(due) if self._pace == "wall" else self._in_step()
         with self._news:
-            v = self._by_the_clock(due) if self._pace == "wall" else self._in_step()
             return None if self._stopped else v
 
     def _by_the_clock(self, due: float) -> Array | None:
         """The newest twist when the next picture is due; None where it is too old."""
         while not self.ended.is_set() and (left := due - time.monotonic()) > 0:
-            if not self._news.wait(min(left, AGAIN_S)):
+            with self._news:
+                heard = self._news.wait(min(left, AGAIN_S))
+            if not heard:
                 self._voice.readings()
         command = self._command
         self._silent = command is None or time.monotonic() - command[2] > self.watchdog_s
@@ -227,11 +231,13 @@ class RobotNode:
         wait_s = self.scenario.camera.period if self._silent or self._stopped else self.watchdog_s
         end = time.monotonic() + wait_s
         while not self.ended.is_set() and (left := end - time.monotonic()) > 0:
-            command = self._command
-            if command is not None and command[0] >= self._voice.stamp - 1e-6 and not self._stopped:
-                self._command, self._silent = None, False  # each answers one picture
-                return command[1]
-            if not self._news.wait(min(left, AGAIN_S)):
+            with self._news:
+                command = self._command
+                if command is not None and command[0] >= self._voice.stamp - 1e-6 and not self._stopped:
+                    self._command, self._silent = None, False  # each answers one picture
+                    return command[1]
+                heard = self._news.wait(min(left, AGAIN_S))
+            if not heard:
                 self._voice.readings()
         self._silent = True
         return None
