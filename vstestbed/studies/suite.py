@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import polars as pl
+from annotated_types import Ge
 
 from vstestbed.core.errors import ParameterError, VstestbedError, nearest
 from vstestbed.core.files import make_folder, write_whole
@@ -36,7 +37,6 @@ from vstestbed.tasks.metrics import Metric
 
 NAME = "VS-1"
 LAW = "law"  # the axis of the laws in each comparison
-QUICK_STARTS = 2  # of each of a plan's start tables with `--quick`
 HOW = (
     "Successes with Wilson intervals; the mean of each task's number, in which a failure counts the task's limit; ranks by it, with "
     "bootstrap intervals over starts, which all laws share. The mean of the ranks stands beside its parts. Beyond chance is what both say: "
@@ -55,12 +55,14 @@ class SuiteTask:
         metric: by which laws are ranked: a number of a run's summary, of which less is better.
         worst: the number of a run that ended early, and the largest that counts, in the summary's unit; null: what the summary says; e.g.
             `0.2`.
+        quick: starts of each of the plan's lists with `--quick` [1].
     """
 
     plan: str
     asks: str = ""
     metric: str = "time_to_goal_s"
     worst: float | None = None
+    quick: Annotated[int, Ge(1)] = 2
 
 
 @spec
@@ -163,9 +165,10 @@ class SuiteEntry:
 
     def plan(self, task: str) -> Comparison | None:
         """The comparison of a task, of the laws that take part in it; None where none does. Those that do not are noted in `blank`."""
-        own = read_comparison(self.path.parent / self.suite.tasks[task].plan, self.plugins)
+        asked = self.suite.tasks[task]
+        own = read_comparison(self.path.parent / asked.plan, self.plugins)
         fields: dict[str, Any] = {"plugins": (*own.plugins, *self.plugins)}
-        fields |= {"limit" if own.tasks else "seeds": QUICK_STARTS} if self.quick else {}
+        fields |= {"limit" if own.tasks else "seeds": asked.quick} if self.quick else {}
         own = changed(own, None, **fields, **({} if own.tasks else {"first_seed": self.first_seed}))
         cases: dict[str, dict[str, Any]] = {}
         for name in self.laws:
