@@ -46,6 +46,6 @@ class Grey:
 
     def act(self, observation):
         """The action (6,), with an action of 1 for 1 m/s or 1 rad/s."""
-        if self.goal is None or observation["goal_pixels"] is not self.goal:
+        if self.goal is None or not np.array_equal(observation["goal_pixels"], self.goal):  # a new array each frame
             self.goal, self.there = observation["goal_pixels"], self.pose(observation["goal_pixels"])
         return GAIN * (self.pose(observation["pixels"]) - self.there)

@@ -1,7 +1,7 @@
 """Trains `scenarios/policies/grey.npz`: the rest of the way to a goal picture, from small grey pictures of a poster.
 
     pip install torch
-    python tests/long/train_grey.py [--out FILE.npz] [--seed 0] [--pictures 16000] [--minutes 15]
+    python tests/long/train_grey.py [--out FILE.npz] [--seed 0] [--pictures 20000] [--minutes 15]
 
 An ideal camera is put to random poses round the goal of `arm_photometric`, in the arm's world without the arm; half of them are much
 nearer than the farthest, so that the end is learned as well as the start. The light of the pictures varies in training alone: brightness
@@ -80,7 +80,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=POLICY.with_suffix(".npz"))
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--pictures", type=int, default=16_000)
+    parser.add_argument("--pictures", type=int, default=20_000)
     parser.add_argument("--minutes", type=float, default=15)
     options = parser.parse_args()
     torch.manual_seed(options.seed)

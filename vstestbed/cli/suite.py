@@ -20,7 +20,7 @@ def suite(
         typer.Argument(metavar="[LAW_FILE]", help="A law of your own: a plugin with one law, or a YAML file with law and plugins."),
     ] = None,
     name: Annotated[str, typer.Option("--suite", metavar="NAME", help="The suite, by name or file.")] = "VS-1",
-    quick: Annotated[bool, typer.Option("--quick", help="Two starts of each of a task's lists.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="One or two starts of each of a task's lists.")] = False,
     alone: Annotated[
         bool, typer.Option("--alone", help="Fly LAW_FILE alone; the suite's own laws stand beside it with the runs that are kept.")
     ] = False,
