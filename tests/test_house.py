@@ -98,6 +98,20 @@ def test_functions_are_small():
                 assert not body or node.end_lineno - body[0].lineno < 45, f"{file.relative_to(PACKAGE)}: {node.name} is too long"
 
 
+def test_every_public_method_says_what_it_does_here_or_in_the_class_it_comes_from():
+    classes = {node.name: node for file in FILES for node in nodes(file)[0].body if isinstance(node, ast.ClassDef)}
+
+    def said(cls: ast.ClassDef, name: str) -> bool:
+        own = [node for node in cls.body if isinstance(node, ast.FunctionDef) and node.name == name]
+        bases = [classes[base] for node in cls.bases if (base := ast.unparse(node).split("[")[0].split(".")[-1]) in classes]
+        return any(map(ast.get_docstring, own)) or any(said(base, name) for base in bases if base is not cls)
+
+    for cls in classes.values():
+        for node in cls.body if not cls.name.startswith("_") else ():
+            if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+                assert said(cls, node.name), f"{cls.name}.{node.name} has no docstring, and no base class has one"
+
+
 def test_no_two_classes_of_one_name():
     names = [node.name for file in FILES for node in nodes(file)[0].body if isinstance(node, ast.ClassDef)]
     assert sorted({name for name in names if names.count(name) > 1}) == []

@@ -109,7 +109,6 @@ class Perspective(Camera):
         return self.height / 2 / math.tan(math.radians(self.fovy_deg or DEFAULT_FOVY_DEG) / 2)
 
     def miscalibrated(self, focal_error: float, principal_px: tuple[float, float], ignores_distortion: bool) -> Perspective:
-        """As `Camera.miscalibrated`."""
         if self.intrinsics is not None:
             return replace(self, intrinsics=self.intrinsics.scaled(focal_error, principal_px, ignores_distortion))
         f, pixel = self.f * (1 + focal_error), self.pixel_size_m
@@ -121,7 +120,6 @@ class Perspective(Camera):
         return replace(self, **given, principal_px=principal_px, distortion=None if ignores_distortion else self.distortion)
 
     def with_intrinsics(self, intrinsics: Intrinsics) -> Perspective:
-        """As `Camera.with_intrinsics`."""
         given: dict[str, Any] = dict.fromkeys(("fovy_deg", "focal_length_m", "pixel_size_m", "distortion", "principal_px"))
         return replace(self, **given, intrinsics=intrinsics)
 

@@ -308,7 +308,6 @@ class OnBase(Actor):
         return reached
 
     def felt(self, sensors: dict[str, list[float]]) -> dict[str, list[float]]:
-        """What the sensors meet."""
         return self._airframe.felt(sensors)
 
     def _look(self, number: int, R: list[float]) -> None:

@@ -239,7 +239,6 @@ class ElasticJoints(Effect):
         load[at.motor_qvel] = load[at.qvel]
 
     def springs(self, load: Array) -> tuple[Array, Array] | None:
-        """The gears' own."""
         return (self._under(load)[1], self.damping) if self.stiffness.any() else None
 
     @property
@@ -320,7 +319,6 @@ class Motors(Effect):
                     actuator.gainprm[0] = 0.0
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
-        """The motors' torques."""
         return MotorTorques(body, self) if self.loops is not None or self.ripple > 0 or self.cogging.any() else None
 
 
@@ -359,13 +357,11 @@ class MotorTorques(Actor):
             self._delay = round(motors.loops.delay_s / h)
 
     def start(self) -> None:
-        """The motors have the torques of the equilibrium."""
         if self._motors.loops is not None:
             self._tau = self._servos()
             self._late = deque([self._tau] * self._delay)
 
     def act(self, t: float, dt: float) -> None:
-        """Apply the torques of the coming physics step."""
         m, tau = self._motors, 0.0
         if m.loops is not None:
             self._late.append(self._servos())

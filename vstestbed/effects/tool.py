@@ -99,7 +99,6 @@ class Tool(Effect):
                 spec_.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="wrist")
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor | None:
-        """Watches the contacts of the plug."""
         return None if self.plug is None else PlugForce(body)
 
 
@@ -112,12 +111,10 @@ class PlugForce(Actor):
         self._most = 0.0
 
     def act(self, t: float, dt: float) -> None:
-        """Note the force of the last step's contacts."""
         x, y, z = self._net.tolist()
         self._most = max(self._most, math.sqrt(x * x + y * y + z * z))
 
     def row(self) -> Sequence[float]:
-        """The largest one since the last row."""
         self.act(0.0, 0.0)
         most, self._most = self._most, 0.0
         return (most,)

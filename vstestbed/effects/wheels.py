@@ -134,7 +134,6 @@ class Tyres(Effect):
         return along * share, across * share
 
     def actor(self, body: RobotBody, rng: np.random.Generator) -> Actor:
-        """The forces of the floor on the wheels."""
         return TyreForces(body, self)
 
     @cached_property

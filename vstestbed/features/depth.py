@@ -109,11 +109,9 @@ class AtGoal(DepthSource):
     preset: ClassVar[bool] = True
 
     def depths(self, cues: DepthCues) -> Array:
-        """Depths of the goal view."""
         return cues.goal.depth
 
     def ranges(self, cues: DepthCues) -> Array:
-        """Ranges of the goal view."""
         return cues.goal.range
 
 
@@ -138,12 +136,10 @@ class Estimate(DepthSource):
         return self
 
     def depths(self, cues: DepthCues) -> Array:
-        """Z of the markers at their estimated ranges."""
         ray, reach = self._by_flow(cues)
         return reach * ray[:, 2]
 
     def ranges(self, cues: DepthCues) -> Array:
-        """The estimated ranges."""
         return self._by_flow(cues)[1]
 
     def _by_flow(self, cues: DepthCues) -> tuple[Array, Array]:
@@ -160,7 +156,6 @@ class BySize(DepthSource):
     needs_size: ClassVar[bool] = True
 
     def points(self, cues: DepthCues) -> Array | None:
-        """The points of the outline."""
         return cues.p_by_size
 
 
@@ -172,7 +167,6 @@ class OracleDepth(DepthSource):
     true: ClassVar[bool] = True
 
     def points(self, cues: DepthCues) -> Array:
-        """The true places of the markers."""
         if cues.p_true is None:
             raise ParameterError.excluded("depth", "oracle without detector oracle", works="pnp, constant, goal, estimate or sensor")
         return cues.p_true
@@ -269,7 +263,6 @@ class Triangulated(DepthSource):
     camera: str
 
     def points(self, cues: DepthCues) -> Array | None:
-        """The middles."""
         return cues.p_by_pair
 
 

@@ -155,7 +155,6 @@ class Ideal(DepthSensor):
     sigma_m: Distance = 0.0
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
-        """sigma_m everywhere."""
         return np.full_like(z, self.sigma_m) if self.sigma_m else None
 
 
@@ -214,7 +213,6 @@ class StructuredLight(DepthSensor):
     noise_scale: GainOrZero = 1.0
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
-        """As the class says."""
         steep = theta / (np.float32(math.pi / 2) - theta)
         sigma = 0.0012 + 0.0019 * (z - 0.4) ** 2 + 0.0001 / np.sqrt(z) * steep * steep
         return np.asarray(self.noise_scale * sigma, np.float32) if self.noise_scale else None
@@ -245,7 +243,6 @@ class TimeOfFlight(DepthSensor):
     flies: ClassVar[bool] = True
 
     def sigma(self, z: DepthImage, theta: DepthImage, f: float) -> DepthImage | None:
-        """As the class says."""
         steep = theta / (np.float32(math.pi / 2) - theta)
         sigma = 1.5 - 0.5 * z + 0.3 * z * z + 0.1 * z * np.sqrt(z) * steep * steep
         return np.asarray(1e-3 * self.noise_scale * sigma, np.float32) if self.noise_scale else None

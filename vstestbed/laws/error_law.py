@@ -146,7 +146,6 @@ class ErrorLaw(Law[ErrorState], ABC):
         return 3 if self._reads[1] else Law.markers_needed(self, basis)
 
     def init(self, goal: Goal) -> ErrorState:
-        """Nothing measured so far."""
         return ErrorState(np.full(self.extra_size, np.nan))
 
     def step(self, state: ErrorState, observation: Observation, goal: Goal, basis: Array) -> tuple[ErrorState, Command]:

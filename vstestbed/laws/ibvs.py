@@ -132,7 +132,6 @@ class IBVS(ErrorLaw):
         return self.feature.rows_per_marker == 0 or isinstance(self.feature, LineFeature)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """Refuse a goal view at which the feature cannot work, by its `check_goal`."""
         check_goal(self.feature, goal)
 
     def markers_needed(self, basis: Array) -> int:
@@ -142,7 +141,6 @@ class IBVS(ErrorLaw):
         return max(self.feature.least_markers, math.ceil(basis.shape[1] / rows) if rows else 0)
 
     def free_motions(self, J: Array, e: Array, x: Array | None, basis: Array) -> Motions:
-        """Those of `projection`, of a law that is redundant."""
         return self.projection.free(self.solve, J @ basis, e, x, basis) if self.redundant and x is not None else ()
 
     def equations(self, view: Any, goal: Any) -> tuple[Array, Array]:

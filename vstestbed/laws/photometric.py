@@ -379,7 +379,6 @@ class Photometric(Law[PhotometricState]):
             raise ParameterError("law", f"{words}, and {LEAST_SIDE} are needed; make one of them smaller")
 
     def init(self, goal: Goal) -> PhotometricState:
-        """No picture so far."""
         return PhotometricState()
 
     def step(self, state: PhotometricState, observation: Observation, goal: Goal, basis: Array) -> tuple[PhotometricState, Command]:

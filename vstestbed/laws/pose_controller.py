@@ -125,7 +125,6 @@ class PoseController(Law[PoseState]):
         return 3 if isinstance(self.depth, PnP) else 2
 
     def init(self, goal: Goal) -> PoseState:
-        """No direction chosen so far."""
         return 0, False
 
     def step(self, state: PoseState, observation: Observation, goal: Goal, basis: Array) -> tuple[PoseState, Command]:

@@ -205,7 +205,6 @@ class Predictive(Law[PlanState]):
         return self._ibvs.markers_needed(basis)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """What `ibvs` with this feature refuses."""
         self._ibvs.check(points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
@@ -219,11 +218,9 @@ class Predictive(Law[PlanState]):
         return IBVS(feature=self.feature, depth=self.depth, feedforward=self.feedforward)
 
     def init(self, goal: Goal) -> PlanState:
-        """No plan so far."""
         return None, None
 
     def prepare(self) -> None:
-        """The solvers of the program, and of `least_squares`."""
         super().prepare()
         load_solver()
 

@@ -69,7 +69,6 @@ class Pursuit(Law[PursuitState]):
         return 3 if isinstance(self.depth, PnP) else 1
 
     def init(self, goal: Goal) -> PursuitState:
-        """Nothing observed so far."""
         return PursuitState()
 
     def step(self, state: PursuitState, observation: Observation, goal: Goal, basis: Array) -> tuple[PursuitState, Command]:

@@ -270,7 +270,6 @@ class QP(Law[ErrorState]):
         return self.law.markers_needed(basis)
 
     def check(self, points: Array, goal: Goal) -> None:
-        """What the law within refuses."""
         self.law.check(points, goal)
 
     def check_view(self, goal: Goal, marker_radius_m: float, called: Callable[[int], str] = str) -> None:
@@ -283,11 +282,9 @@ class QP(Law[ErrorState]):
             raise ParameterError.bound("law.plane_m", "under", words, self.plane_m)
 
     def init(self, goal: Goal) -> ErrorState:
-        """The state of the law within."""
         return self.law.init(goal)
 
     def prepare(self) -> None:
-        """The solvers of the program, and of `least_squares`."""
         super().prepare()
         load_solver()
 

@@ -297,11 +297,9 @@ class Switched(Law[SwitchedState]):
                 )
 
     def init(self, goal: Goal) -> SwitchedState:
-        """The first law is to begin."""
         return SwitchedState(self.laws[0].law.init(goal), barred=(False,) * len(self.laws))
 
     def prepare(self) -> None:
-        """All laws."""
         for part in self.laws:
             part.law.prepare()
 

@@ -361,7 +361,6 @@ class Uncalibrated(Law[UncalibratedState]):
     settled_px: PositivePixels = 0.2
 
     def init(self, goal: Goal) -> UncalibratedState:
-        """Nothing is known."""
         return UncalibratedState(patience_s=self.patience_s)
 
     def step(self, state: UncalibratedState, observation: Observation, goal: Goal, basis: Array) -> tuple[UncalibratedState, Command]:

@@ -305,7 +305,6 @@ class Arm(Realistic):
         return self.geometry_error is not None and self.geometry_error.draws
 
     def drawn(self, rng: np.random.Generator) -> Self:
-        """The same arm with the errors of its geometry drawn from `rng`."""
         given = self.geometry_error
         error = given and given.drawn(len(self.chain.names), rng)
         return self if error is given else replace(self, geometry_error=error)
@@ -400,7 +399,6 @@ class Arm(Realistic):
         return read
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """With the wrist's sensor its reading."""
         return RobotLog(supervisor) if self.wrist is None else WristLog(supervisor)
 
     def configuration(self) -> Array:
@@ -417,7 +415,6 @@ class Arm(Realistic):
         return replace(self, start=replace(self.start, nominal=Positions(q_deg=tuple(given.tolist()))))
 
     def randomised(self, rng: np.random.Generator) -> Self:
-        """The same arm with a start drawn within the box, clipped to the joint limits."""
         box, chain = random_of(self.start, "{q_deg: 15}"), self.chain
         drawn = np.array(self.start.nominal.q_deg) + rng.uniform(-1, 1, len(chain.names)) * np.where(chain.slides, box.slide_m, box.q_deg)
         low, high = np.where(chain.slides, chain.limits.T, np.degrees(chain.limits.T))
@@ -428,7 +425,6 @@ class Arm(Realistic):
         return self.chain.kinematics(q)
 
     def start_joints(self) -> Array:
-        """The configuration itself."""
         return self.configuration()
 
     def flange_pose(self, configuration: Array) -> Array:
@@ -572,6 +568,5 @@ class WristLog(RobotLog):
     columns = (*RobotLog.columns, *(f"wrist_{part}{axis}" for part in "fm" for axis in "xyz"))
 
     def row(self, state: RobotState) -> Array:
-        """Values at one exposure."""
         assert state.reading.wrench is not None
         return np.append(super().row(state), state.reading.wrench)

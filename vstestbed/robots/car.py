@@ -485,7 +485,6 @@ class Car(Vehicle, Onboard):
         return np.array([0.0, setpoint[1]])
 
     def begin(self) -> Servos:
-        """At rest, wheels straight."""
         return 0.0, 0.0, 0.0, 0.0
 
     def actuate(self, state: Servos, setpoint: Array, reading: Reading, dt: float) -> tuple[Servos, Array]:

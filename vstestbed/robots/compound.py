@@ -110,7 +110,6 @@ class Compound(Arm):
 
     @property
     def largest_torques(self) -> Array:
-        """Forces and torque of all four wheels, and those of the arm."""
         force = 4 * self.platform.motor_torque_nm / self.platform.wheel_radius_m
         return np.concatenate([[force, force, force * self._lever_m], self.arm.largest_torques])
 

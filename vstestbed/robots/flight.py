@@ -325,7 +325,6 @@ class Failsafe(Supervisor):
         return self.lands or self.mode in (SINKS, OFF)
 
     def down(self, t: float) -> bool:
-        """Whether the rotors have been off for DOWN_S."""
         # NaN while they are on: the comparison is False then.
         return t - self.off_at >= DOWN_S
 

@@ -69,7 +69,6 @@ class Free(Robot):
         return self.start.nominal.T.ravel()
 
     def randomised(self, rng: np.random.Generator) -> Free:
-        """The same camera with a start drawn from the box."""
         box = random_of(self.start, "{xyz: [.2, .2, .2]}")
         if isinstance(box, PumaStart):
             # By the arm's own draw, joint by joint: the same random numbers give the arm's flange pose of the same seed.
@@ -94,7 +93,6 @@ class Free(Robot):
         return configuration.reshape(4, 4)
 
     def motion_basis(self, mount: Mount, q: Array) -> Array:
-        """All six degrees of freedom."""
         return ALL_SIX
 
     def measured_twist(self, before: Reading, now: Reading, duration: float, commanded: Array, mount: Mount) -> Array:

@@ -81,7 +81,6 @@ class ComputedTorque(InnerLoop):
     damping: DampingRatio = 1.0
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
-        """See the class."""
         w = self.bandwidth_radps
         return arm.dynamics.inverse(q, qd, w * w * (q_ref - q) + 2 * self.damping * w * (setpoint - qd))
 
@@ -115,7 +114,6 @@ class Impedance(InnerLoop):
     takes_wrench: ClassVar[bool] = True
 
     def torque(self, arm: ArmModel, q: Array, qd: Array, q_ref: Array, setpoint: Array) -> Array:
-        """See the class."""
         n, at = len(q), self.at.T
         (T, J), T_ref = arm.chain.kinematics(q), arm.chain.kinematics(q_ref)[0]
         J = adjoint(inverse(at)) @ J

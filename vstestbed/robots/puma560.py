@@ -131,7 +131,6 @@ class Puma560(Arm):
 
     @property
     def largest_torques(self) -> Array:
-        """Those of its motors."""
         return np.array(MOTOR_TORQUES)
 
     @property

@@ -116,7 +116,6 @@ class FlightLog(RobotLog):
         self.columns = (*estimate, *reference, *added, "supervisor", *(("battery_v",) if battery else ()))
 
     def row(self, state: RobotState) -> Array:
-        """Values at one exposure."""
         reading = state.reading
         assert isinstance(reading, FlightReading) and reading.tilt is not None
         roll, pitch = reading.tilt.tolist()
@@ -264,11 +263,9 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         return replace(self, start=FlightStart(nominal=FlightPose(xyz=(x, y, z), yaw_deg=math.degrees(yaw)), random=self.start.random))
 
     def supervisor(self, lands: bool, lost_after_s: float, lost_after_m: float) -> Failsafe:
-        """The failsafe."""
         return Failsafe(lost_after_s, lost_after_m, lands=lands)
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """Estimates, references of the loops, wind, rotors, mode of the failsafe."""
         return FlightLog(supervisor, battery=self.battery is not None)
 
     def stopping(self, setpoint: Array, elapsed_s: float) -> Array:
@@ -375,7 +372,6 @@ class Quadrotor(FlightBlocks, Realistic, Onboard):
         return upright and near and (stopped or sum(state.W) < 4 * 0.9 * self.parameters.hover)
 
     def reported(self, state: Flight, reading: Instruments) -> FlightReading:
-        """The range and the onboard estimate."""
         attitude = state.attitude
         tilt = np.array([attitude.roll, attitude.pitch])
         estimate = FlightEstimate(

@@ -86,7 +86,6 @@ class VehicleLog(RobotLog):
         self._before: RobotState | None = None
 
     def row(self, state: RobotState) -> Array:
-        """Places and slip at one exposure."""
         # Odometry counts from (0, 0, 0) in the vehicle's own frame at the start.
         x, y, heading = state.odometry
         c, s = self._turn
@@ -189,7 +188,6 @@ class Vehicle(Realistic):
         return np.zeros(3) if odometry is None else odometry
 
     def log(self, supervisor: Supervisor) -> RobotLog:
-        """True place, estimated place, dead reckoning, slip, the supervisor's mode."""
         return VehicleLog(supervisor, self.configuration())
 
     def randomised(self, rng: np.random.Generator) -> Self:

@@ -66,7 +66,6 @@ class Bag(Link):
         self._topics: dict[str, Any] = {}
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
-        """As `Link.publish`."""
         name, kind = self.name(topic), message.__msgtype__
         if name not in self._topics:
             self._topics[name] = self._writer.add_connection(name, kind, typestore=types())
@@ -79,11 +78,9 @@ class Bag(Link):
         """Nobody asks one."""
 
     def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
-        """Nobody answers."""
         return None
 
     def close(self) -> None:
-        """As `Link.close`."""
         self._writer.close()
 
 

@@ -95,7 +95,6 @@ class Zenoh(Link):
         return f"{self.domain}/{self.name(topic).strip('/')}/{package}::msg::dds_::{name}_/{types().hash_rihs01(kind)}"
 
     def publish(self, topic: str, message: Message, now: float = 0.0) -> None:
-        """As `Link.publish`."""
         key = self.key(topic, message.__msgtype__)
         if key not in self._publishers:
             import zenoh
@@ -105,7 +104,6 @@ class Zenoh(Link):
         self._publishers[key].put(to_cdr(message))
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        """As `Link.subscribe`."""
         found = self._session.declare_subscriber(self.key(topic, kind), lambda sample: heard(from_cdr(sample.payload.to_bytes(), kind)))
         self._held.append(found)
 
@@ -113,7 +111,6 @@ class Zenoh(Link):
         return f"{self.domain}/{self.name(service).strip('/')}/std_srvs::srv::dds_::Trigger_"
 
     def serve(self, service: str, answer: Answer) -> None:
-        """As `Link.serve`."""
         key = self._service(service)
 
         def reply(query: Any) -> None:
@@ -123,7 +120,6 @@ class Zenoh(Link):
         self._held.append(self._session.declare_queryable(key, reply))
 
     def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
-        """As `Link.call`."""
         request = to_cdr(made("std_srvs/msg/Trigger_Request", structure_needs_at_least_one_member=0))
         for reply in self._session.get(self._service(service), payload=request, timeout=timeout_s):
             if reply.ok is not None:
@@ -132,7 +128,6 @@ class Zenoh(Link):
         return None
 
     def close(self) -> None:
-        """As `Link.close`."""
         self._session.close()
 
 
@@ -190,7 +185,6 @@ class Rclpy(Link):
         self._node.create_subscription(known, self.name(topic), lambda data: heard(from_cdr(data, kind)), self._quality(topic), raw=True)
 
     def serve(self, service: str, answer: Answer) -> None:
-        """As `Link.serve`."""
 
         def reply(_: Any, response: Any) -> Any:
             response.success, response.message = answer()
@@ -199,7 +193,6 @@ class Rclpy(Link):
         self._node.create_service(self._class(TRIGGER), self.name(service), reply)
 
     def call(self, service: str, timeout_s: float = 2.0) -> tuple[bool, str] | None:
-        """As `Link.call`."""
         kind: Any = self._class(TRIGGER)
         client, end = self._node.create_client(kind, self.name(service)), time.monotonic() + timeout_s
         if not client.wait_for_service(timeout_sec=timeout_s):
@@ -210,7 +203,6 @@ class Rclpy(Link):
         return (asked.result().success, asked.result().message) if asked.done() else None
 
     def close(self) -> None:
-        """As `Link.close`."""
         self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
         self._rclpy.shutdown(context=self._context)

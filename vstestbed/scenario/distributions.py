@@ -60,7 +60,6 @@ class Uniform(Distribution):
     _bounds: ClassVar[str] = "uniform"
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
         return float(rng.uniform(self.uniform[0], self.uniform[1]))
 
 
@@ -91,7 +90,6 @@ class Gaussian(Distribution):
             raise ParameterError("within", words, list(self.within))
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
         (mean, sigma), (low, high) = self.normal, self.within or (-math.inf, math.inf)
         for _ in range(TRIES):
             if low <= (x := mean + sigma * float(rng.standard_normal())) <= high:  # `normal` refuses a sigma of -0.0
@@ -114,7 +112,6 @@ class LogUniform(Distribution):
     _bounds: ClassVar[str] = "log_uniform"
 
     def draw(self, rng: np.random.Generator) -> float:
-        """A number."""
         low, high = self.log_uniform
         return min(max(low * (high / low) ** float(rng.random()), low), high)
 
@@ -134,7 +131,6 @@ class Integer(Distribution):
     _bounds: ClassVar[str] = "integer"
 
     def draw(self, rng: np.random.Generator) -> int:
-        """A whole number."""
         return int(rng.integers(self.integer[0], self.integer[1], endpoint=True))
 
 
@@ -152,7 +148,6 @@ class Chosen(Distribution):
     choice: Annotated[tuple[bool | Whole | Finite | str | tuple[Finite, ...], ...], Len(1, 1000)]
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """One of them."""
         value = self.choice[int(rng.integers(len(self.choice)))]
         return list(value) if isinstance(value, tuple) else value
 

@@ -163,14 +163,15 @@ def _scalar(node: _Node, file: str) -> Any:
     if text in _WORDS:
         return _WORDS[text]
     try:
-        if found := re.fullmatch(r"[-+]?[0-9][0-9_]*|0o[0-7]+|0x[0-9a-fA-F]+", text):
+        if _INTEGER.fullmatch(text):
             return int(text, 0 if text[:2] in ("0o", "0x") else 10)
-        found = re.fullmatch(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?", text)
-        return float(text) if found else text
+        return float(text) if _FLOAT.fullmatch(text) else text
     except ValueError as error:
         raise _not_yaml(node.place, " ".join(str(error).split())) from None
 
 
+_INTEGER = re.compile(r"[-+]?[0-9][0-9_]*|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9][0-9_]*(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _CORE = "tag:yaml.org,2002:"
 _WORDS = {"": None, "~": None, "null": None, "Null": None, "NULL": None}
 _WORDS |= {word: word.lower() == "true" for word in ("true", "True", "TRUE", "false", "False", "FALSE")}
@@ -189,8 +190,8 @@ def _mark(node: _Node, key: Key, marks: Marks, file: str) -> None:
     if node.kind == "scalar":
         return
     marks.setdefault(key, node.place)
-    inner = _fields(node, file) if node.kind == "mapping" else {i: (item.place, item) for i, item in enumerate(node.parts)}
-    marks.update({(*key, name): place or marks[key] for name, (place, _) in inner.items()})
+    inner = _fields(node, file) if node.kind == "mapping" else {i: (item, item) for i, item in enumerate(node.parts)}
+    marks.update({(*key, name): at.place if at else marks[key] for name, (at, _) in inner.items()})
     for name, (_, item) in inner.items():
         _mark(item, (*key, name), marks, file)
 
@@ -210,20 +211,20 @@ def bundled_mapping(path: Path) -> dict[str, Any]:
     return {} if tree is None else _value(tree, str(path))
 
 
-def _fields(node: _Node, file: str) -> dict[str, tuple[str, _Node]]:
-    """The fields of a mapping, each with its place and node; those from a merge key (`<<`), which stand elsewhere, have none."""
-    merged, own = dict[str, tuple[str, _Node]](), dict[str, tuple[str, _Node]]()
+def _fields(node: _Node, file: str) -> dict[str, tuple[_Node | None, _Node]]:
+    """The nodes of key and value of a mapping's fields, by their names; those from a merge key (`<<`) have no key here."""
+    merged, own = dict[str, tuple[_Node | None, _Node]](), dict[str, tuple[_Node | None, _Node]]()
     for name, value in node.pairs():
         sources = (value.parts if value.kind == "list" else [value]) if name.text == "<<" else []
         if name.kind != "scalar" or any(source.kind != "mapping" for source in sources):
             raise ScenarioError([Mistake(name.place, "", "holds YAML beyond plain mappings, lists and values")])
         if name.text == "<<":
             for source in sources:
-                merged = {inner: ("", held) for inner, (_, held) in _fields(source, file).items()} | merged
+                merged = {inner: (None, held) for inner, (_, held) in _fields(source, file).items()} | merged
         elif name.text in own:
             raise ScenarioError([Mistake(name.place, name.text, "stands here for the second time in its block; keep one of the two")])
         else:
-            own[name.text] = name.place, value
+            own[name.text] = name, value
     return own | {name: field for name, field in merged.items() if name not in own}
 
 

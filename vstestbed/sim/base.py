@@ -326,7 +326,6 @@ class OtherEye(PlantCamera):
         self._plant._show()
 
     def reading(self) -> Reading:
-        """The robot's, now."""
         return self._plant.reading()
 
     def truth(self) -> Truth:

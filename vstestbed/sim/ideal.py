@@ -73,7 +73,6 @@ class IdealPlant(Plant):
             self._stage.place(self._t, self._T_world_target, NONE, self._T)
 
     def reading(self) -> Reading:
-        """No joints."""
         return NO_JOINTS
 
     def _actuate(self) -> None:

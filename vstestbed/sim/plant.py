@@ -360,7 +360,6 @@ class MujocoPlant(Plant):
             mujoco.mj_kinematics(stage.model, stage.data)
 
     def truth(self) -> Truth:
-        """The truth, now."""
         # dm_control's step ends with `mj_step1`: poses and velocities are those of the present time. After MuJoCo's own `mj_step` they
         # would be one step old, .5 mm for a fast arm.
         stage = self._stage
@@ -469,7 +468,6 @@ class MujocoPlant(Plant):
         self._pushes, self._push_ends = True, self._steps + max(1, round(duration_s / self.step_s))
 
     def close(self) -> None:
-        """Free pictures and physics."""
         self._loops = []  # methods of this object: a cycle, which would keep the model until the garbage collector runs
         super().close()
 

@@ -80,7 +80,6 @@ class GroundLines(Target):
 
     @property
     def painted_route(self) -> Route:
-        """The route that the lines follow."""
         return self.route
 
     @property

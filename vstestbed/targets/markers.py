@@ -86,7 +86,6 @@ class RoundMarker(Marker):
     hues: Annotated[tuple[Hue, ...], Len(0, 24)] = ()
 
     def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse markers that overlap, and another number of colours."""
         if self.hues and len(self.hues) != count:
             raise ParameterError.count("marker.hues", count, "colours, one for each marker, or none", list(self.hues))
         if gap <= 2 * self.radius:
@@ -173,11 +172,9 @@ class Tag(Marker):
         return "box", (self.tile / 2, self.tile / 2, HALF_THICKNESS_M)
 
     def looks(self, count: int) -> str:
-        """Family and numbers."""
         return f"tags of family {self.family}, number {self.first_id} to {self.first_id + count - 1}"
 
     def check_spacing(self, gap: float, count: int) -> None:
-        """Refuse tags that overlap, and numbers beyond the family's last."""
         if gap <= 2 * self.radius:
             most = gap / 2 / self.radius * self.size
             why = f"with its quiet zone a tag takes the room of a circle round it, and markers are {gap:.4g} m apart"
@@ -244,5 +241,4 @@ class Outline(Marker):
     radius = 0.0
 
     def looks(self, count: int) -> str:
-        """The region."""
         return "a region of the target's colour"

@@ -181,7 +181,6 @@ class MeshTarget(Target):
 
     @property
     def source(self) -> Path:
-        """The solid's file."""
         return place_of_file(self.file)
 
     @cached_property
@@ -198,7 +197,6 @@ class MeshTarget(Target):
 
     @property
     def body(self) -> Body:
-        """The solid."""
         return self._triangles, (self.color[0], self.color[1], self.color[2]), True
 
     def hides(self, T_target_camera: Array) -> NDArray[np.bool_]:

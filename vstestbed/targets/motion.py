@@ -77,7 +77,6 @@ class Still(MotionBase):
     by_itself: ClassVar[bool] = False
 
     def path(self, rng: np.random.Generator) -> Path:
-        """No displacement."""
         D = np.eye(4)  # one array for all times: nobody writes to a displacement
         return lambda t: D
 
@@ -97,7 +96,6 @@ class Line(MotionBase):
     until_s: PositiveTime = 1e9
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time."""
         v = np.array(self.velocity_mps)
         return lambda t: _shift(*(v * (min(max(t, self.from_s), self.until_s) - self.from_s)))
 
@@ -118,7 +116,6 @@ class Circle(MotionBase):
     phase_deg: Angle = 0.0
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time."""
         r, w, start = self.radius_m, 2 * math.pi * self.frequency_hz, math.radians(self.phase_deg)
         return lambda t: _shift(r * math.cos(w * t + start), r * math.sin(w * t + start), 0.0)
 
@@ -137,7 +134,6 @@ class Sinusoid(MotionBase):
     frequency_hz: Frequency
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time."""
         xyz, rpy = np.array(self.amplitude.xyz), np.array(self.amplitude.rpy_deg)
         w = 2 * math.pi * self.frequency_hz
 
@@ -167,7 +163,6 @@ class Lissajous(MotionBase):
     phase_deg: Angles = (0.0, 0.0, 0.0)
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time."""
         a, w, start = np.array(self.amplitude_m), 2 * math.pi * np.array(self.frequency_hz), np.radians(self.phase_deg)
         return lambda t: _shift(*(a * np.sin(w * t + start)))
 
@@ -196,7 +191,6 @@ class RandomWalk(MotionBase):
     draws: ClassVar[bool] = True
 
     def path(self, rng: np.random.Generator) -> Path:
-        """The displacement as a function of time."""
         F, chol = self.exact_step(DRAW_S)
         states, rms = [np.zeros((2, 3))], np.array(self.rms_m)
 

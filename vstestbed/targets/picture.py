@@ -191,7 +191,6 @@ class PictureTarget(Target):
 
     @property
     def source(self) -> Path:
-        """The picture's file."""
         return place_of_picture(self.file)
 
     def repainted(self, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> Self:
@@ -218,7 +217,6 @@ class PictureTarget(Target):
 
     @property
     def sheet(self) -> Self:
-        """Itself."""
         return self
 
     @property

@@ -232,7 +232,6 @@ class DiscFigure(Figure):
         return self.radius * math.sqrt(2 * math.pi / (n * math.sin(2 * math.pi / n))) * unit_circle(n)
 
     def outline(self, count: int) -> Array:
-        """Points on the circle."""
         return self.radius * unit_circle(count)
 
 
@@ -322,7 +321,6 @@ class OneRegion(Target):
 
     @cached_property
     def hues_deg(self) -> tuple[float, ...]:
-        """The region's hue, for each point."""
         return (self.hue_deg % 360,) * len(self.points)
 
     @property
@@ -387,7 +385,6 @@ class Shape(OneRegion):
 
     @property
     def body(self) -> Body:
-        """The region, a sheet without thickness."""
         return self._triangles, self._rgb, self.marker.lit
 
     @cached_property
@@ -433,7 +430,6 @@ class Ball(OneRegion):
 
     @property
     def body(self) -> Body:
-        """The ball."""
         return self.radius, self._rgb, self.marker.lit
 
     def points_at(self, T_camera_target: Array) -> Array:
@@ -468,7 +464,6 @@ class Ball(OneRegion):
         return n / math.sqrt(size2) * (self.radius / sine)
 
     def round_outline(self, ray: Array) -> tuple[Array, Array] | None:
-        """That of the ball which the rays touch best."""
         centre = self.centre_of(ray)
         if centre is None:
             return None

@@ -90,7 +90,6 @@ class Continuing(Task):
         return 0.0
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> TaskMonitor:
-        """Monitor of the tolerance."""
         return ToleranceMonitor(self, setup, len(self.goal_poses(setup.target, setup.camera.mount.T)), supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
@@ -99,7 +98,6 @@ class Continuing(Task):
         return {"worst_task_error_m": None if np.isnan(worst) else worst}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """The largest true error after `settle_s`."""
         return at_worst(log, "task_error_m", self.tolerance_m, self.settle_s)
 
 
@@ -120,7 +118,6 @@ class ToleranceMonitor(TaskMonitor):
         self._error_m = np.nan
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
-        """The true error."""
         T_base, T_target = frame.T_world_base(self.mount_inverse), frame.truth.T_world_target
         self._error_m = self.task.error_m(self.setup, T_base, T_target, frame.t)
         return (self._error_m,)

@@ -81,14 +81,12 @@ class GoalGap(Continuing):
         """Nothing: the goal is a distance, not a view, and markers may be out of the picture there."""
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The target straight ahead at the gap, its carrier at the vehicle's heading."""
         # The gap counts from the target's origin: its place on the carrier is dropped, its height and orientation stay.
         carrier = target.pose.T.copy()
         carrier[:2, 3] = 0.0
         return (inverse(mount) @ pose_on_ground(np.array([self.gap_m, 0.0, 0.0])) @ carrier,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """With the gap."""
         return tuple(replace(view, gap_m=self.gap_m) for view in super().goal_views(setup))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
@@ -96,7 +94,6 @@ class GoalGap(Continuing):
         return math.dist(T_world_base[:2, 3], T_world_target[:2, 3]) - self.gap_m
 
     def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
-        """Of leader and follower, where the target is carried."""
         # Without them a run could be completed behind a leader that is stuck, or by a follower that stands while the leader circles it.
         if setup.target.carrier is None:
             return (), None
@@ -172,7 +169,6 @@ class GoalLine(Continuing):
         return (np.full((4, 4), np.nan),)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The points measured on a straight line, `offset_m` to its left."""
         mount = setup.believed_camera.mount.T
         ahead = _lines(setup.target).straight_ahead(mount, self.offset_m)
         if not np.isfinite(ahead).all():
@@ -186,7 +182,6 @@ class GoalLine(Continuing):
         return _lines(setup.target).route.beside(here) - self.offset_m
 
     def least_speeds(self, setup: Setup) -> tuple[tuple[MinSpeed, ...], Odometer | None]:
-        """That of the law's cruising speed, along the route."""
         v, odometer = setup.law.cruise_mps, along_route(_lines(setup.target).route)
         return () if v is None else (("the vehicle, along its line,", v, STEADY * v),), odometer
 

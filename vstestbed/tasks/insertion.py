@@ -117,15 +117,12 @@ class GoalInsertion(Task):
         return self.depth_m or target.socket.depth
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The view with the tip before the mouth."""
         return (self.pose(target, mount, 0.0),)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
-        """The view with the plug at its depth."""
         return self.pose(setup.target, setup.camera.mount.T, self.standoff_m + self.depth_in(setup.target))
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Approach:
-        """Before the mouth."""
         return Approach(setup)
 
     def reference(self, state: Approach, seen: Observation) -> tuple[Approach, Goal]:
@@ -163,7 +160,6 @@ class GoalInsertion(Task):
         return replace(goal, twist=np.concatenate([speed_mps * goal.T_camera_target[:3, 2], np.zeros(3)]), moves=True)
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> InsertionMonitor:
-        """Monitor of depth and force."""
         return InsertionMonitor(self, setup, supervisor)
 
     def metrics(self, log: Log) -> dict[str, float | None]:
@@ -172,7 +168,6 @@ class GoalInsertion(Task):
         return {"insertion_m": float(depth[-1]), "largest_force_n": float(np.nanmax(force))}
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:
-        """What is missing of the depth."""
         return at_the_end(log, "task_error_m", DEEP_ENOUGH_M)
 
 
@@ -198,7 +193,6 @@ class InsertionMonitor(TaskMonitor):
         self.depth_m = self.offset_m = math.nan
 
     def task_error(self, frame: Frame) -> tuple[float, ...]:
-        """Depth, offset, and what is missing."""
         T = inverse(frame.truth.T_world_target) @ frame.T_world_base(self.mount_inverse)
         x, y, z = T[:3, :3] @ self._tip + T[:3, 3]
         self.depth_m, self.offset_m = float(z + self._socket.depth), math.hypot(x - self._socket.xy[0], y - self._socket.xy[1])

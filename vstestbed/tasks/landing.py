@@ -59,13 +59,11 @@ class GoalLanding(Task):
     view_fields: ClassVar[tuple[str, ...]] = ("goal.above",)
 
     def check(self, setup: Setup) -> None:
-        """The target must have a pad."""
         super().check(setup)
         if setup.target.pad is None:
             raise ParameterError.missing("target.pad", "goal of kind landing needs one, e.g. {side: 0.9}")
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The view from which the descent starts."""
         return (self.above.T,)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
@@ -77,7 +75,6 @@ class GoalLanding(Task):
         return T
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Descent:
-        """At full height."""
         return Descent(setup)
 
     def reference(self, state: Descent, seen: Observation) -> tuple[Descent, Goal]:
@@ -115,7 +112,6 @@ class GoalLanding(Task):
         return bool(ready and np.degrees(turned) < self.within_deg)
 
     def monitor(self, setup: Setup, supervisor: Supervisor) -> LandingMonitor:
-        """Monitor of the touch-down."""
         return LandingMonitor(self, setup, supervisor)
 
     def judged(self, log: Log, stop: Stop) -> JudgedError:

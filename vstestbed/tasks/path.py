@@ -85,15 +85,12 @@ class GoalPath(Continuing):
         return float(self._until[-1])
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """Those of the views on the path."""
         return tuple(view.T_camera_target.T for view in self.way)
 
     def goal_pose_at(self, setup: Setup, poses: tuple[Array, ...], t: float, view: int) -> Array:
-        """The reference at that time."""
         return self.at(t)[0]
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The views on the path, with their numbers."""
         return tuple(replace(goal, view=i) for i, view in enumerate(self.way) for goal in view.goal_views(setup))
 
     @property
@@ -102,22 +99,18 @@ class GoalPath(Continuing):
         return tuple(f"goal.way.{i}.T_camera_target" for i in range(len(self.way)))
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Each view, with its own markers."""
         for i, view in enumerate(self.way):
             view.check_counted(setup, f"goal.way.{i}.markers")
         super().check_views(setup, views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Setup:
-        """The parts from which views are computed."""
         return setup
 
     def reference(self, state: Setup, seen: Observation) -> tuple[Setup, Goal]:
-        """The view at this time, with the velocity of the reference camera."""
         T, view = self.at(seen.t)
         return state, replace(view_from(state, lambda _: T, view), twist=self.twist_at(seen.t))
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
-        """Distance of the camera from the path."""
         return self.off(inverse(T_world_target) @ T_world_base @ setup.camera.mount.T, t)
 
     def at(self, t: float) -> tuple[Array, int]:
@@ -225,22 +218,18 @@ class GoalViews(Task):
             )
 
     def check(self, setup: Setup) -> None:
-        """Also the checks of each view."""
         super().check(setup)
         for view in self.views:
             view.check(setup)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """Those of each view."""
         return tuple(pose for view in self.views for pose in view.goal_poses(target, mount))
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """Each view, with its number."""
         return tuple(replace(goal, view=i) for i, view in enumerate(self.views) for goal in view.goal_views(setup))
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """Of each view."""
         return tuple(picture for view in self.views for picture in view.pictures)
 
     @property
@@ -249,13 +238,11 @@ class GoalViews(Task):
         return tuple(view.view_fields[0].replace("goal.", f"goal.views.{i}.") for i, view in enumerate(self.views))
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """Each view, with its own markers."""
         for i, view in enumerate(self.views):
             view.check_counted(setup, f"goal.views.{i}.markers")
         super().check_views(setup, views)
 
     def begin(self, setup: Setup, views: tuple[Goal, ...]) -> Passage:
-        """At the first view."""
         return Passage(setup, views)
 
     def reference(self, state: Passage, seen: Observation) -> tuple[Passage, Goal]:
@@ -300,7 +287,6 @@ class GoalViews(Task):
         return super().judged(log, stop)
 
     def distance_to_go_m(self, log: Log, goal_poses: tuple[Array, ...]) -> float:
-        """To the last view."""
         # Not the log's position error, which is that of the current view: the first one, at the start.
         target = np.array([log[f"tgt_{a}"][0] for a in "xyz"]), np.array([log[f"tgt_q{a}"][0] for a in "wxyz"])
         T_goal = pose_from(*target) @ inverse(goal_poses[-1])

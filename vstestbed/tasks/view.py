@@ -40,16 +40,13 @@ class GoalView(Task):
     view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """The picture taken at the pose."""
         return (self.picture,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The view with the markers that count."""
         views = super().goal_views(setup)
         if self.markers is None:
             return views
@@ -57,7 +54,6 @@ class GoalView(Task):
         return tuple(replace(view, counted=np.isin(np.arange(len(setup.target.points)), numbers)) for view in views)
 
     def check_views(self, setup: Setup, views: tuple[Goal, ...]) -> None:
-        """The markers that count must exist and be enough for the law."""
         self.check_counted(setup, "goal.markers")
         super().check_views(setup, views)
 
@@ -95,16 +91,13 @@ class GoalViewFrom(Task):
     needs_still: ClassVar[bool] = True
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The target seen from the place, through the mount."""
         return (inverse(self.view_from.T @ mount) @ target.pose.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The view with the vehicle's place."""
         return tuple(replace(view, place=self.view_from.place) for view in super().goal_views(setup))
 
     @property
     def pictures(self) -> tuple[GoalPicture, ...]:
-        """The picture taken from the place."""
         return (self.picture,)
 
     def check_counted(self, setup: Setup, field: str) -> None:
@@ -145,11 +138,9 @@ class GoalPlace(Task):
         """Nothing: the goal is a place, and markers may be out of the picture there."""
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The target seen from the place, through the mount."""
         return (inverse(self.pose.T @ mount) @ target.pose.T,)
 
     def goal_views(self, setup: Setup) -> tuple[Goal, ...]:
-        """The view with the place, which the law uses."""
         return tuple(replace(view, place=self.pose.place) for view in super().goal_views(setup))
 
 
@@ -171,10 +162,8 @@ class GoalTrack(Continuing):
     view_fields: ClassVar[tuple[str, ...]] = ("goal.T_camera_target",)
 
     def goal_poses(self, target: Target, mount: Array) -> tuple[Array, ...]:
-        """The pose, whatever the mount."""
         return (self.T_camera_target.T,)
 
     def error_m(self, setup: Setup, T_world_base: Array, T_world_target: Array, t: float) -> float:
-        """Distance of the camera from its goal pose."""
         T_camera = T_world_base @ setup.camera.mount.T
         return rigid_error(T_camera, T_world_target @ inverse(self.T_camera_target.T))[0]

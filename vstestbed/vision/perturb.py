@@ -74,7 +74,6 @@ class Erasing(PerturbationBase):
         check_range(self, "area")
 
     def picture(self, state: None, image: Image, t: float, rng: np.random.Generator) -> Image:
-        """With the rectangle."""
         if rng.random() >= self.probability:
             return image
         height, width = image.shape[:2]
@@ -112,7 +111,6 @@ class ColorJitter(PerturbationBase):
         return self._factors(rng)
 
     def picture(self, state: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
-        """With the run's factors, or with its own."""
         b, c, s = (state if self.each == "run" else self._factors(rng)).astype(np.float32)
         contrasted = c * (image.astype(np.float32) - np.float32(GREY)) + np.float32(GREY)
         grey = (contrasted @ LUMA)[..., None]
@@ -151,7 +149,6 @@ class Shadow(PerturbationBase):
         return rng.random(3) * [2 * np.pi, 1, 0.5] - [0, 0, 0.25]
 
     def picture(self, state: Array, image: Image, t: float, rng: np.random.Generator) -> Image:
-        """With the shadow."""
         height, width = image.shape[:2]
         angle, begun, beside = state
         reach = (np.hypot(1, height / width) + self.width + self.edge) / 2
@@ -183,7 +180,6 @@ class Outliers(PerturbationBase):
     changes: ClassVar[tuple[str, ...]] = ("pixels",)
 
     def pixels(self, state: None, uv: Array, t: float, rng: np.random.Generator) -> Array:
-        """With the errors."""
         hit = rng.random(len(uv)) < self.probability
         r, a = self.radius_px * np.sqrt(rng.random(len(uv))), rng.uniform(0, 2 * np.pi, len(uv))
         return uv + np.where(hit[:, None], np.column_stack([r * np.cos(a), r * np.sin(a)]), 0.0)

@@ -374,7 +374,6 @@ class MatchOverlay(Overlay):
         self._point, self._ring = max(1.6, height / 140), max(4.0, height / 75)
 
     def marks(self, image: Image, uv: Array, goal_uv: Array | None) -> None:
-        """Draw the matches alone."""
         uv = self._drawable(uv)
         seen = np.isfinite(uv).all(axis=1)
         if goal_uv is not None:
