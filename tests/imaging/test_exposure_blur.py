@@ -17,7 +17,7 @@ from vstestbed.imaging.exposure import AutoExposure, ExposureControl
 from vstestbed.imaging.sensor import SensorNoise
 from vstestbed.imaging.shutter import Opening
 from vstestbed.sim.base import Plant
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.timing.plan import Shutter, Timing
 
 STEP, PER_FRAME, SPEED = 0.002, 20, -2.0
@@ -33,7 +33,7 @@ def scenario(exposure: dict[str, Any], settings: dict[str, Any] | None = None, *
 
 
 def plant_of(s: vs.Scenario) -> Plant:
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False)[0]
+    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=True, needs_truth=False))[0]
 
 
 def flown(exposure_s: float) -> Array:

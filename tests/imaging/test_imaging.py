@@ -16,7 +16,7 @@ from vstestbed.loop.plants import take_goal_images
 from vstestbed.scenario.randomise import IMAGING_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.sim.replay import Replay, Rerendering
 
 SMALL = {"camera.width": 160, "camera.height": 120}
@@ -37,7 +37,8 @@ def scenario(changes: dict[str, Any], name: str = "arm_ibvs") -> Scenario:
 @contextmanager
 def plant(s: Scenario, seed: int = 3, sigma: float = 0.0) -> Iterator[Plant]:
     random = {"rng": np.random.default_rng(8), "imaging_rng": np.random.default_rng(seed)}
-    made, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False, image_sigma=sigma, **random)
+    pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=sigma, **random)
+    made, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)
     with closing(made):
         yield made
 

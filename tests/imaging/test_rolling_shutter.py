@@ -17,7 +17,7 @@ from vstestbed.core.geometry import Array, exp, inverse, transform
 from vstestbed.imaging.shutter import of_rows
 from vstestbed.loop.shutter import RowViews
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.timing.plan import Shutter, Timing
 from vstestbed.vision.base import TruthView
 
@@ -42,7 +42,7 @@ def scene(lens: str, renderer: str, readout_s: float, **settings: Any) -> vs.Sce
 
 
 def plant_of(s: vs.Scenario) -> Plant:
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False)[0]
+    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=True, needs_truth=False))[0]
 
 
 def taken(s: vs.Scenario, twist: list[float], regions: Regions | None = None) -> tuple[Picture, Truth]:

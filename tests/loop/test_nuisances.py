@@ -21,7 +21,7 @@ import pytest
 
 import vstestbed as vs
 from vstestbed.imaging.sensor import Drift
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 
 QUICK = {"law.gain": 2.0, "stop.converged.error_px": 0.5}
 SHADOW = {  # between the light, straight above and behind, and the board; the shadow crosses the board within four seconds
@@ -44,18 +44,8 @@ DECOYS = [
 def picture(setting, t: float = 0.0) -> np.ndarray:
     """The servo camera's picture of arm_ibvs at a time, the arm at rest at its start."""
     s = vs.load("arm_ibvs", setting)
-    plant, _ = build_plant(
-        s.robot,
-        s.camera,
-        s.target,
-        s.world,
-        s.physics,
-        needs_image=True,
-        needs_truth=False,
-        image_sigma=s.noise.image_sigma,
-        rng=s.rng(1),
-        drift=s.noise.drift,
-    )
+    pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=s.noise.image_sigma, rng=s.rng(1), drift=s.noise.drift)
+    plant, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)
     plant.advance(round(t / plant.step_s))
     frame = plant.capture(None)[0]
     assert frame is not None and frame.image is not None

@@ -12,7 +12,7 @@ from tests.shortcuts import forward
 from vstestbed.core.geometry import Array, Pose, adjoint, exp, inverse, rigid_error
 from vstestbed.robots import Mount
 from vstestbed.sim.base import Plant, Truth
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 
 MOUNT = {"xyz": [0.03, -0.02, 0.1], "rpy_deg": [20, -30, 50]}
 STEP = 0.002
@@ -26,7 +26,7 @@ def arm() -> Iterator[Build]:
 
     def build(actuation: str = "industrial", mount: dict | None = None) -> Plant:
         s = vs.load("arm_ibvs", {"robot.actuation": actuation, "camera.mount": mount or {}})
-        plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=False, needs_truth=False)
+        plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics)
         assert (plant.step_s, plant.steps_per_frame, renderer) == (STEP, 20, "none")
         made.append(plant)
         return plant
@@ -159,7 +159,7 @@ class TestSpeeds:
 
 def test_the_ideal_camera_moves_by_the_exact_exponential():
     s = vs.load("ibvs_book", {"camera.mount": MOUNT})
-    plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=False, needs_truth=True)
+    plant, renderer = build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(needs_image=False, needs_truth=True))
     start = s.robot.start.nominal.T @ Pose(**MOUNT).T
     twist = np.array([0.3, -0.2, 0.5, 0.4, -0.6, 1.5])
     plant.apply(adjoint(Pose(**MOUNT).T) @ twist)  # the flange's

@@ -59,4 +59,4 @@ def stage_of(robot: Mjcf, step_s: float | None = None) -> Scene:
 def plant_of(robot: Mjcf, step_s: float | None = None) -> Plant:
     """The plant of the arm without pictures."""
     clock = Clock(step_s=step_s)
-    return build_plant(robot, Perspective(), TARGET, World(floor_z=-5.0), clock, needs_image=False, needs_truth=False)[0]
+    return build_plant(robot, Perspective(), TARGET, World(floor_z=-5.0), clock)[0]

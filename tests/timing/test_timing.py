@@ -10,7 +10,7 @@ from vstestbed.camera import Perspective
 from vstestbed.core.errors import ParameterError, ScenarioError
 from vstestbed.core.geometry import exp
 from vstestbed.sim.base import Plant
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.timing.clock import DelayLine
 from vstestbed.timing.plan import Planned, Shutter, Timing
 
@@ -111,8 +111,8 @@ class TestBlur:
             "robot.start": {"nominal": {"xyz": [-0.25, -0.25, 2.4]}},
         }
         s, rng = vs.load("ibvs_book", settings), np.random.default_rng(0)
-        wants = {"needs_image": True, "needs_truth": False, "image_sigma": image_sigma, "rng": rng}
-        return s, build_plant(s.robot, s.camera, s.target, s.world, s.physics, **wants)[0]
+        pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=image_sigma, rng=rng)
+        return s, build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
 
     def picture(self, plant: Plant, exposure_s: float) -> np.ndarray:
         plant.apply(np.array([self.SPEED, 0, 0, 0, 0, 0]))

@@ -11,11 +11,12 @@ from dataclasses import replace
 from vstestbed.camera import Picture
 from vstestbed.core.errors import ParameterError
 from vstestbed.features.observation import Goal, Sight
+from vstestbed.scenario.cameras import OtherCamera
 from vstestbed.scenario.noise import Noise, TargetNoise
 from vstestbed.scenario.randomise import GOAL_STREAM, IMAGE_STREAM, IMAGING_STREAM, MOTION_STREAM, RGBD_STREAM, SENSOR_STREAM
 from vstestbed.scenario.scenario import Scenario
 from vstestbed.sim.base import Plant, flange_for, posture_at
-from vstestbed.sim.build import OtherSensor, build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.tasks.base import GoalPicture
 
 # Inactive effects, on pictures or measured points in a run that has none, are warned of: a comparison would take them for harmless.
@@ -136,31 +137,25 @@ def plant_of(scenario: Scenario, pictures: bool, plate_m: float) -> tuple[Plant,
         scenario.target_in_run,
         scenario.world,
         scenario.physics,
-        needs_image=scenario.needs_image or pictures,
-        needs_truth=scenario.detector.needs_truth,
-        image_sigma=scenario.noise.image_sigma,
-        rng=scenario.rng(IMAGE_STREAM),
-        depth_rng=scenario.rng(RGBD_STREAM),
+        _pictures(scenario, pictures),
         sensor_rng=scenario.rng(SENSOR_STREAM),
         motion_rng=scenario.rng(MOTION_STREAM),
-        imaging_rng=scenario.rng(IMAGING_STREAM),
-        drift=scenario.noise.drift,
-        perturbed=scenario.perturbed(),
         order_s=scenario.timing.order_s(scenario.camera),
         interpolator=scenario.timing.interpolator(*scenario.clock),
         plate_m=plate_m,
-        others=[
-            OtherSensor(
-                eye.viewpoint,
-                needs_image=eye.needs_image or pictures,
-                needs_truth=eye.detector.needs_truth,
-                image_sigma=eye.noise.image_sigma,
-                rng=eye.rng(IMAGE_STREAM),
-                depth_rng=eye.rng(RGBD_STREAM),
-                imaging_rng=eye.rng(IMAGING_STREAM),
-                drift=eye.noise.drift,
-                perturbed=eye.perturbed(),
-            )
-            for eye in scenario.eyes.values()
-        ],
+        others=[(eye.viewpoint, _pictures(eye, pictures)) for eye in scenario.eyes.values()],
+    )
+
+
+def _pictures(of: Scenario | OtherCamera, wanted: bool) -> PictureSetup:
+    """What becomes of the pictures of a scenario's camera, or of a further one; wanted: whether also somebody else looks at them."""
+    return PictureSetup(
+        needs_image=of.needs_image or wanted,
+        needs_truth=of.detector.needs_truth,
+        image_sigma=of.noise.image_sigma,
+        rng=of.rng(IMAGE_STREAM),
+        depth_rng=of.rng(RGBD_STREAM),
+        imaging_rng=of.rng(IMAGING_STREAM),
+        drift=of.noise.drift,
+        perturbed=of.perturbed(),
     )

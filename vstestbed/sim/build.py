@@ -24,18 +24,25 @@ if TYPE_CHECKING:
     from vstestbed.sim.scene.scene import Scene
 
 
-class OtherSensor(NamedTuple):
-    """A further camera of a plant, and what becomes of its pictures; see `build_plant` for what is not said here."""
+class PictureSetup(NamedTuple):
+    """What becomes of a camera's pictures.
 
-    viewpoint: Viewpoint
+    needs_image, needs_truth: whether its detector works on pictures, on truth. image_sigma, rng: noise [grey levels] and its generator.
+    depth_rng, imaging_rng: generators of the noise of the depth camera and of the image sensor (`camera.sensor`). drift: of the camera's
+    gains. perturbed: further changes of the pictures; None for none.
+    """
+
     needs_image: bool
     needs_truth: bool
-    image_sigma: float
-    rng: np.random.Generator
-    depth_rng: np.random.Generator
-    imaging_rng: np.random.Generator
-    drift: Drift
-    perturbed: Perturbed | None
+    image_sigma: float = 0.0
+    rng: np.random.Generator | None = None
+    depth_rng: np.random.Generator | None = None
+    imaging_rng: np.random.Generator | None = None
+    drift: Drift = NO_DRIFT
+    perturbed: Perturbed | None = None
+
+
+NO_PICTURES = PictureSetup(needs_image=False, needs_truth=False)
 
 
 def build_plant(
@@ -44,21 +51,14 @@ def build_plant(
     target: Target,
     world: World,
     clock: Clock,
+    pictures: PictureSetup = NO_PICTURES,
     *,
-    needs_image: bool,
-    needs_truth: bool,
-    image_sigma: float = 0.0,
-    rng: np.random.Generator | None = None,
-    depth_rng: np.random.Generator | None = None,
     sensor_rng: np.random.Generator | None = None,
     motion_rng: np.random.Generator | None = None,
-    imaging_rng: np.random.Generator | None = None,
-    drift: Drift = NO_DRIFT,
-    perturbed: Perturbed | None = None,
     order_s: float = math.inf,
     interpolator: Interpolator | None = None,
     plate_m: float = 0.0,
-    others: Sequence[OtherSensor] = (),
+    others: Sequence[tuple[Viewpoint, PictureSetup]] = (),
 ) -> tuple[Plant, str]:
     """The plant, and the name of its renderer ("none" without pictures).
 
@@ -66,11 +66,7 @@ def build_plant(
     Raises EnvironmentLackError: a picture is needed that only OpenGL can draw, and it does not work here.
 
     Args:
-        needs_image, needs_truth: whether the detector works on pictures, on truth.
-        image_sigma, rng: noise of the pictures [grey levels] and its generator.
-        depth_rng, sensor_rng, motion_rng: generators of the depth camera's noise, of the robot's sensor noise, of a target's random walk.
-        imaging_rng: generator of the image sensor's noise (`camera.sensor`).
-        drift: of the camera's gains. perturbed: further changes of the pictures; None for none.
+        sensor_rng, motion_rng: generators of the robot's sensor noise, and of a target's random walk.
         order_s: how long a command lasts before the robot stops [s]. interpolator: leads from one command to
             the next; None: at once.
         plate_m: edge of a plate in reserve, for `Plant.hold_plate`; 0 for none [m].
@@ -81,61 +77,49 @@ def build_plant(
     from vstestbed.sim.ideal import IdealPlant
 
     step, steps_per_frame = clock.resolve(camera, longest_step(robot))
-    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m, others=tuple(other.viewpoint for other in others))
+    parts = SceneDescription(robot, camera, target, world, step, plate_m=plate_m, others=tuple(view for view, _ in others))
     ideal = robot.body is None
     path = target.path(_given(motion_rng)) if target.motion.by_itself else None
     may_hide = world.hides or (target.body is not None and not target.outlined)
-    pictured = needs_image or any(other.needs_image for other in others)
+    pictured = pictures.needs_image or any(other.needs_image for _, other in others)
     if ideal and not (pictured or plate_m or may_hide):
         plant: Plant = IdealPlant(parts, steps_per_frame, None, None, path, order_s, interpolator)
-        plant.others = {other.viewpoint.name: _other_eye(plant, other, None) for other in others}
+        plant.others = {view.name: _other_eye(plant, view, other, None) for view, other in others}
         return plant, "none"
     from vstestbed.sim.scene.scene import Scene
 
-    stage = Scene(parts, samples=max(camera.multisampling, *(other.viewpoint.camera.multisampling for other in others), 0))
+    stage = Scene(parts, samples=max(camera.multisampling, *(view.camera.multisampling for view, _ in others), 0))
     eye, renderer = None, "none"
-    if needs_image:
-        eye, renderer = _sensor(stage, camera, "eye", image_sigma, rng, depth_rng, imaging_rng, drift, perturbed)
+    if pictures.needs_image:
+        eye, renderer = _sensor(stage, camera, "eye", pictures)
     if ideal:
         plant = IdealPlant(parts, steps_per_frame, stage, eye, path, order_s, interpolator)
     else:
         from vstestbed.sim.plant import MujocoPlant
 
-        plant = MujocoPlant(stage, steps_per_frame, eye, needs_truth, _given(sensor_rng), path, order_s, interpolator)
-    plant.others = {other.viewpoint.name: _other_eye(plant, other, stage) for other in others}
+        plant = MujocoPlant(stage, steps_per_frame, eye, pictures.needs_truth, _given(sensor_rng), path, order_s, interpolator)
+    plant.others = {view.name: _other_eye(plant, view, other, stage) for view, other in others}
     return plant, renderer
 
 
-def _other_eye(plant: Plant, other: OtherSensor, stage: Scene | None) -> OtherEye:
-    sensor, viewpoint = None, other.viewpoint
-    if stage is not None and other.needs_image:
-        sensor, _ = _sensor(stage, viewpoint.camera, viewpoint.name, *other[3:])
-    return OtherEye(plant, viewpoint, plant.target, sensor, other.needs_truth)
+def _other_eye(plant: Plant, view: Viewpoint, pictures: PictureSetup, stage: Scene | None) -> OtherEye:
+    sensor = _sensor(stage, view.camera, view.name, pictures)[0] if stage is not None and pictures.needs_image else None
+    return OtherEye(plant, view, plant.target, sensor, pictures.needs_truth)
 
 
-def _sensor(
-    stage: Scene,
-    camera: Camera,
-    eye: str,
-    image_sigma: float,
-    rng: np.random.Generator | None,
-    depth_rng: np.random.Generator | None,
-    imaging_rng: np.random.Generator | None,
-    drift: Drift,
-    perturbed: Perturbed | None,
-) -> tuple[ImageSensor, str]:
+def _sensor(stage: Scene, camera: Camera, eye: str, pictures: PictureSetup) -> tuple[ImageSensor, str]:
     """The sensor of a camera of a stage, and the name of what draws its images."""
     from vstestbed.imaging.chain import Chain
     from vstestbed.sim.render.image_sensor import DepthCamera, ImageSensor
     from vstestbed.sim.render.pictures import servo_renderer
 
     # With a rolling shutter bands of rows are drawn: the sensor itself adds the rows from which the noise is estimated.
-    drawn_by = servo_renderer(stage, camera, image_sigma > 0 and not camera.readout_s, eye=eye)
+    drawn_by = servo_renderer(stage, camera, pictures.image_sigma > 0 and not camera.readout_s, eye=eye)
     depth = None
     if isinstance(camera, Perspective) and camera.depth_sensor is not None:
-        depth = DepthCamera(camera, camera.depth_sensor, _given(depth_rng))
-    changed = None if perturbed is None else perturbed.next_picture
-    chain = Chain(camera.imaging(imaging_rng), ImageNoise(image_sigma, rng), drift, changed)
+        depth = DepthCamera(camera, camera.depth_sensor, _given(pictures.depth_rng))
+    changed = None if pictures.perturbed is None else pictures.perturbed.next_picture
+    chain = Chain(camera.imaging(pictures.imaging_rng), ImageNoise(pictures.image_sigma, pictures.rng), pictures.drift, changed)
     return ImageSensor(stage, drawn_by, chain, depth, camera), drawn_by.name
 
 

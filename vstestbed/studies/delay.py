@@ -69,7 +69,7 @@ def measure_lags(scenario: Scenario, delay_frames: float, off: float) -> list[La
     """
     # neither images nor true poses are needed: the encoders are the measurement
     parts = (scenario.robot, scenario.camera, scenario.target, scenario.world, scenario.physics)
-    plant, _ = build_plant(*parts, needs_image=False, needs_truth=False, interpolator=scenario.timing.interpolator(*scenario.clock))
+    plant, _ = build_plant(*parts, interpolator=scenario.timing.interpolator(*scenario.clock))
     try:
         return [_lag_of(plant, name, i, scenario.camera.period, delay_frames, off) for i, name in enumerate(scenario.robot.joints)]
     finally:

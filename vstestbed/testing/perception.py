@@ -17,7 +17,7 @@ from vstestbed.robots import Free
 from vstestbed.robots.free import FreeStart
 from vstestbed.scenario.load import load
 from vstestbed.scenario.scenario import Scenario
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.targets import Square
 from vstestbed.targets.markers import Disc
 from vstestbed.testing.robots import must_refuse
@@ -45,9 +45,7 @@ def check_detector(detector: Detector[Any], scenario: Scenario | None = None, wi
         _check_own_points(detector, scenario or load("camera_keypoints"), within_px)
         return
     s = replace(scenario or _scene(detector), detector=detector)
-    plant, _ = build_plant(
-        s.robot, s.camera, s.target, s.world, s.physics, needs_image=detector.needs_image, needs_truth=detector.needs_truth
-    )
+    plant, _ = build_plant(s.robot, s.camera, s.target, s.world, s.physics, PictureSetup(detector.needs_image, detector.needs_truth))
     with closing(plant):
         picture, truth = plant.capture()
     view = TruthView(truth.p_camera, truth.hidden) if detector.needs_truth else None

@@ -12,7 +12,7 @@ from vstestbed.camera import DepthImage
 from vstestbed.core.errors import ScenarioError
 from vstestbed.loop.plants import plant_of
 from vstestbed.sim.base import Plant, SceneDescription
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 from vstestbed.sim.render.opengl import OpenGLRenderer
 from vstestbed.sim.render.rays import RayRenderer
 from vstestbed.sim.scene.scene import Scene
@@ -88,10 +88,8 @@ def test_a_distorted_edge_has_the_depth_of_one_surface():
 
 def plant(sensor: str, **changes: object) -> Plant:
     s = vs.load("arm_depth", SMALL | {"camera.depth_sensor": sensor} | changes)
-    made, _ = build_plant(
-        s.robot, s.camera, s.target, s.world, s.physics, needs_image=True, needs_truth=False, depth_rng=np.random.default_rng(3)
-    )
-    return made
+    pictures = PictureSetup(needs_image=True, needs_truth=False, depth_rng=np.random.default_rng(3))
+    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
 
 
 def test_an_exposure_has_the_depth_of_its_middle():

@@ -11,7 +11,7 @@ import vstestbed as vs
 from vstestbed.camera import Picture, Regions
 from vstestbed.loop.controller import Controller
 from vstestbed.sim.base import Plant
-from vstestbed.sim.build import build_plant
+from vstestbed.sim.build import PictureSetup, build_plant
 
 LOOK: Regions = (((140, 60, 200, 100),),)
 PUSH = np.array([0.6, -0.4, 0.5, 0.7, -0.6, 0.8])
@@ -21,8 +21,9 @@ SMALL = {"camera.width": 320, "camera.height": 240}
 
 def plants(scenario: str, renderer: str, sigma: float = 0.0, settings: dict[str, object] | None = None) -> Plant:
     s = vs.load(scenario, {"camera.renderer": renderer, **(settings or {})})
-    wants = {"needs_image": True, "needs_truth": False, "drift": s.noise.drift}
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, image_sigma=sigma, rng=np.random.default_rng(3), **wants)[0]
+    rng = np.random.default_rng(3)
+    pictures = PictureSetup(needs_image=True, needs_truth=False, image_sigma=sigma, rng=rng, drift=s.noise.drift)
+    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, pictures)[0]
 
 
 @pytest.fixture(params=["gl", "rays"])

@@ -19,7 +19,7 @@ NAMES = ["omni_ibvs", "car_pbvs", "car_pursuit"]
 
 def plant_of(s, rng=0):
     rng = np.random.default_rng(rng)
-    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, needs_image=False, needs_truth=False, sensor_rng=rng)[0]
+    return build_plant(s.robot, s.camera, s.target, s.world, s.physics, sensor_rng=rng)[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
